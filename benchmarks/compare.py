@@ -128,14 +128,14 @@ def process(python: str, *arguments: str, cache: str | None = None) -> Cost:
     """A process and what it took. Errors: what it wrote to standard error, as `RuntimeError`."""
     env = {name: value for name, value in os.environ.items() if not name.startswith(("KEMPE_", "PYTHON"))}
     env |= {"KEMPE_QUIET": "1"} | ({"KEMPE_CACHE_DIR": cache} if cache else {})
-    with tempfile.TemporaryFile() as told, tempfile.TemporaryFile() as said:
-        child = subprocess.Popen([python, *arguments], stdout=told, stderr=said, env=env, cwd=tempfile.gettempdir())
+    with tempfile.TemporaryFile() as reported, tempfile.TemporaryFile() as said:
+        child = subprocess.Popen([python, *arguments], stdout=reported, stderr=said, env=env, cwd=tempfile.gettempdir())
         _, status, used = os.wait4(child.pid, 0)
         child.returncode = os.waitstatus_to_exitcode(status)
-        told.seek(0), said.seek(0)
+        reported.seek(0), said.seek(0)
         if child.returncode:
             raise RuntimeError(said.read().decode())
-        return Cost(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0, told.read().decode())
+        return Cost(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0, reported.read().decode())
 
 
 Row = tuple[str, str, float, float]

@@ -2,6 +2,7 @@
 
 import os
 import re
+from pathlib import Path
 
 from kempe import __version__
 
@@ -35,12 +36,33 @@ add_module_names = False
 python_use_unqualified_type_names = True
 
 _LITERAL = re.compile(r"(``[^`]+``|`[^`]+`)")
+_GLOSSARY = Path(__file__).with_name("glossary.md").read_text(encoding="utf-8").partition("{glossary}\n")[2]
+_TERMS = {t.lower(): t for t in re.findall(r"^\w.*", _GLOSSARY, re.MULTILINE) if len(t) > 7}
+"""Terms that docstrings link to: short ones are ordinary words, too."""
+_TERM = re.compile(rf"(?<![\w-])({'|'.join(sorted(_TERMS, key=len, reverse=True))})s?(?![\w-])", re.IGNORECASE)
 
 
-def _escape(app, what, name, obj, options, lines):
+def _linked(text, seen):
+    """Text whose terms link to the glossary, each where it is first seen."""
+
+    def link(match):
+        term = match[1].lower()
+        if term in seen:
+            return match[0]
+        seen.add(term)
+        return f":term:`{match[0]} <{_TERMS[term]}>`"
+
+    return _TERM.sub(link, text)
+
+
+def _plain(app, what, name, obj, options, lines):
     """Docstrings are plain text with code in backticks: other characters mean nothing to reStructuredText."""
+    seen = set()
     lines[:] = [
-        "".join(part if part.startswith("`") else re.sub(r"([*|_])", r"\\\1", part) for part in _LITERAL.split(line))
+        "".join(
+            part if part.startswith("`") else _linked(re.sub(r"([*|_])", r"\\\1", part), seen)
+            for part in _LITERAL.split(line)
+        )
         if ">>>" not in line and not line.startswith("    ")
         else line
         for line in lines
@@ -49,4 +71,4 @@ def _escape(app, what, name, obj, options, lines):
 
 def setup(app):
     """Connect the hook."""
-    app.connect("autodoc-process-docstring", _escape)
+    app.connect("autodoc-process-docstring", _plain)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
 FENCE = re.compile(r"^(`{3,}|:{3,})[^\n]*\n.*?^\1\s*$", re.DOTALL | re.MULTILINE)
 FRONT = re.compile(r"\A---\n.*?^---\n", re.DOTALL | re.MULTILINE)
 MARK = re.compile(r"<!--\s*hunted:\s*(.*?)\s*-->", re.DOTALL)
@@ -68,8 +69,9 @@ class Sentence(NamedTuple):
 
 
 def pages() -> list[Path]:
-    """README.md and the pages of docs but this one."""
-    return [ROOT / "README.md", *sorted(p for p in (ROOT / "docs").glob("*.md") if p.name != "trust.md")]
+    """README.md and the pages of docs and docs/add but this one."""
+    found = [*sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("add/*.md"))]
+    return [ROOT / "README.md", *(p for p in found if p.name != "trust.md")]
 
 
 def sentences(path: Path) -> Iterator[Sentence]:
@@ -116,7 +118,7 @@ def page() -> str:
     """The page as Markdown."""
     lines = ["| page | sentence | tested by |\n", "|---|---|---|\n"]
     for path in pages():
-        name = path.name if path.stem == "README" else f"[{path.stem}]({path.name})"
+        name = path.name if path.stem == "README" else f"[{path.stem}]({path.relative_to(DOCS).as_posix()})"
         for s in sentences(path):
             if s.tests:
                 said = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", s.text.removeprefix("- ")).replace("|", "\\|")

@@ -239,7 +239,7 @@ def sources() -> str:
 
 
 def is_current() -> bool:
-    """Whether the checkout has a library of its sources, by this builder, for what is asked."""
+    """Whether the checkout has a library of its sources, by this builder, for what is required."""
     code = "from kempe.kernels import _native as n; print(n.BUILDER, *n.VARIANTS); print(n.SOURCES, end='')"
     paths = [str(HERE.parent / "src"), *filter(None, [os.environ.get("PYTHONPATH")])]
     env = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}

@@ -129,7 +129,6 @@ class Model:
         rows = _rows(J.reshape(-1, 6, self.n), self.pose(theta).reshape(-1, 4, 4)[:, :3, :3], task, axis)
         return np.linalg.svd(rows, compute_uv=False)[:, -1].reshape(theta.shape[:-1])
 
-
     def curvature(self, theta, task: str = "pose", axis=(0, 0, 1), step: float = 1e-4) -> np.ndarray:
         """How fast the smallest singular value (...) grows along its own motion, by central differences.
 

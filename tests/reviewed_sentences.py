@@ -1,6 +1,6 @@
 """General sentences of the pages that no test hunts, read by a person, with the reason why none is needed.
 
-A sentence is told by its beginning. One that is reworded has to be read again: entries that fit no sentence fail.
+A sentence is known by its beginning. One that is reworded has to be read again: entries that fit no sentence fail.
 """
 
 REVIEWED = {

@@ -40,12 +40,12 @@ FOLDERS: dict[str, list[set[str]]] = {
 Each may import itself and what stands to the left; folders in one set do not import one another."""
 
 LATER = {
-    "description.mechanism": {"write"},
+    "description.mechanism": {"write"}, "description.formats": {"toml", "urdf"},
     "solvers.one_frame.inverse": {"tasks", "analytic"}, "solvers.one_frame.sharpen": {"analytic"},
     "solvers.one_frame.shut_out": {"analytic"}, "solvers.one_frame.solution": {"tasks"},
     "solvers.tasks.reached": {"velocity"}, "solvers.analytic.answers.solutions": {"."},
 }  # fmt: skip
-"""Modules that import to the right inside functions: another solver answers, or what is asked of an answer later."""
+"""Modules that import to the right inside functions: another solver answers, or what is required of an answer later."""
 
 LARGEST_FOLDER = 14
 

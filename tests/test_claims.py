@@ -121,7 +121,7 @@ def test_steps_stay_in_the_limits_of_place_and_speed(robots, hunt):
 
 
 def test_a_branch_is_never_answered_by_another_one(hunt):
-    """Four-bars of random lengths: the branch that is asked for, or no success, by the side of the middle joint."""
+    """Four-bars of random lengths: the branch that is requested, or no success, by the side of the middle joint."""
     rng, both = hunt.rng(), [0, 0]
     for _ in range(hunt.cases(300)):
         a, b, c, d = rng.uniform(0.2, 1.0, 4)
@@ -141,7 +141,7 @@ def test_a_branch_is_never_answered_by_another_one(hunt):
 
 
 def test_a_drive_holds_where_its_input_cannot_be(hunt):
-    """Slider-cranks of random lengths: held where the slider is asked beyond crank and rod in line, else there."""
+    """Slider-cranks of random lengths: held where the slider is wanted beyond crank and rod in line, else there."""
     rng, held = hunt.rng(), 0
     for _ in range(hunt.cases(5)):
         a = float(rng.uniform(0.1, 0.5))

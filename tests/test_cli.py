@@ -115,10 +115,10 @@ def tip(q1: float, q2: float) -> tuple[float, float, float]:
 
 def test_help_and_version():
     assert Result("--version").out == f"kempe {kempe.__version__}, kernels {VARIANT}\n"
-    alone, asked = Result(), Result("--help")
-    assert alone.code == asked.code == 0
+    alone, requested = Result(), Result("--help")
+    assert alone.code == requested.code == 0
     for name in ("info", "check", "fk", "ik", "convert", "library"):
-        assert name in alone.out and name in asked.out
+        assert name in alone.out and name in requested.out
         assert Result(name, "--help").code == 0
 
 
@@ -452,7 +452,7 @@ def test_convert(arm, tmp_path):
 
 def test_convert_refuses(arm, four_bar, tmp_path):
     ending, loop = Result("convert", arm, tmp_path / "arm.txt"), Result("convert", four_bar, tmp_path / "x.urdf")
-    assert ending.code == loop.code == 2 and ".toml or .urdf" in ending.err and "loop" in loop.err
+    assert ending.code == loop.code == 2 and ".urdf or .toml" in ending.err and "loop" in loop.err
     assert not (tmp_path / "x.urdf").exists()
     folder = Result("convert", arm, tmp_path / "no" / "arm.toml")
     assert folder.code == 2 and "No such file" in folder.err and folder.err.count("\n") == 1
@@ -476,8 +476,6 @@ def test_commands_take_shipped_models(name):
     assert data["nq"] == kempe.load(name).nq
     assert Result("check", name).code == 0
     assert len(Result("fk", name, "--json").json()["bodies"]) == len(data["bodies"])
-
-
 
 
 # ---- the page of the documentation

@@ -64,7 +64,7 @@ def test_targets_of_a_file(tmp_path, targets):
     words = command("ik", "panda", "--frame", HAND, "--target", targets, "-o", out,
                     before=at_call("kempe.solvers.one_frame.inverse.run", 2))  # fmt: skip
     done = run(words)
-    assert done.returncode == 130 and "interrupted: 4904 targets were not asked" in done.stdout, done.stderr
+    assert done.returncode == 130 and "interrupted: 4904 targets were not solved" in done.stdout, done.stderr
     assert len(out.read_text(encoding="utf-8").splitlines()) == 1 + 4096 and "Traceback" not in done.stderr
 
 

@@ -138,8 +138,8 @@ def test_help_lists_the_commands_in_order():
     for title in ("Describe and convert", "Positions", "Closed loops", "Models"):
         assert f" {title} " in shown
     for name in ("dof", "classify", "assemble", "trace", "plot"):
-        asked = Result(name, "--help")
-        assert asked.code == 0 and f"Example: kempe {name} " in asked.out
+        requested = Result(name, "--help")
+        assert requested.code == 0 and f"Example: kempe {name} " in requested.out
 
 
 @pytest.mark.parametrize(
@@ -187,7 +187,7 @@ def test_wrong_questions(arguments, said, tmp_path, monkeypatch):
     assert said in data.json()["error"] and not list(tmp_path.iterdir())
 
 
-def test_files_that_cannot_be_written_are_told_first(tmp_path, monkeypatch):
+def test_files_that_cannot_be_written_are_reported_first(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("kempe.System.trace", lambda *_, **__: pytest.fail("it worked before it looked at the file"))
     monkeypatch.setattr("kempe.System.assemble", lambda *_, **__: pytest.fail("it worked before it looked at the file"))
@@ -206,7 +206,7 @@ def test_files_that_cannot_be_written_are_told_first(tmp_path, monkeypatch):
         assert refused.code == 2 and said in refused.err
 
 
-def test_missing_matplotlib_is_told_first(tmp_path, monkeypatch):
+def test_missing_matplotlib_is_reported_first(tmp_path, monkeypatch):
     for name in [n for n in sys.modules if n.split(".")[0] == "matplotlib" or n.startswith("kempe.views.drawing")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
@@ -291,8 +291,8 @@ def test_classify():
 
 def test_classify_where_loops_are_open():
     """Refused with the distance, or projected."""
-    asked = ("classify", "four_bar", "--q", "0.5,0.1,0.2,0.3")
-    done, projected = Result(*asked), Result(*asked, "--project")
+    requested = ("classify", "four_bar", "--q", "0.5,0.1,0.2,0.3")
+    done, projected = Result(*requested), Result(*requested, "--project")
     assert done.code == 2 and "project" in done.err
     assert projected.code == 0 and "away from what was given" in " ".join(projected.out.split())
 
@@ -415,7 +415,7 @@ def test_modes_of_many_coordinates_are_columns():
         assert shown == pytest.approx(modes.q[:, system.coordinate_names.index(name)].tolist(), abs=1e-6)
 
 
-def test_an_open_loop_is_told_and_not_written(engine, tmp_path):
+def test_an_open_loop_is_reported_and_not_written(engine, tmp_path):
     out, picture = tmp_path / "q.csv", tmp_path / "q.png"
     pytest.importorskip("matplotlib")
     result = Result("assemble", engine, "S=3.5", "--out", out, "--plot", picture)

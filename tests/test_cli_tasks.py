@@ -176,7 +176,7 @@ def test_an_interrupt_leaves_what_was_done(folder, monkeypatch):
 
     monkeypatch.setattr(kempe.System, "ik", ik)
     result = Result("ik", "panda", "--frame", HAND, "--target", "t.csv", "--out", "q.csv")
-    assert result.code == 130 and "8 of 8" in result.out and "2 targets were not asked" in result.out
+    assert result.code == 130 and "8 of 8" in result.out and "2 targets were not solved" in result.out
     assert len(np.loadtxt("q.csv", delimiter=",", skiprows=1)) == 8
 
 

@@ -102,6 +102,14 @@ CASES = {
     "ik_sweep": Case("ik_sweep", lambda: SEVEN.inverse.sweep(SEVEN.fk(SEVEN_Q, TIP), TIP), "SOLVED"),
     "ik_sweep sampled": Case("ik_sweep", lambda: SEVEN.inverse.sweep(SEVEN.fk(SEVEN_Q, TIP), TIP, n=5), "SOLVED"),
     "ik_sweep failing": Case("ik_sweep", lambda: SEVEN.inverse.sweep(FAR, TIP), "NONE_EXISTS"),
+    "ik_sweep over a joint": Case("ik_sweep", lambda: SEVEN.inverse.sweep(
+        SEVEN.fk(SEVEN_Q, TIP), TIP, SEVEN.coordinate_names[2], budget=Budget(points=16)), "SOLVED"),
+    "at": Case("at", lambda: SEVEN.inverse.sweep(SEVEN.fk(SEVEN_Q, TIP), TIP).at(0.2), "SOLVED"),
+    "at of a batch": Case(
+        "at", lambda: SEVEN.with_limits({SEVEN.coordinate_names[0]: (-0.5, 0.5)}).inverse.sweep(
+            SEVEN.fk(SEVEN_Q, TIP), TIP).at([0.2, 3.0]), ["OUTSIDE_LIMITS", "SOLVED"]),
+    "at failing": Case("at", lambda: SEVEN.inverse.sweep(FAR, TIP).at(0.2), "NONE_EXISTS"),
+    "at of none": Case("at", lambda: SEVEN.inverse.sweep(SEVEN.fk(SEVEN_Q, TIP), TIP).at(NONE), []),
     "ik_path": Case("ik_path", lambda: ARM.ik_path(REACHED, TOOL, Q), "SOLVED"),
     "ik_path broken off": Case("ik_path", lambda: ARM.ik_path(REACHED, TOOL, Q, budget=BROKEN), "INTERRUPTED"),
     "ik_path failing": Case("ik_path", lambda: ARM.ik_path(np.stack([X, FAR]), TOOL, Q), "PARTLY"),
@@ -130,6 +138,15 @@ CASES = {
     "closed_form": Case("closed_form", lambda: LINKAGE.loops.closed_form([CRANK]), "SOLVED"),
     "closed_form failing": Case(
         "closed_form", lambda: SPATIAL.loops.closed_form([SPATIAL.coordinate_names[0]]), "NOT_FOUND"),
+    "close": Case("close", lambda: LINKAGE.loops.closed_form([CRANK]).close([0.3]), "SOLVED"),
+    "close failing": Case("close", lambda: LINKAGE.loops.closed_form([ROCKER]).close([0.0]), "NOT_FOUND"),
+    "close of a batch": Case(
+        "close", lambda: LINKAGE.loops.closed_form([ROCKER]).close([[1.6], [0.0], [np.nan]]),
+        ["SOLVED", "NOT_FOUND", "BAD_INPUT"]),
+    "close of none": Case("close", lambda: LINKAGE.loops.closed_form([CRANK]).close(np.zeros((0, 1))), []),
+    "configuration_space": Case("configuration_space", lambda: LINKAGE.configuration_space, "SOLVED"),
+    "configuration_space of a tree": Case("configuration_space", lambda: ARM.configuration_space, "SOLVED"),
+    "configuration_space failing": Case("configuration_space", lambda: apart().configuration_space, "UNDETERMINED"),
     "independent": Case("independent", lambda: LINKAGE.independent(CLOSED), "SOLVED"),
     "idealised": Case("idealised", lambda: rounded().idealised(), "SOLVED"),
     "mobility": Case("mobility", lambda: LINKAGE.mobility(), "SOLVED"),
@@ -166,8 +183,10 @@ REPORTS, ANSWERS = ([n for n, c in CASES.items() if (c.verb in REPORTING) == rep
 """Cases of the verbs that find something out about a system, and of those that give configurations."""
 NAMED = {"loop_jacobian": "jacobian", "ik_sweep": "sweep", "ik_plan": "plan"}
 """Verbs of families, by the names that the families give them."""
+OF_RESULTS = {"at", "close"}
+"""Verbs of results."""
 NO_RESULTS = {
-    "assembler", "configuration_space", "constraints", "plot", "query", "structure", "loops", "inverse", "symbolic",
+    "assembler", "constraints", "plot", "query", "structure", "loops", "inverse", "symbolic",
     "with_limits", "with_parameters",
 }  # fmt: skip
 """Members of `System` that give a system, a set, poses, a bound form or a drawing."""
@@ -211,7 +230,7 @@ def test_every_verb_that_returns_a_result_is_in_the_table():
                 verbs.add(name)
     assert {"ik", "mobility", "trace", "idealised"} <= verbs
     own = {NAMED.get(c.verb, c.verb) for c in CASES.values()}
-    assert verbs - NO_RESULTS == own, "a verb of System is missing in the table, or is no verb"
+    assert verbs - NO_RESULTS == own - OF_RESULTS, "a verb of System is missing in the table, or is no verb"
 
 
 def returned(function: Any) -> Any:
@@ -346,8 +365,8 @@ def test_degrees_change_the_angles_of_data_only():
         k: v for k, v in rad.items() if k not in ("q", "angle_unit")}  # fmt: skip
 
 
-def test_the_judge_finds_what_was_asked_for_in_answers_that_are_altered():
-    """Of each sort of answer one is moved away from what was asked: the judge, and with it the verdict, says so."""
+def test_the_judge_finds_answers_that_are_altered():
+    """Of each sort of answer one is moved away from its target: the judge, and with it the verdict, says so."""
     modes, path = LINKAGE.assembly_modes({CRANK: 0.3}), ARM.ik_path(REACHED, TOOL, Q)
     drive, every = LINKAGE.drive(held(4), start=CLOSED), ARM.ik_all(X, TOOL)
     for answer in (modes, path, drive, every):
@@ -357,7 +376,7 @@ def test_the_judge_finds_what_was_asked_for_in_answers_that_are_altered():
         answer.__dict__.pop("judged", None)
         assert not answer.judged and "contradicted" in answer.verdict
     other = LINKAGE.assembly_modes({CRANK: 0.4})
-    object.__setattr__(other, "known", {CRANK: 0.3})  # closed, but not where it was asked for
+    object.__setattr__(other, "known", {CRANK: 0.3})  # closed, but not where it was requested
     assert "contradicted" in other.verdict and repr(CRANK) in other.verdict
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import importlib.util
 import io
@@ -14,19 +15,20 @@ from types import ModuleType
 from typing import NamedTuple
 
 import pytest
-from own_joints import registered
 from reviewed_sentences import REVIEWED
+from tables import restored
 
 from kempe.errors import KempeError, MissingExtraError
 
 ROOT = Path(__file__).parents[1]
-PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")])
+DOCS = ROOT / "docs"
+PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS.glob("*.md"), *DOCS.glob("add/*.md")])
 FENCE = re.compile(r"^```([^\n`]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 NUMBER = re.compile(r"-?\d+\.\d+(?:e[-+]?\d+)?|-?\d+")
 README_COMMAND = re.compile(r"\.venv/bin/kempe ([^\n]*)")
 
-pages = pytest.mark.parametrize("path", PAGES, ids=lambda p: p.stem)
+pages = pytest.mark.parametrize("path", PAGES, ids=lambda p: p.relative_to(ROOT).with_suffix("").as_posix())
 
 
 class Block(NamedTuple):
@@ -97,7 +99,7 @@ def test_code_runs(path, tmp_path, monkeypatch):
     code = [b for b in blocks(path) if is_code(b)]
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {"__name__": "__main__"}
-    with registered([]):  # what a page adds to the table of joints goes again
+    with restored():
         for block in code:
             run(path, block, names)
 
@@ -161,12 +163,13 @@ def headings(path: Path) -> set[str]:
 
 
 def test_every_page_is_in_the_table_of_contents():
-    index = ROOT / "docs" / "index.md"
+    index = DOCS / "index.md"
     listed = [
         line for b in blocks(index) if b.kind == "{toctree}" for line in b.text.splitlines()
         if line and not line.startswith(":")
     ]  # fmt: skip
-    assert sorted(listed) == sorted(p.stem for p in PAGES if p.parent == index.parent and p != index)
+    written = [p.relative_to(DOCS).with_suffix("").as_posix() for p in PAGES if DOCS in p.parents and p != index]
+    assert sorted(listed) == sorted(written)
 
 
 def written_by(script: str) -> ModuleType:
@@ -179,10 +182,51 @@ def written_by(script: str) -> ModuleType:
     return module
 
 
-@pytest.mark.parametrize("name", ["joints", "trust"])
+@pytest.mark.parametrize("name", ["formats", "joints", "trust"])
 def test_written_pages_are_up_to_date(name):
     shown = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
     assert shown == written_by(f"{name}_page").page(), f"run  python docs/{name}_page.py"
+
+
+def test_the_map_is_up_to_date():
+    shown = (ROOT / "docs" / "_static" / "map.svg").read_text(encoding="utf-8")
+    assert shown == written_by("map_page").picture(), "run  python docs/map_page.py"
+
+
+def test_arrows_of_the_map_are_what_cannot_be_left_out():
+    """Short cuts go, levels are longest paths, and a cycle has no levels."""
+    chart = written_by("map_page")
+    found = {"c": {"b", "a"}, "b": {"a"}, "a": set()}
+    assert chart.levels(found) == {"a": 0, "b": 1, "c": 2}
+    assert chart.direct(found) == {"c": {"b"}, "b": {"a"}, "a": set()}
+    with pytest.raises(ValueError, match=r"\['a', 'b'\]"):
+        chart.levels({"a": {"b"}, "b": {"a"}})
+
+
+DESIGN = (ROOT / "docs" / "design.md").read_text(encoding="utf-8")
+JOURNEYS = re.findall(r"^`[^`\n]*`, from [^\n]*:\n\n((?:\d+\. .*\n)+)", DESIGN, re.MULTILINE)
+STATION = re.compile(r"\d+\. `(kempe(?:\.\w+)+)` [^.]*\.")
+
+
+def test_there_are_three_journeys_of_at_most_ten_stations():
+    assert [1 < journey.count("\n") <= 10 for journey in JOURNEYS] == [True] * 3
+
+
+@pytest.mark.parametrize("station", [line for journey in JOURNEYS for line in journey.splitlines()])
+def test_stations_of_journeys_exist(station):
+    """Looked up in the sources, since kernels are imported only where Numba is."""
+    match = STATION.match(station)
+    assert match, f"{station!r} is no name with one sentence"
+    parts = match[1].split(".")
+    folder = next(i for i in range(len(parts), 0, -1) if (ROOT / "src" / Path(*parts[:i])).is_dir())
+    inside = (ROOT / "src" / Path(*parts[:folder])) / "__init__.py"
+    path, names = inside.with_name(f"{parts[folder]}.py"), parts[folder + 1 :]
+    path, names = (path, names) if path.exists() else (inside, parts[folder:])
+    body: list[ast.stmt] = ast.parse(path.read_text(encoding="utf-8")).body
+    for name in names:
+        found = [n for n in body if isinstance(n, (ast.FunctionDef, ast.ClassDef)) and n.name == name]
+        assert found, f"{name} is not in {path.name}"
+        body = found[-1].body
 
 
 # ---- general sentences

@@ -154,7 +154,7 @@ def usual(system: kempe.System, verb: str = "") -> dict[str, Any]:
 
 
 NO_ARRAYS = {"self", "system", "options", "numbers", "frame", "joint", "input", "output", "inputs", "outputs", "driver"}
-NOT_ASKED = {
+NOT_REQUIRED = {
     "System.frame_name", "System.coordinates_of_joint",  # no numbers
     "kempe.analysis.motion.transmission.pressure_angle",  # by bodies, see test_transmission.py
     "System.manoeuvre", "System.simulate",  # of what rolls and bounces, see test_manoeuvre.py and test_simulate.py
@@ -216,7 +216,7 @@ def robots() -> dict[str, kempe.System]:
 
 
 QS = ("q", "q0", "q1")
-PLACES = [(n, p) for n, f in OF_SYSTEMS.items() for p in QS if takes(f, p) and n not in NOT_ASKED]
+PLACES = [(n, p) for n, f in OF_SYSTEMS.items() for p in QS if takes(f, p) and n not in NOT_REQUIRED]
 ARM_ONLY = {"self_motion", "arm_angle"}
 LOOP_ONLY = {"mechanical_advantage", "transmission_angle", "dead_points", "independent", "loop_jacobian"}
 ONE_Q = {"plot", "mobility", "self_motion", "ik_step", "q_dict", "local_dimension", "classify", "one_sided"}
@@ -281,7 +281,7 @@ def test_bound_forms_read_by_name_too(robots):
 
 @pytest.mark.parametrize("model", ["four_bar", "slider_crank", "five_bar", "stewart", "jansen", "three_rpr", "rssr"])
 def test_named_values_hunt(model, hunt):
-    """What is named is kept, what is not closes the loops, or the reason is told; the same each time."""
+    """What is named is kept, what is not closes the loops, or the reason is reported; the same each time."""
     system, rng = kempe.load(model), hunt.rng()
     names = [system.structure.velocity_names[i] for i in system.structure.layout.vector_v]
     closed = 0
@@ -376,7 +376,7 @@ def answers(function: Callable[..., Any], system: kempe.System, given: dict[str,
     return True
 
 
-NUMERIC = [n for n in OF_SYSTEMS if n not in NOT_ASKED]
+NUMERIC = [n for n in OF_SYSTEMS if n not in NOT_REQUIRED]
 
 
 @pytest.mark.parametrize("name", NUMERIC)
@@ -386,9 +386,9 @@ def test_what_is_no_number_is_refused(name, robots):
     if short.startswith("plot"):
         pytest.importorskip("matplotlib")
     arm = robots["iiwa14" if short in ("arm_angle", "ik_sweep", "self_motion") else "ur5"]
-    asked = [(s, p, usual(s, short)[p]) for s in (arm, robots["four_bar"]) for p in numeric(name, function, s)]
-    answered = [(s, p, good) for s, p, good in asked if answers(function, s, {p: good})]
-    assert answered or not asked
+    requested = [(s, p, usual(s, short)[p]) for s in (arm, robots["four_bar"]) for p in numeric(name, function, s)]
+    answered = [(s, p, good) for s, p, good in requested if answers(function, s, {p: good})]
+    assert answered or not requested
     for system, place, good in answered:  # elsewhere another answer is not to be expected of wrong numbers
         for kind, bad in wrong_ones(short, place, good).items():
             with pytest.raises(KempeError):
@@ -481,7 +481,7 @@ def test_a_rotation_is_not_three_positions(ask, robots, hunt):
             ask(robots["ur5"], R)
 
 
-def test_the_way_to_an_orientation_is_told(robots):
+def test_the_way_to_an_orientation_is_named(robots):
     system, R = robots["ur5"], spatial.rot_x(0.3)
     with pytest.raises(InputError, match=r"not three positions: .*tasks.Orientation.*task='orientation'"):
         system.ik(R, "tool")

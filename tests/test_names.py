@@ -65,7 +65,7 @@ CALLS: dict[str, tuple[System, Callable[[Any], Any], Callable[[System], Any]]] =
     "coordinates_of_joint": (BAR, lambda f: f("A"), lambda s: s.structure.coordinates_of_joint("A")),
     "structure_hash": (BAR, lambda x: x, lambda s: s.structure.hash),
 }  # fmt: skip
-"""System, what the former name is asked, the same by the present name; other former names are those of `structure`."""
+"""System, how the former name is called, the same by the present name; other former names are those of `structure`."""
 
 
 def listed(thing: object) -> set[str]:

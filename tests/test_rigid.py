@@ -131,7 +131,7 @@ def _at(given):
     return m.build().fk([], "B")
 
 
-ASKED = {
+TARGETS = {
     "ik": (GOAL, lambda x: ARM.ik(x, TOOL, Q).q),
     "ik, analytic": (GOAL, lambda x: ARM.ik(x, TOOL, Q, method="analytic").q),
     "ik of many": (MANY, lambda x: ARM.ik(x, TOOL, Q).q),
@@ -150,9 +150,9 @@ ASKED = {
 
 
 @pytest.mark.parametrize("form", ["pinocchio", "scipy", "pair", "xyzw"])
-@pytest.mark.parametrize("verb", ASKED)
+@pytest.mark.parametrize("verb", TARGETS)
 def test_verbs_take_each_form(verb, form):
-    given, ask = ASKED[verb]
+    given, ask = TARGETS[verb]
     make = FORMS[form]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -160,9 +160,9 @@ def test_verbs_take_each_form(verb, form):
     np.testing.assert_allclose(found, ask(given), atol=1e-7)
 
 
-@pytest.mark.parametrize("verb", ASKED)
+@pytest.mark.parametrize("verb", TARGETS)
 def test_rounded_rotations_are_mended_and_said(verb):
-    given, ask = ASKED[verb]
+    given, ask = TARGETS[verb]
     off = given.copy()
     off[..., :3, :3] = np.round(off[..., :3, :3], 4)
     mended = off.copy().reshape(-1, 4, 4)
@@ -176,9 +176,9 @@ def test_rounded_rotations_are_mended_and_said(verb):
     np.testing.assert_allclose(found, ask(mended.reshape(off.shape)), atol=1e-7)
 
 
-@pytest.mark.parametrize("verb", ASKED)
+@pytest.mark.parametrize("verb", TARGETS)
 def test_what_is_further_off_is_refused(verb):
-    given, ask = ASKED[verb]
+    given, ask = TARGETS[verb]
     off = given.copy()
     off[..., 0, 0] += 3e-3
     with warnings.catch_warnings():

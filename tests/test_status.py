@@ -32,7 +32,7 @@ def test_kernels_read_these_numbers_where_they_are_given():
 
 
 def test_the_mark_of_lateness_is_no_member_that_kernels_say():
-    """A status of several tasks with LATE added is told from all that kernels answer."""
+    """A status of several tasks with LATE added is distinguished from all that kernels answer."""
     said = (search_layout.SOLVED, search_layout.NOT_FOUND, search_layout.BAD_INPUT)
     assert all(x < search_layout.LATE for x in said)
     assert len({x + late for x in said for late in (0, search_layout.LATE)}) == 6

@@ -264,7 +264,14 @@ def functions() -> list[tuple[str, Callable[..., Any], System | None]]:
         ] * 3
     out += [
         (f"kempe.{f.__name__}", f, None)
-        for f in (kempe.load, kempe.read, dh.from_dh, dh.from_screws, placement.place, Mechanism,
-        closure_rows.of_system)
+        for f in (
+            kempe.load,
+            kempe.read,
+            dh.from_dh,
+            dh.from_screws,
+            placement.place,
+            Mechanism,
+            closure_rows.of_system,
+        )
     ] * 5
     return out

@@ -50,7 +50,7 @@ def benchmark(
 ) -> Iterator[Table]:
     """Measured tables, one by one as they are done, so that an interruption loses only the section in work.
 
-    `sections` picks some of `SECTIONS`, `wanted` some of the peers; `say` is told what is being measured. `targets` of
+    `sections` picks some of `SECTIONS`, `wanted` some of the peers; `say` receives what is being measured. `targets` of
     each robot are given to the numerical inverse model, of chains and whole bodies, instead of as many as fit into a
     minute or two.
     Errors: `UnknownNameError`.

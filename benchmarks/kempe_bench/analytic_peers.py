@@ -1,4 +1,4 @@
-"""Libraries that give all solutions of the inverse model of six turns, each told an arm in its own way."""
+"""Libraries that give all solutions of the inverse model of six turns, each given an arm in its own way."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Solver:
 
 
 class Eaik(Solver):
-    """EAIK, told the poses of the joints: it finds out the family by itself (Ostermeier and others, 2024)."""
+    """EAIK, given the poses of the joints: it finds out the family by itself (Ostermeier and others, 2024)."""
 
     batches = True
 
@@ -157,7 +157,7 @@ class Opw(Solver):
 class Ssik(Solver):
     """ssik: a module written for the arm, as by its command `build`, or the one that comes with it.
 
-    The latter describes the arm by itself, so that it is asked for, and judged by, poses of its own.
+    The latter describes the arm by itself, so that it is requested, and judged by, poses of its own.
     """
 
     slow = True

@@ -1,4 +1,4 @@
-"""What the sections of the benchmark share: which peers take part, the arm, and how progress is told."""
+"""What the sections of the benchmark share: which peers take part, the arm, and how progress is reported."""
 
 from __future__ import annotations
 

@@ -113,7 +113,7 @@ def _jansen(p: _Points, v: dict[str, float]) -> None:
 BUILDERS: dict[str, Callable[[_Points, dict[str, float]], None]] = {
     "four_bar": _four_bar, "peaucellier": _peaucellier, "jansen": _jansen,
 }  # fmt: skip
-"""How each mechanism is told to pylinkage."""
+"""How each mechanism is given to pylinkage."""
 
 
 def place(system: System, q: Array, spot: Spot) -> Array:

@@ -43,8 +43,8 @@ def dyads(bench: Bench) -> Grid:
             Case(ONE, name, "solve(one, branch)", names),
         ]
         if "pylinkage" in bench.versions:
-            told = linkage(system, STEPS)
-            names = {"reset": told.reset, "fast": told.model.step_fast, "step": told.model.step}
+            reported = linkage(system, STEPS)
+            names = {"reset": reported.reset, "fast": reported.model.step_fast, "step": reported.model.step}
             timed += [
                 Case("pylinkage, step_fast", name, "reset(); fast(iterations=steps)", names | {"steps": STEPS}, STEPS),
                 Case("pylinkage, step", name, _PYLINKAGE_LOOP, names | {"steps": SINGLE_STEPS}, SINGLE_STEPS),

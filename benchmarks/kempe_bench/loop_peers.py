@@ -19,7 +19,7 @@ from kempe_bench.loop_trees import Link, Tree, worst
 class Drake(Assembler):
     """Drake's inverse kinematics solved by SNOPT: a point of one side of each cut held at its place on the other.
 
-    SNOPT scales its equations: where 1e-9 is asked for, 1e-7 is usual, so that answers are judged less strictly.
+    SNOPT scales its equations: where 1e-9 is requested, 1e-7 is usual, so that answers are judged less strictly.
     """
 
     tolerance = 1e-5
@@ -138,7 +138,7 @@ class Exudyn(Assembler):
             self._join(items, link, {"markerNumbers": [self._marker(items, numbers[i], X) for i, X in sides]})
 
     def _marker(self, items: Any, body: int, X: Array) -> int:
-        """A place on a body; in the plane its axes are told by the joint, which does not read the place's."""
+        """A place on a body; in the plane its axes are those of the joint, which does not read the place's."""
         at = {"localPosition": list(X[:3, 3])} if self.planar else {"localHT": np.ascontiguousarray(X)}
         return self.bodies.AddMarker(items.MarkerBodyRigid(bodyNumber=body, **at))
 
@@ -154,7 +154,7 @@ class Exudyn(Assembler):
         elif kind in self.HELD:
             add(items.ObjectJointGeneric(constrainedAxes=list(self.HELD[kind]), **ends))
         else:
-            raise UnsupportedError(f"{self.system.name}: {kind} joint {link.joint.name!r} is not told to Exudyn")
+            raise UnsupportedError(f"{self.system.name}: {kind} joint {link.joint.name!r} is not given to Exudyn")
 
     def _settings(self) -> Any:
         """Full Newton, one load step, and a factorisation that bears redundant equations and free bodies."""

@@ -9,12 +9,12 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from kempe.model.closures.reduced import reduced
 
 from kempe import spatial
 from kempe.errors import UnsupportedError
 from kempe.kernels.forward.table_layout import BALL, SLIDE, TURN
 from kempe.model.closures.packed_loops import characteristic_length
-from kempe.model.closures.reduced import reduced
 
 if TYPE_CHECKING:
     from kempe.description.parts import Joint
@@ -63,7 +63,7 @@ class Link:
         between = spatial.inverse(X[self.a] @ self.X_a) @ (X[self.b] @ self.X_b)
         form = reduced(self.joint.type)
         if form is None:
-            raise UnsupportedError(f"joint {self.joint.name!r} has no reduced form")
+            raise UnsupportedError(f"joint {self.joint.name!r} has no implicit form")
         slides, turns = form.position, form.turns
         held = ["xyz".index(axis) for axis in slides]
         R, errors = between[..., :3, :3], [np.linalg.norm(between[..., held, 3], axis=-1)]
@@ -125,8 +125,8 @@ class Tree:
         """
         kind = cut.joint.type.type_name
         if kind not in ("revolute", "spherical"):
-            told = "only hinges and ball joints can be told by points"
-            raise UnsupportedError(f"{self.system.name}: joint {cut.joint.name!r} is cut, and {kind}; {told}")
+            reported = "only hinges and ball joints can be given by points"
+            raise UnsupportedError(f"{self.system.name}: joint {cut.joint.name!r} is cut, and {kind}; {reported}")
         if kind == "spherical" or self.system.dim == 2:
             return np.zeros((1, 3))
         return np.array([[0.0, 0.0, 0.0], [0.0, 0.0, characteristic_length(self.system)]])

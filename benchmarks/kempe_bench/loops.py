@@ -115,7 +115,7 @@ def _line(table: Grid, bench: Bench, tree: Tree, line: str, sigma: float, known:
 
 
 def peers_of(bench: Bench, tree: Tree, known: Iterable[str] = ()) -> dict[str, Assembler]:
-    """The other libraries that take part, each told the mechanism."""
+    """The other libraries that take part, each given the mechanism."""
     out: dict[str, Assembler] = {}
     if "mujoco" in bench.versions:
         out["MuJoCo"] = Mujoco(tree, known)
@@ -200,7 +200,7 @@ def success(bench: Bench) -> Grid:
 
 
 def _starts() -> int:
-    from kempe.solvers.assembly.assembly import STARTS
+    from kempe.solvers.assembly.assembler import STARTS
 
     return STARTS
 

@@ -1,4 +1,4 @@
-"""Libraries that solve the inverse model numerically, each told the same chain, all given restarts and a time limit."""
+"""Libraries that solve the inverse model numerically, with the same chain, with restarts and a time limit."""
 
 from __future__ import annotations
 

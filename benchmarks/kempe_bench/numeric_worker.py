@@ -2,8 +2,8 @@
 
 The job is a JSON file: the package, and cases. A case is a URDF file, a folder with `targets.npy` (n, 4, 4) and
 `starts.npy` (n, number of joints), whether the starts are near the answers, and the seconds that it may take. A whole
-body has goals of several frames (n, k, 4, 4), and is asked more. Answers are written as they come, so that what is done
-survives when the library ends the process.
+body has goals of several frames (n, k, 4, 4), and may ask for more. Answers are written as they come, so that what is
+done survives when the library ends the process.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ ALONE = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_
 class Case:
     """The targets of one robot: its URDF file, their folder, whether starts are near, seconds that it may take.
 
-    `asked` is what `whole_peers.prepared` is told of a whole body; a chain has none.
+    `requested` is what `whole_peers.prepared` gets of a whole body; a chain has none.
     """
 
     file: str
     folder: str
     near: bool
     seconds: float
-    asked: dict[str, Any] | None = None
+    requested: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -91,13 +91,13 @@ def _process(package: str, cases: Sequence[Case]) -> str:
             return f"no answer for {patience:.0f} s"
     if run.returncode < 0:
         return f"signal {-run.returncode}"
-    told = run.stderr.strip().splitlines()
-    return (told[-1] if told else f"exit {run.returncode}") if run.returncode else ""
+    reported = run.stderr.strip().splitlines()
+    return (reported[-1] if reported else f"exit {run.returncode}") if run.returncode else ""
 
 
 def _read(package: str, case: Case, trouble: str) -> Answers:
     path = _path(case, package, "q.npy")
-    if not path.exists():  # the library could not even be told the robot
+    if not path.exists():  # the library could not even be given the robot
         return Answers(np.full((1, np.load(_path(case, "starts.npy")).shape[1]), np.nan), np.empty(0), trouble)
     q, ns = np.load(path), np.load(_path(case, package, "ns.npy"))
     tried = int(np.sum(ns >= 0))
@@ -113,8 +113,8 @@ def _path(case: Case, *names: str) -> Path:
 
 def _solver(package: str, case: Case) -> Solver | WholeBody:
     file = Path(case.file)
-    if case.asked is not None:
-        return prepared(package, file, **case.asked)
+    if case.requested is not None:
+        return prepared(package, file, **case.requested)
     return SOLVERS[package][1](peers.arm_of(kempe.load(file), TIP, file))
 
 

@@ -84,7 +84,7 @@ def _own_startup(bench: Bench) -> list[Row]:
         "the whole process of that",
     )  # fmt: skip
     runs = [_timed(_FIRST, *job) for _ in range(REPEATS)]
-    columns = zip(*([*json.loads(told), wall] for wall, told in runs), strict=True)
+    columns = zip(*([*json.loads(reported), wall] for wall, reported in runs), strict=True)
     return [_row("Kempe", label, seconds) for label, seconds in zip(labels, columns, strict=True)]
 
 
@@ -117,5 +117,5 @@ def _run(code: str, *arguments: str) -> str:
 def _timed(code: str, *arguments: str) -> tuple[float, str]:
     """Seconds of a whole process, and its last line."""
     start = time.perf_counter()
-    told = _run(code, *arguments)
-    return time.perf_counter() - start, told
+    reported = _run(code, *arguments)
+    return time.perf_counter() - start, reported

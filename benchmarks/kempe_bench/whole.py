@@ -35,7 +35,7 @@ Draw = Callable[[Body, int, np.random.Generator], Array]
 
 @dataclass(frozen=True)
 class Line:
-    """What is asked in one line of the table: of which robot, with which errors, from how many starts."""
+    """What is required in one line of the table: of which robot, with which errors, from how many starts."""
 
     robot: str
     body: Body
@@ -153,8 +153,8 @@ def _case(folder: Path, line: Line, goals: Array, near: bool) -> Case:
     folder.mkdir()
     np.save(folder / "targets.npy", goals)
     np.save(folder / "starts.npy", np.broadcast_to(line.body.start, (len(goals), len(line.body.start))))
-    asked = {"frames": line.body.frames, "mass": line.mass, "tolerance": line.tolerance, "once": line.once}
-    return Case(str(line.body.file), str(folder), near or line.once, SHARE, asked)
+    requested = {"frames": line.body.frames, "mass": line.mass, "tolerance": line.tolerance, "once": line.once}
+    return Case(str(line.body.file), str(folder), near or line.once, SHARE, requested)
 
 
 def _batch(line: Line, goals: Array, near: bool) -> list[Row]:

@@ -1,4 +1,4 @@
-"""Libraries that solve the inverse model of a whole body, each told the same robot, the same start, the same goals."""
+"""Libraries that solve the inverse model of a whole body, each given the same robot, the same start, the same goals."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class WholeBody:
     seedless = False
     """Whether the library needs no start, so that it gets one only where all have one start."""
     coarse = False
-    """Whether the library can only be asked for the coarser errors."""
+    """Whether the library can only be requested the coarser errors."""
     place: np.ndarray
     """Where each of our coordinates is in the library's own."""
 
@@ -301,6 +301,6 @@ BODIES: dict[str, tuple[str, type[WholeBody]]] = {
 def prepared(
     package: str, file: Path, frames: Sequence[str], mass: bool, tolerance: Sequence[float], once: bool
 ) -> WholeBody:
-    """A library told the robot of a file, and what is asked of it."""
+    """A library given the robot of a file, and what is required of it."""
     linear, angular = tolerance
     return BODIES[package][1](Body(file, tuple(frames)), mass, (linear, angular), once)

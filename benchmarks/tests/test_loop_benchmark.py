@@ -181,16 +181,16 @@ def test_exudyn_gets_the_same_mechanism(name):
 def test_pylinkage_draws_what_kempe_draws(name):
     pytest.importorskip("pylinkage")
     s, drive, n = kempe.load(name), crank_peers.DRIVES[name], 400
-    told = crank_peers.linkage(s, n)
-    drawn = told.model.step_fast(iterations=n)
+    reported = crank_peers.linkage(s, n)
+    drawn = reported.model.step_fast(iterations=n)
     start = s.assemble({drive.crank: drive.start}, start=s.q("closed")).q
     plan = closed_form(s, (drive.crank,))
     q, ok, _ = plan.solve(crank_peers.angles(drive, n)[:, None], plan.branch_of(start))
-    assert ok.all() and drawn.shape == (n, len(told.spots), 2)
-    for i, spot in enumerate(told.spots):
+    assert ok.all() and drawn.shape == (n, len(reported.spots), 2)
+    for i, spot in enumerate(reported.spots):
         np.testing.assert_allclose(crank_peers.place(s, q, spot), drawn[:, i], atol=1e-11)
-    told.reset()
-    np.testing.assert_allclose(told.model.step_fast(iterations=n), drawn, atol=1e-11)
+    reported.reset()
+    np.testing.assert_allclose(reported.model.step_fast(iterations=n), drawn, atol=1e-11)
 
 
 def test_a_failure_is_neither_timed_nor_counted():

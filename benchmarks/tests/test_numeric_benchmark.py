@@ -191,7 +191,7 @@ def test_a_share_of_the_time_is_kept(arm_of, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("package", list(numeric_peers.SOLVERS))
 def test_libraries_reach(arm_of, tmp_path, package):
-    """Every library that is installed is told the robot and its targets rightly."""
+    """Every library that is installed is given the robot and its targets rightly."""
     if package != "kempe" and importlib.util.find_spec(peers.PEERS[package]) is None:
         pytest.skip(f"{package} is not installed")
     arm = arm_of("iiwa 14")

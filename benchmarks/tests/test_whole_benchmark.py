@@ -164,7 +164,7 @@ def test_one_start_is_one_start(body_of):
     + [pytest.param(p, m, marks=pytest.mark.slow) for p in ("mink", "pin-pink", "drake") for m in (False, True)],
 )
 def test_libraries_reach(body_of, tmp_path, package, mass):
-    """Every library that is installed is told the robot, the start and the goals rightly."""
+    """Every library that is installed is given the robot, the start and the goals rightly."""
     if package != "kempe" and importlib.util.find_spec(peers.PEERS[package]) is None:
         pytest.skip(f"{package} is not installed")
     body = body_of("Talos")
@@ -219,10 +219,10 @@ def test_a_library_that_is_wrong_or_dies(quick, body_of, monkeypatch):
 
 def test_sections_that_cannot_run(monkeypatch):
     monkeypatch.setattr(peers, "robot_file", lambda name: None)
-    told = []
-    assert whole.anywhere(Bench([], told.append)) is None and "example-robot-data" in told[0]
+    reported = []
+    assert whole.anywhere(Bench([], reported.append)) is None and "example-robot-data" in reported[0]
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    assert whole.anywhere(Bench([], told.append)) is None and "Pinocchio" in told[1]
+    assert whole.anywhere(Bench([], reported.append)) is None and "Pinocchio" in reported[1]
 
 
 # ---- parallel robots

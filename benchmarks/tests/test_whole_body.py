@@ -65,7 +65,7 @@ def test_single_calls_find_as_much(body, mass):
 
 
 def test_both_feet_and_a_hand_are_held_and_no_more_is_claimed(body):
-    """The fast form: goals near standing are all found; hands asked out of reach are never called reached."""
+    """The fast form: goals near standing are all found; hands wanted out of reach are never called reached."""
     q = body.standing(6, np.random.default_rng(10))
     goals = whole.goals_of(body, q, True)
     answer = body.system.ik(held(body, goals))

@@ -34,8 +34,9 @@ def load(
     source: str | Path | bytes, *, format: str | None = None, base: str | None = None, root: str | None = None,
     package_dirs: Iterable[str | Path] = (), xacro: bool = False, lenient_limits: bool = False,
 ) -> System:  # fmt: skip
-    """The `System` of a file (path), of a text (URDF or TOML), or of a shipped model (bare name such as "puma560").
+    """The `System` of a file (path), of a text, or of a shipped model (bare name such as "puma560").
 
+    Formats are those of `kempe.description.formats.FORMATS`, found out by ending and contents where `format` is None.
     `base="free"` lets the root link of a URDF move freely; `root` names the ground where a file has no root link;
     `package_dirs` are the only folders in which meshes may be looked up; `xacro=True` expands xacro first;
     `lenient_limits=True` reads limits of a URDF that hold no range (no bounds, or lower above upper) as none. Errors:

@@ -36,7 +36,7 @@ def _position_only(arguments: dict[str, Any], value: Any) -> str:
 def _preferred(name: str) -> Change:
     def change(arguments: dict[str, Any], value: Any) -> str:
         if value and arguments.get("prefer") is not None:
-            raise InputError(f"prefer is {arguments['prefer']!r}, and {name} is asked for, too; give one of them")
+            raise InputError(f"prefer is {arguments['prefer']!r}, and {name} is requested, too; give one of them")
         if value:
             arguments["prefer"] = name
         return f"prefer={name!r}"
@@ -66,8 +66,10 @@ def _reference(arguments: dict[str, Any], value: Any) -> str:
 
 
 CHANGES: dict[tuple[str, str], Change] = {
-    ("axis", "task"): _axis, ("position_only", "task"): _position_only,
-    ("nearest", "prefer"): _preferred("nearest"), ("continuous", "prefer"): _preferred("continuous"),
+    ("axis", "task"): _axis,
+    ("position_only", "task"): _position_only,
+    ("nearest", "prefer"): _preferred("nearest"),
+    ("continuous", "prefer"): _preferred("continuous"),
     ("inside_only", "limits"): _given("limits", False, True, "limits=True"),
     ("expand_turns", "limits"): _given("limits", False, "turns", "limits='turns'"),
     ("both", "ways"): _given("ways", True, "forward", "ways='forward'"),
@@ -123,6 +125,10 @@ def renamed(
         given = arguments.get("budget") or Budget()
         arguments["budget"] = Budget(**{**{f: getattr(given, f) for f in known}, **spent})
     for name, present in said.items():
-        warn(f"{name!r} is the former name of {present!r}" if present == "start" else
-             f"{name!r} is a former name; the present one is {present}", DeprecationWarning)
+        warn(
+            f"{name!r} is the former name of {present!r}"
+            if present == "start"
+            else f"{name!r} is a former name; the present one is {present}",
+            DeprecationWarning,
+        )
     return arguments, (lambda answer: answer.expect()) if expected else (lambda answer: answer)

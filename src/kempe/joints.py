@@ -106,7 +106,7 @@ class Fixed(JointType):
     planar = True
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """No coordinates."""
+        """No coordinates and no primitives."""
         return (), ()
 
 
@@ -119,7 +119,7 @@ class Revolute(JointType):
     planar = True
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """One turn."""
+        """One turn about z."""
         return ("",), (Primitive(R, "z", 0),)
 
 
@@ -132,7 +132,7 @@ class Prismatic(JointType):
     planar = True
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """One slide."""
+        """One slide along z."""
         return ("",), (Primitive(P, "z", 0),)
 
 
@@ -169,7 +169,7 @@ class Universal(JointType):
     summary = "turn about x of F, then about y of M"
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """Two turns."""
+        """Two turns, about x and y."""
         return ("rx", "ry"), (Primitive(R, "x", 0), Primitive(R, "y", 1))
 
 
@@ -253,7 +253,7 @@ class Product(JointType):
     words: str
 
     def __post_init__(self) -> None:
-        said = [letter + f"({', '.join(told)})" * bool(told) for letter, *told in _factors(self.words)]
+        said = [letter + f"({', '.join(letters)})" * bool(letters) for letter, *letters in _factors(self.words)]
         object.__setattr__(self, "words", " ".join(said))
 
     @property
@@ -290,17 +290,17 @@ def _product(words: str) -> tuple[tuple[str, ...], tuple[Primitive, ...]]:
     """Coordinate names and primitives of a product in words."""
     names: list[str] = []
     steps: list[Primitive] = []
-    for letter, *told in _factors(words):
+    for letter, *letters in _factors(words):
         i = len(names)
         if letter == "S":
             names += ["qw", "qx", "qy", "qz"]
             steps.append(Primitive(Q, "z", i))
             continue
-        names.append(told[0] if letter == "P" else "r" + told[0])
+        names.append(letters[0] if letter == "P" else "r" + letters[0])
         if letter != "P":
-            steps.append(Primitive(R, told[0], i))
+            steps.append(Primitive(R, letters[0], i))
         if letter != "R":
-            steps.append(Primitive(P, told[0], i, float(told[1]) if letter == "H" else 1.0))
+            steps.append(Primitive(P, letters[0], i, float(letters[1]) if letter == "H" else 1.0))
     numbered = tuple(f"{n}{names[:i].count(n) + 1}" if names.count(n) > 1 else n for i, n in enumerate(names))
     return ("",) if len(names) == 1 else numbered, tuple(steps)
 

@@ -79,7 +79,7 @@ def is_real(x: object) -> TypeGuard[float]:
 
 
 def is_plain(given: Any) -> bool:
-    """Whether it is a list of numbers, or a list of such lists: told by the first of them, since all have one shape."""
+    """Whether it is a list of numbers, or a list of such lists of one shape; the first of them decides."""
     if given.__class__ not in LISTS or not len(given):
         return False
     first = given[0]

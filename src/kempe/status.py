@@ -24,19 +24,19 @@ class Status(IntEnum):
     sentence: str
     proof: bool
 
-    SOLVED = 0, "what was asked for is found"
+    SOLVED = 0, "what was requested is found"
     NOT_FOUND = 1, "not found; that is no proof that there is none"
     BAD_INPUT = 2, "the input holds numbers that are not finite, or no pose"
     OUT_OF_REACH = 3, "outside of what the lengths of the links reach", True
     OUT_OF_TIME = 4, "not found within the time limit"
-    CONTRADICTORY = 5, "two things that are asked for exclude each other", True
+    CONTRADICTORY = 5, "two things that are requested exclude each other", True
     OUTSIDE_LIMITS = 6, "excluded by limits: a given value, or whatever answers, is outside of them", True
-    NONE_EXISTS = 7, "there is no configuration that does what was asked, with or without limits", True
-    OTHER_BRANCH = 8, "the branch asked for cannot be closed; the answer is on another one"
-    PARTLY = 9, "only a part of what was asked for is had; the rest is not found, or cannot be"
+    NONE_EXISTS = 7, "there is no configuration that does what is required, with or without limits", True
+    OTHER_BRANCH = 8, "the branch requested cannot be closed; the answer is on another one"
+    PARTLY = 9, "only a part of what was requested is had; the rest is not found, or cannot be"
     INTERRUPTED = 10, "broken off from the keyboard; what was done by then is the answer"
     DEAD_POINT = 11, "a dead point: the inputs cannot move independently"
-    UNDETERMINED = 12, "what was asked for is not determined by what was given"
+    UNDETERMINED = 12, "what was requested is not determined by what was given"
 
     def __new__(cls, value: int, sentence: str, proof: bool = False) -> Status:
         """The member of this number, with its sentence."""

@@ -399,7 +399,7 @@ def test_bad_input(arguments: dict, said: str) -> None:
 
 
 def test_starts_that_are_not_closed() -> None:
-    """Refused with the distance, or projected when asked; rounding is no trouble."""
+    """Refused with the distance, or projected on request; rounding is no trouble."""
     system = on_plane()
     with pytest.raises(InputError, match=re.escape("0.3 away: project=True takes it")):
         system.classify({"F.z": 0.7} | {n: float(n.endswith("qw")) for n in system.coordinate_names if n != "F.z"})

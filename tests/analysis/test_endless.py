@@ -126,7 +126,7 @@ def test_ratios_of_whole_numbers_close(hunt):
         assert path.closed and path.turns == {"A": q // math.gcd(p, q)}, (p, q)
 
 
-def test_long_periods_are_told_where_points_end():
+def test_long_periods_are_reported_where_points_end():
     path = gears(1.0 / 997.0).trace(budget=kempe.Budget(points=1000))
     assert not path.closed and "by its gear ratios all is as before after 997" in path.ends[1]
 
@@ -159,14 +159,14 @@ def test_a_limit_that_does_not_bite_changes_nothing(looks):
     assert path and not path.late and path.status == whole.status
 
 
-def test_a_path_can_be_asked_when_its_time_is_over(looks):
+def test_a_path_can_be_read_when_its_time_is_over(looks):
     path = kempe.load("four_bar").trace(budget=kempe.Budget(time_limit=5.0))
     looks(0)
     assert np.isfinite(path.at([0.1, 0.2])).all()
     assert len(path.resample(50, budget=kempe.Budget(time_limit=math.inf))) == 50
 
 
-def test_other_branches_that_were_not_followed_are_told(looks):
+def test_other_branches_that_were_not_followed_are_reported(looks):
     s = kempe.load("parallelogram")
     whole = s.trace(ways="branches")
     assert whole.others and whole
@@ -262,7 +262,7 @@ def test_points_at_equal_distances_are_those_of_newtons_method_point_by_point(na
 
 
 def test_points_are_closed_many_at_once(monkeypatch):
-    """The equations are asked for slices of points, not for points."""
+    """The equations are requested slices of points, not for points."""
     path = kempe.load("four_bar").trace()
     calls = []
     equations = kempe.kinematics.closure_rows.evaluate

@@ -452,7 +452,7 @@ def test_a_platform_on_parallel_legs_of_one_length_translates():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_branches_with_the_same_kernel_are_told_apart(seed):
+def test_branches_with_the_same_null_space_are_distinguished(seed):
     """Legs on a circle, straight up: it translates (2), or turns while it sinks (1); the kernel is 3 all along both."""
     m = look(on_rods("circle", HEXAGON, HEXAGON + [0, 0, 1.4]), rng=seed)
     assert (m.rank_dof, m.dof, m.local.branch_dims, m.local.doubts) == (3, 2, (2, 1), ()), str(m)

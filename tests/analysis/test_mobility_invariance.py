@@ -61,10 +61,10 @@ def test_names_orders_cuts_ground_units_and_hands_do_not_matter(name, data):
     change = data.draw(changes(system))
     other = rebuilt(system, q, change)
     want, got = (mobility(s, s.neutral, local=False) for s in (passive, other))
-    told, seen = facts(want), facts(got, change.prefix)
+    reported, seen = facts(want), facts(got, change.prefix)
     if any(change.ground in f.bodies for f in want.idle_freedoms):  # what spins about the ground is a swing
-        assert told.pop("idle") - seen.pop("idle") in (0, 1)
-    assert got.closed and seen == told
+        assert reported.pop("idle") - seen.pop("idle") in (0, 1)
+    assert got.closed and seen == reported
     if name != "delta_uu":  # what the original says, motors aside
         assert want.rank_dof == mobility(system, local=False).rank_dof
 
@@ -106,7 +106,7 @@ def closed_mechanisms(draw) -> System:
     q = arm.random(rng)
     pose = dict(zip(arm.body_names, arm.fk(q), strict=True))
     for k in range(loops):
-        a, b = (("ground", f"b{n - 1}") if k == 0 else tuple(rng.choice(list(arm.body_names), 2, replace=False)))
+        a, b = ("ground", f"b{n - 1}") if k == 0 else tuple(rng.choice(list(arm.body_names), 2, replace=False))
         X = random_pose()
         Y = np.linalg.inv(pose[str(b)]) @ pose[str(a)] @ X
         Y[3] = 0, 0, 0, 1

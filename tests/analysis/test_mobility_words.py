@@ -46,7 +46,7 @@ def check_doubt(hunt: Hunt, kind, cases: int) -> None:
         m = mobility(system, system.neutral)
         assert m.dof == 0 or ("probably" in m.sentence and not m.certain), (off, m.sentence)
         answers.add(m.dof)
-    assert 1 in answers  # beyond what can be told apart: the doubt is needed
+    assert 1 in answers  # beyond what can be distinguished: the doubt is needed
 
 
 @pytest.mark.parametrize("kind", [parallel_rods, two_balls_of_hinges])

@@ -409,8 +409,11 @@ def test_names_are_checked():
         trace(system, "A", hold={"nothing": 1.0})
     nan = float("nan")
     for bad in (
-        {"budget": kempe.Budget(step=0.0)}, {"budget": kempe.Budget(step=nan)}, {"budget": kempe.Budget(points=1)},
-        {"start": [0.0, 1.0]}, {"start": [nan] * 4},
+        {"budget": kempe.Budget(step=0.0)},
+        {"budget": kempe.Budget(step=nan)},
+        {"budget": kempe.Budget(points=1)},
+        {"start": [0.0, 1.0]},
+        {"start": [nan] * 4},
     ):
         with pytest.raises(InputError):
             trace(system, "A", **bad)
@@ -418,7 +421,7 @@ def test_names_are_checked():
     assert not path.closed and "20 points" in path.status
 
 
-# ---- what a path can be asked
+# ---- what a path knows
 
 
 def test_arc_length_points_in_between_and_tables():

@@ -24,7 +24,7 @@ def least(c, E, G):
 
 
 def spanned(E, G, n):
-    """Dimension of the cone: directions across those found so far are asked for, until none leads on."""
+    """Dimension of the cone: directions across those found so far are requested, until none leads on."""
     found = np.zeros((0, n))
     while len(found) < n:
         across = np.linalg.svd(found)[2][len(found) :] if len(found) else np.eye(n)

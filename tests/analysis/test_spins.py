@@ -189,7 +189,7 @@ def test_a_delta_robot_on_balls_is_driven_as_one_on_universal_joints():
     np.testing.assert_allclose(poses[0], poses[1], atol=1e-11)
 
 
-def test_a_spin_can_be_asked_for():
+def test_a_spin_can_be_followed():
     """With the crank held the spin is the motion; a ball with angles can be held, which leaves one freedom."""
     system = kempe.load("rssr")
     path = system.trace(hold={"A": 1.2})

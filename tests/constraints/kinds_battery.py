@@ -47,7 +47,7 @@ EXAMPLES: dict[str, Callable[[int], c.Constraint]] = {
 }
 """An example of each kind, for a planar (2) and a spatial (3) system."""
 
-ASKED_ONLY = {"posture", "centre_of_mass", "centre_of_points", "function"}
+TASKS_ONLY = {"posture", "centre_of_mass", "centre_of_points", "function"}
 """Kinds that no mechanism holds always: they are of the configuration, not of bodies."""
 
 
@@ -61,15 +61,15 @@ def two_bodies(dim: int) -> Mechanism:
 
 
 def run(name: str, dim: int) -> None:
-    """What holds for every kind: declared, counted, closed, differentiated, judged, asked for, written and read."""
+    """What holds for every kind: declared, counted, closed, differentiated, judged, requested, written and read."""
     made = EXAMPLES[name](dim)
     assert c.KINDS[name] is type(made) and made.kind == name and made.says and type(made).__doc__
     if any(r.velocity for r in made.rows(dim)):
         refused(lambda s: s.ik(made), two_bodies(dim).build(), "about velocities")
     else:
-        asked(made, two_bodies(dim).build())
+        requested(made, two_bodies(dim).build())
     m = two_bodies(dim)
-    if name in ASKED_ONLY:
+    if name in TASKS_ONLY:
         refused(lambda x: x.constrain(made.demand(weight=None), "it"), m, "")
         assert not m.constraints
         return
@@ -89,7 +89,7 @@ def refused(call: Callable[..., object], thing: object, said: str) -> None:
     raise AssertionError(f"was not refused: {said}")
 
 
-def asked(made: c.Constraint, s: System) -> None:
+def requested(made: c.Constraint, s: System) -> None:
     """Reached from random starts, and judged by the forward model; its Jacobian by differences."""
     q = s.random(3)
     answer = s.ik(made.demand(weight=None), start=q)

@@ -72,7 +72,7 @@ def measured(name: str, dim: int, made, system, q) -> float:
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("name", KINDS)
 @pytest.mark.parametrize("bounds", [{"at_least": 0.4}, {"at_most": 0.3}, {"at_least": 0.3, "at_most": 0.35}], ids=str)
-def test_held_and_asked(name, dim, bounds, hunt):
+def test_declared_and_as_tasks(name, dim, bounds, hunt):
     if name in INSTEAD and "at_most" not in bounds:
         bounds = {"at_least": 1.3}
     made, rng = bounded(name, dim, **bounds), hunt.rng()

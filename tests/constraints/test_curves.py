@@ -179,11 +179,11 @@ def test_in_assembly_for_one_call_and_in_ik():
     s = crank_and_arm().build()
     held = c.OnCurve("tip", circle(60), closed=True, other="base")
     closed = s.assemble({"A": 0.9}, also=held)
-    asked = s.ik([held, c.Posture(q={"A": 0.9}, weight=None)], start=closed.q)
-    for q in (closed.q, asked.q):
+    requested = s.ik([held, c.Posture(q={"A": 0.9}, weight=None)], start=closed.q)
+    for q in (closed.q, requested.q):
         p = np.linalg.inv(s.fk(q, "base")) @ s.fk(q, "tip")
         assert distance(circle(60), True, p[:2, 3]) < 1e-6
-    assert closed and asked.success
+    assert closed and requested.success
     far = s.assemble({"A": 2.5}, also=held)
     assert not far and "OnCurve of 'tip' and 'base'" in far.status and "stays open by" in far.status
 

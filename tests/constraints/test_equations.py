@@ -125,7 +125,7 @@ def everything() -> kempe.Mechanism:
     m.equation("law", lambda x: x["A"] - np.hypot(x["B"], 0.5) * x["k"], of=("A", "B", "k"))
     m.equation("two", ["A = B^2", "exp(A) - 1"])
     m.inequality("stop", lambda x: [1.2 - x["A"], x["B"] + 2], of=("A", "B"))
-    m.velocity_equation("rows", lambda x: [[-x["B"] ** 2, 1], [0, x["A"]]], of=("A", "B"))
+    m.velocity_equation("rows", lambda x: [[-(x["B"] ** 2), 1], [0, x["A"]]], of=("A", "B"))
     m.velocity_equation("driven", [["k", "cos(B)"]], of=("A", "B"), b="A")
     return m
 
@@ -139,8 +139,9 @@ def test_files_copies_and_pickles(tmp_path):
     other.constraints.pop("two")
     assert other != m
     q = np.array([0.3, 0.6])
-    np.testing.assert_array_equal(closure_rows.residual(kempe.read(path).build(), q), closure_rows.residual(m.build(),
-    q))
+    np.testing.assert_array_equal(
+        closure_rows.residual(kempe.read(path).build(), q), closure_rows.residual(m.build(), q)
+    )
 
 
 def test_attached_with_a_prefix():
@@ -168,10 +169,10 @@ def test_velocity_rows():
     assert row_names(s) == (("w", "velocity"),)
 
 
-# ---- asked of ik
+# ---- given to ik
 
 
-def test_asked_of_ik():
+def test_as_a_task_of_ik():
     s = arm().build()
     answer = s.ik([Equation("A = 3*B"), kempe.constraints.OnLine("tip", (0.0, 0.5), (1.0, 0.0))])
     assert answer.success
@@ -183,7 +184,7 @@ def test_asked_of_ik():
     assert called.success and called.q[0] == pytest.approx(2 * called.q[1], abs=1e-7)
 
 
-def test_velocities_are_not_asked_of_ik():
+def test_velocities_are_no_tasks_of_ik():
     with pytest.raises(InputError, match="about velocities"):
         arm().build().ik([VelocityEquation([[1, 0]], of=("A", "B"))])
 

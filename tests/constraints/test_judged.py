@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from kinds_battery import ASKED_ONLY, EXAMPLES, two_bodies
+from kinds_battery import EXAMPLES, TASKS_ONLY, two_bodies
 
 from kempe import System, tasks
 from kempe.constraints.base import position_rows
@@ -14,7 +14,7 @@ from kempe.kinematics import closure_rows
 from kempe.kinematics.measure import judge
 from kempe.kinematics.one_sided import one_sided_rows
 
-HELD = [n for n in EXAMPLES if n not in ASKED_ONLY]
+HELD = [n for n in EXAMPLES if n not in TASKS_ONLY]
 
 
 def apart(system: System, q: np.ndarray) -> np.ndarray:
@@ -55,7 +55,7 @@ def test_each_kind(name, dim, hunt):
 
 
 @pytest.mark.parametrize("name", [n for n in HELD if not any(r.velocity for r in EXAMPLES[n](3).rows(3))])
-def test_asked_and_declared_are_judged_alike(name, hunt):
+def test_tasks_and_declared_are_judged_alike(name, hunt):
     m, rng = two_bodies(3), hunt.rng()
     m.constrain(made := EXAMPLES[name](3), "it")
     system = m.build()
@@ -66,7 +66,7 @@ def test_asked_and_declared_are_judged_alike(name, hunt):
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("name", [n for n in EXAMPLES if not any(r.velocity for r in EXAMPLES[n](3).rows(3))])
 def test_answers_of_ik_are_judged(name, dim):
-    """What is asked is judged at poses that are multiplied out; another configuration is not what was asked."""
+    """What is required is judged at poses that are multiplied out; another configuration is no answer."""
     system, made = two_bodies(dim).build(), EXAMPLES[name](dim)
     answer = system.ik(made.demand(weight=None), start=system.random(3))
     assert answer.success and answer.judged and answer.judged.names == (made.label,)

@@ -1,4 +1,4 @@
-"""A new kind is one class: declared, asked of ik, counted, closed, traced, classified, written, drawn, explained."""
+"""A new kind is one class: declared, given to ik, counted, closed, traced, classified, written, drawn, explained."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_traced(mechanism: kempe.Mechanism):
     assert path.closed and np.abs(off(path.q)).max() < 1e-9
 
 
-def test_asked_of_ik():
+def test_as_a_task_of_ik():
     s = arm().build()
     answer = s.ik([OnEllipse("tip", A, B), kempe.constraints.Posture({"A": 0.4}, weight=None)])
     assert answer.success and abs(off(answer.q)) < 1e-6

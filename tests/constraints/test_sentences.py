@@ -6,7 +6,7 @@ import io
 
 import numpy as np
 import pytest
-from kinds_battery import ASKED_ONLY, EXAMPLES, two_bodies
+from kinds_battery import EXAMPLES, TASKS_ONLY, two_bodies
 
 import kempe
 from kempe import constraints as c
@@ -20,7 +20,7 @@ def info(system: kempe.System) -> str:
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize("name", [n for n in EXAMPLES if n not in ASKED_ONLY])
+@pytest.mark.parametrize("name", [n for n in EXAMPLES if n not in TASKS_ONLY])
 def test_each_kind_is_said(name, dim):
     m = two_bodies(dim)
     m.constrain(made := EXAMPLES[name](dim), "it")

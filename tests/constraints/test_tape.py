@@ -190,6 +190,7 @@ def test_support_is_what_an_output_is_computed_from():
 
 # ---------------------------------------------------------------- functions
 
+
 def of_numpy(x):
     a, b = x["A"], x["B"]
     point = np.array([a, b, 1.0])
@@ -216,7 +217,7 @@ def test_numpy_is_recorded(hunt):
     ("function", "inputs", "shape", "texts"),
     [
         (lambda x: x["A"] - 2 * x["B"], ("A", "B"), (), ("A - 2*B",)),
-        (lambda x: [[-x["y"] ** 2, 0, 1]], ("y",), (1, 3), ("-y**2", "0", "1")),
+        (lambda x: [[-(x["y"] ** 2), 0, 1]], ("y",), (1, 3), ("-y**2", "0", "1")),
         (lambda x: [3], (), (1,), ("3",)),
         (lambda x: np.array([x["B"]]), ("B",), (1,), ("B",)),
         (lambda x: (x["A"], x["A"]), ("A",), (2,), ("A", "A")),

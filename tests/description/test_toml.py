@@ -17,7 +17,7 @@ from kempe.description.toml.toml import read_toml
 from kempe.description.toml.toml_document import KEYS
 from kempe.description.toml.toml_places import Places
 from kempe.description.toml.toml_writer import write_toml
-from kempe.errors import DescriptionError, UnsupportedError
+from kempe.errors import DescriptionError
 from kempe.joints import Revolute
 from kempe.placement import COUNTS
 from kempe.values import Expression
@@ -216,7 +216,7 @@ def test_joint_types_from_outside_are_refused():
 
     m = Mechanism()
     m.joint("j", Mine(), m.ground, m.body("a"))
-    with pytest.raises(UnsupportedError, match="not in the zoo"):
+    with pytest.raises(DescriptionError, match="not in the table of joints"):
         write_toml(m)
 
 

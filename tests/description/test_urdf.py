@@ -111,7 +111,7 @@ def test_limits_without_bounds_are_zero_and_say_so(kind: str):
     free = read_urdf(text, lenient_limits=True)
     assert free.joints["j"].limits == {} and not free.joints["j"].unstated
     assert (free.joints["j"].velocity_limits, free.joints["j"].effort_limits) == ({"": 2.0}, {"": 1.0})
-    assert "it is read as unlimited, as asked for" in free.notes[0]
+    assert "it is read as unlimited, as requested" in free.notes[0]
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])
@@ -122,7 +122,7 @@ def test_swapped_limits_are_refused_or_none(kind: str):
     m = read_urdf(text, lenient_limits=True)
     assert m.joints["j"].limits == {} and m.joints["j"].velocity_limits == {"": 3.0}
     assert m.notes == ["<text>:5: joint 'j': its limits are swapped (lower='1' upper='-1'); "
-                       "it is read as unlimited, as asked for"]  # fmt: skip
+                       "it is read as unlimited, as requested"]  # fmt: skip
 
 
 def by_the_rules(given: dict[str, float], lenient: bool) -> tuple[float, float] | None:
@@ -286,7 +286,7 @@ def test_order_of_the_file_is_kept():
     assert list(m.bodies) == ["base", "hand", "arm"] and list(m.joints) == ["wrist", "elbow"]
 
 
-def test_all_problems_are_told_in_the_order_of_the_file():
+def test_all_problems_are_reported_in_the_order_of_the_file():
     text = robot(
         joint("a", '<axis xyz="0 0 0"/><origin xyz="1 2"/>' + LIMIT),
         joint("b", "", "ball", "arm", "hand"),

@@ -18,9 +18,7 @@ pin = pytest.importorskip("pinocchio")
 
 def urdf(name):
     """Path of a file of the package example-robot-data."""
-    found = sorted(
-        Path(sys.prefix).glob(f"lib/python*/site-packages/cmeel.prefix/share/example-robot-data/**/{name}")
-    )
+    found = sorted(Path(sys.prefix).glob(f"lib/python*/site-packages/cmeel.prefix/share/example-robot-data/**/{name}"))
     if not found:
         pytest.skip("example-robot-data is not installed")
     return str(found[0])
@@ -59,9 +57,7 @@ class Arm(Chain):
         n = len(joints)
         self.joints = [self.model.joints[j] for j in joints]
         table = Table(rows, [(n - 1, False, back @ f.placement.homogeneous)], n, n, True)
-        circular = [
-            int(r.kind == TURN and b - a >= 2 * np.pi) for r, a, b in zip(rows, lower, upper, strict=True)
-        ]
+        circular = [int(r.kind == TURN and b - a >= 2 * np.pi) for r, a, b in zip(rows, lower, upper, strict=True)]
         super().__init__(table, np.array(lower), np.array(upper), np.array(circular, dtype=np.int64))
 
     def forward(self, q):

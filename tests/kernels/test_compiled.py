@@ -60,8 +60,10 @@ def test_every_verb_runs_without_numba_and_without_the_sources_of_kernels():
     assert loaded <= layouts | {name.partition(".")[0] for name in layouts} | {"compiled", "digest", "_native"}
 
 
-@pytest.mark.parametrize("path", [p for p in sorted((ROOT / "src" / "kempe").rglob("*.py")) if "kernels" not in p.parts],
-                         ids=lambda p: p.stem)  # fmt: skip
+OUTSIDE = [p for p in sorted((ROOT / "src" / "kempe").rglob("*.py")) if "kernels" not in p.parts]
+
+
+@pytest.mark.parametrize("path", OUTSIDE, ids=lambda p: p.stem)
 def test_sources_of_kernels_are_for_the_compiler_only(path):
     """No module outside `kernels` imports another module of it than `compiled` and the layouts."""
     pattern = re.compile(r"^\s*(?:from|import) kempe\.kernels(?:\.(\w+))?(?: import |\.)(\w+)", re.M)
@@ -158,7 +160,7 @@ def test_unknown_variants_are_refused_with_what_is_allowed(name):
     assert f"KEMPE_KERNELS is {name!r}" in error and ("allowed here: " in error or "not compiled" in error)
 
 
-def test_the_version_is_told_even_without_kernels():
+def test_the_version_is_reported_even_without_kernels():
     done = run("from kempe.cli import main; import sys; sys.argv[1:] = ['--version']; main()", KEMPE_KERNELS="v9")
     assert done.returncode == 2 and done.stdout == f"kempe {kempe.__version__}\n"
     assert done.stderr.startswith("error: KEMPE_KERNELS is 'v9'") and "Traceback" not in done.stderr
@@ -350,7 +352,7 @@ def test_calls_keep_no_references():
 @native
 def test_scratch_that_does_not_fit_into_memory_is_a_memory_error():
     ints = np.zeros(10, dtype=np.int64)
-    ints[0] = 2**57  # rows, for which scratch is asked before they are read
+    ints[0] = 2**57  # rows, for which scratch is allocated before they are read
     with pytest.raises(MemoryError):
         compiled.table_sweep.poses1(ints, np.zeros(12), np.empty(0), np.empty((1, 4, 4)))
 

@@ -211,7 +211,7 @@ def forms_of(name) -> list[int]:
 
 
 def battery(name, n, seed):
-    """Nothing; asserts that known postures are found, and that no doubt goes without saying."""
+    """Assert that known postures are found, and that no doubt goes without saying."""
     lines, theta = ARMS[name], postures(n, seed)
     goals = reach(lines, theta)
     answers, suspects = solve(lines, goals, forms_of(name))

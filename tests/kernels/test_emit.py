@@ -32,7 +32,8 @@ BAD = {
         "bad__bad refers to an object of this process by its address",
     ),
     "another number of arguments": (
-        "@kernel(F('n'), INT)\ndef bad(x):\n    return 0\n", "bad__bad declares 2 arguments, but has 1"
+        "@kernel(F('n'), INT)\ndef bad(x):\n    return 0\n",
+        "bad__bad declares 2 arguments, but has 1",
     ),
 }
 
@@ -74,7 +75,7 @@ def test_a_length_that_nothing_gives_is_refused():
         list(layer.lengths(takes, [0]))
 
 
-def test_a_compiler_is_asked_for_only_where_there_is_none(monkeypatch, tmp_path):
+def test_a_compiler_is_required_only_where_there_is_none(monkeypatch, tmp_path):
     for name in ("CC", "KEMPE_BUILD"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("PATH", str(tmp_path))
@@ -107,7 +108,7 @@ def test_a_library_that_fits_is_kept(monkeypatch):
     assert not library.is_current()
 
 
-def test_the_processor_is_told_apart_as_llvm_does():
+def test_the_processor_is_recognised_as_llvm_does():
     """The levels that layer.c finds by asking the processor, against the features that LLVM finds."""
     import llvmlite.binding as llvm
 

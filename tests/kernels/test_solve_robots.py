@@ -51,11 +51,7 @@ def test_a_near_seed_needs_few_steps(name):
     targets = np.array([robot.forward(x) for x in q])
     seeds = np.clip(q + rng.uniform(-0.05, 0.05, q.shape), robot.lower, robot.upper)
     answers = solve(robot, targets, seeds=seeds[:, None])
-    assert (
-        judge(robot, answers, targets).all()
-        and np.median(answers.steps) <= 4
-        and answers.starts.mean() < 1.05
-    )
+    assert judge(robot, answers, targets).all() and np.median(answers.steps) <= 4 and answers.starts.mean() < 1.05
     assert np.quantile(np.abs(answers.q - seeds).max(axis=1), 0.95) < 0.5
 
 

@@ -87,9 +87,7 @@ def test_frames_on_the_ground():
     X = random_pose(np.random.default_rng(0))
     table = Table([], [(-1, False, X), (-1, True, X)], 2, 2)
     bad, out = all_poses(table, np.full((3, 2), np.nan))
-    assert (
-        bad == 0 and np.array_equal(out[:, 0], [X] * 3) and np.array_equal(out[:, 1], [pose(p=X[:3, 3])] * 3)
-    )
+    assert bad == 0 and np.array_equal(out[:, 0], [X] * 3) and np.array_equal(out[:, 1], [pose(p=X[:3, 3])] * 3)
     bad, T, J = all_jacobians(table, np.full((3, 2), np.nan), WORLD)
     assert bad == 0 and np.array_equal(T, [X] * 3) and not J.any()
 

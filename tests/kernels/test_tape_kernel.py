@@ -77,7 +77,7 @@ def test_series_are_those_of_sympy(text):
 
 
 def composed(rng, depth):
-    """A random composition that is defined near where it is asked."""
+    """A random composition that is defined near where it is evaluated."""
     if depth == 0:
         return str(rng.choice(["x", "y", "0.7", "(x + 2*y)"]))
     a, b = composed(rng, depth - 1), composed(rng, depth - 1)

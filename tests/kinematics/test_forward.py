@@ -404,9 +404,7 @@ def test_arrays_that_are_not_aligned_are_copied():
     closed = bar.assemble({"A": 1.0}).q
     assert bar.mobility(unaligned(closed)).dof == 1
     np.testing.assert_array_equal(bar.loops.closure_error(unaligned(closed)), bar.loops.closure_error(closed))
-    np.testing.assert_array_equal(
-        bar.assemble({"A": 0.9}, unaligned(closed)).q, bar.assemble({"A": 0.9}, closed).q
-    )
+    np.testing.assert_array_equal(bar.assemble({"A": 0.9}, unaligned(closed)).q, bar.assemble({"A": 0.9}, closed).q)
     with pytest.raises(InputError, match="aligned"):
         s.fk(q, "tool", out=unaligned(X))
 

@@ -106,12 +106,12 @@ def test_limits_are_changed_and_nothing_else(model, hunt):
     for _ in range(hunt.cases(10)):
         some = rng.choice(names, size=int(rng.integers(1, len(names) + 1)), replace=False).tolist()
         ends = np.sort(rng.normal(size=(len(some), 2)), axis=1)
-        asked = {n: [None, (a, b), (None, b), (a, None), [a, np.inf], np.array([a, b])][rng.integers(6)]
+        requested = {n: [None, (a, b), (None, b), (a, None), [a, np.inf], np.array([a, b])][rng.integers(6)]
                  for n, (a, b) in zip(some, ends, strict=True)}  # fmt: skip
         speeds = {n: [None, 0.0, 2.5][rng.integers(3)] for n in some[: len(some) // 2]}
-        made = system.with_limits(asked, velocity=speeds)
+        made = system.with_limits(requested, velocity=speeds)
         lower, upper, fast = system.lower.copy(), system.upper.copy(), system.structure.velocity_limits.copy()
-        for n, pair in asked.items():
+        for n, pair in requested.items():
             i = system.structure.velocity_names.index(n)
             low, high = (None, None) if pair is None else pair
             lower[i], upper[i] = -np.inf if low is None else low, np.inf if high is None else high
@@ -137,6 +137,7 @@ def test_limits_are_changed_and_nothing_else(model, hunt):
 
 def test_it_is_what_the_mechanism_would_give():
     """The same limits, given when the mechanism is described and afterwards, make equal answers."""
+
     def arm(limits):
         m = Mechanism("arm", dim=2)
         m.revolute("q1", m.ground, m.body("upper"), limits=limits)
@@ -144,10 +145,10 @@ def test_it_is_what_the_mechanism_would_give():
         m.frame("tip", "lower", at=(1.0, 0.0))
         return m.build()
 
-    told, made = arm((-0.4, 0.4)), arm(None).with_limits({"q1": (-0.4, 0.4)})
-    assert told == made and told.structure.content_hash == made.structure.content_hash
+    reported, made = arm((-0.4, 0.4)), arm(None).with_limits({"q1": (-0.4, 0.4)})
+    assert reported == made and reported.structure.content_hash == made.structure.content_hash
     targets = np.random.default_rng(1).uniform(-1.5, 1.5, (50, 2))
-    a, b = (s.ik(targets, "tip") for s in (told, made))
+    a, b = (s.ik(targets, "tip") for s in (reported, made))
     assert np.array_equal(a.q, b.q) and np.array_equal(a.success, b.success) and not a.success.all()
     assert np.all(np.abs(b.q[:, 0]) <= 0.4)
 
@@ -215,7 +216,7 @@ LEGGED = ("stewart", "stewart_sps", "stewart_dietmaier", "three_rpr", "three_rps
 
 @pytest.mark.parametrize("model", LEGGED)
 def test_legs_are_not_shorter_than_nothing(model, hunt):
-    """The legs of the library's platforms: no search gives one a negative length, and none can be asked for."""
+    """The legs of the library's platforms: no search gives one a negative length, and none can be requested."""
     system = kempe.load(model)
     legs = [n for n, joint in system.structure.joints.items() if joint.type.type_name == "prismatic"]
     at = [system.coordinate_names.index(n) for n in legs]

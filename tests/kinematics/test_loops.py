@@ -15,9 +15,10 @@ from oracles.declared import declared
 
 from kempe import Mechanism, System, load, spatial
 from kempe import constraints as c
+from kempe.errors import InputError
 from kempe.joints import joint_type
 from kempe.kinematics import closure_rows
-from kempe.model.closures.reduced import reduced
+from kempe.model.closures.implicit_form import implicit_form
 
 STEP = 1e-6
 
@@ -132,8 +133,8 @@ def test_closures(kind, options, dim, particle, backwards, own):
     s = loop(kind, options, dim, particle, backwards)
     closure = closure_of(s, "J", own)
     type_ = joint_type(kind, **options)  # its constraints: see TABLE in tests/test_joint_zoo.py
-    carried = own or reduced(type_, dim, particle) is None
-    assert closure.size == type_.constraints(dim, particle) + (type_.dof(dim, particle) if carried else 0)
+    explicit = own or implicit_form(type_, dim, particle) is None
+    assert closure.size == type_.constraints(dim, particle) + (type_.dof(dim, particle) if explicit else 0)
     check(closure, s, s.random(4, 6))
 
 
@@ -162,7 +163,7 @@ def test_closed_loops_have_no_residual(kind, options, dim, particle, backwards):
         closure = closure_of(s, "J", own)
         np.testing.assert_allclose(closure.residual(s, q), 0, atol=1e-12)
         check(closure, s, q[None])
-    judge = closures.closure_of(s, "J", own=reduced(joint.type, dim, particle) is None)
+    judge = closures.closure_of(s, "J", own=implicit_form(joint.type, dim, particle) is None)
     J, K = closure_of(s, "J").jacobian(s, q), judge.jacobian(s, q)
     assert [np.linalg.matrix_rank(M, tol=1e-9) for M in (J, K, np.vstack([J, K]))] == 3 * [len(J)]  # none too many
 
@@ -260,3 +261,9 @@ def test_same_zeros_as_closure_error(graph, seed):
 def test_the_characteristic_length_is_of_the_links(cut, at):
     """Neither the cut nor where the ground has its origin matters."""
     assert closure_rows.characteristic_length(four_bar(cut=cut, at=at)) == pytest.approx(0.4, rel=1e-9)
+
+
+@pytest.mark.parametrize("own", [NotImplemented, 1, "no", None])
+def test_whether_own_coordinates_count_is_true_or_false(own):
+    with pytest.raises(InputError, match="own is .*; it must be True or False"):
+        closure_rows.of_system(load("four_bar"), own)

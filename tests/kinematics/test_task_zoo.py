@@ -22,7 +22,7 @@ STEP = 1e-6
 
 
 def zoo(s: System, frame: str, other: str, rng: np.random.Generator) -> list[tasks.Task]:
-    """All tasks that can be asked of two bodies of a system."""
+    """All tasks that can be required of two bodies of a system."""
     dim = s.dim
 
     def p() -> np.ndarray:
@@ -238,26 +238,26 @@ def test_ends_that_differ_from_target_to_target(name):
     panda, rng, n = kempe.load("panda"), np.random.default_rng(3), 6
     q = panda.random(rng, n)
     p, other = (panda.fk(q, f)[:, :3, 3] for f in ("panda_link7", "panda_link4"))
-    kind, asked = ends(rng, p, other)[name]
-    many = kind(**asked)
+    kind, requested = ends(rng, p, other)[name]
+    many = kind(**requested)
     at = panda.random(rng, n)
     got = tasks.miss(panda, many, at)[0] + tasks.miss(panda, many, at)[1]
     answer = panda.ik(many, start=at)
     assert answer.success.all()
     for i in range(n):
-        one = kind(**{k: v[i] if isinstance(v, np.ndarray) and len(v) == n else v for k, v in asked.items()})
+        one = kind(**{k: v[i] if isinstance(v, np.ndarray) and len(v) == n else v for k, v in requested.items()})
         assert sum(tasks.miss(panda, one, at[i])) == pytest.approx(got[i], abs=1e-12)
         assert max(tasks.miss(panda, one, answer.q[i])) <= 1.001e-6
     x = panda.fk(at, "panda_link7")[:, :3, 3]
     if name == "box":
-        np.testing.assert_allclose(got, np.linalg.norm(x - np.clip(x, asked["low"], asked["high"]), axis=1))
+        np.testing.assert_allclose(got, np.linalg.norm(x - np.clip(x, requested["low"], requested["high"]), axis=1))
     if name == "margin":
-        np.testing.assert_allclose(got, np.maximum(asked["margin"] - x[:, 2], 0.0), atol=1e-12)
+        np.testing.assert_allclose(got, np.maximum(requested["margin"] - x[:, 2], 0.0), atol=1e-12)
     if name == "both":
         d = np.linalg.norm(x - panda.fk(at, "panda_link4")[:, :3, 3], axis=1)
-        np.testing.assert_allclose(got, np.abs(d - np.clip(d, asked["at_least"], asked["at_most"])), atol=1e-12)
+        np.testing.assert_allclose(got, np.abs(d - np.clip(d, requested["at_least"], requested["at_most"])), atol=1e-12)
     if name == "within":
-        off = np.maximum(np.abs(x - p)[:, :2] - asked["within"], 0.0)
+        off = np.maximum(np.abs(x - p)[:, :2] - requested["within"], 0.0)
         np.testing.assert_allclose(got, np.linalg.norm(off, axis=1), atol=1e-12)
 
 

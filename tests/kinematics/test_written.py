@@ -155,7 +155,7 @@ def test_each_of_several_numbers_has_ends(hunt):
         np.hypot(0.3, 0.1))  # fmt: skip
 
 
-def test_rows_of_several_kinds_are_asked_together(hunt):
+def test_rows_of_several_kinds_are_tasks_together(hunt):
     """Turned, at a height, off an axis: by poses."""
     s, rng = free(), hunt.rng()
     height = rng.uniform(-1.0, 1.0, 100)

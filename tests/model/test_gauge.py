@@ -41,9 +41,7 @@ def test_random_chains_stay_the_same(n_rows, kinds):
         assert (forms(ints)[1:] != GENERAL).all()
 
 
-@pytest.mark.parametrize(
-    "alpha", [0.0, np.pi / 2, -np.pi / 2, np.pi, 1e-17, 1e-12, 1e-6, 0.4, np.pi - 1e-9, 3.0]
-)
+@pytest.mark.parametrize("alpha", [0.0, np.pi / 2, -np.pi / 2, np.pi, 1e-17, 1e-12, 1e-6, 0.4, np.pi - 1e-9, 3.0])
 @pytest.mark.parametrize("kinds", [(TURN,), (TURN, SLIDE)], ids=str)
 def test_axes_at_special_angles(kinds, alpha):
     rng = np.random.default_rng(0)
@@ -75,11 +73,7 @@ def test_a_robot_of_denavit_and_hartenberg_is_found_again():
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 1e-18, 1e-16, 1e-14, 1e-8, 1e-3, 1.0]))
 def test_split_turns_multiplies_back(seed, tilt):
     rng = np.random.default_rng(seed)
-    X = (
-        turn_z(rng.uniform(-4, 4))
-        @ turn_x(tilt * rng.normal() + np.pi * rng.integers(2))
-        @ turn_z(rng.uniform(-4, 4))
-    )
+    X = turn_z(rng.uniform(-4, 4)) @ turn_x(tilt * rng.normal() + np.pi * rng.integers(2)) @ turn_z(rng.uniform(-4, 4))
     X[:3, 3] = rng.normal(size=3)
     (ca, sa), middle, (cb, sb) = split_turns(X[:3])
     back = turn_z(np.arctan2(sa, ca)) @ np.r_[middle, [[0, 0, 0, 1]]] @ turn_z(np.arctan2(sb, cb))

@@ -48,7 +48,7 @@ def test_the_oldest_go_first():
     assert answers == {6: -6, 7: -7, 8: -8, 9: -9}
 
 
-def test_a_system_does_not_grow_with_what_it_is_asked(hunt):
+def test_a_system_does_not_grow_with_its_calls(hunt):
     arm, rng = kempe.load("puma560"), hunt.rng()
     X = arm.fk(arm.mid, "tool")
     for _ in range(MOST + 50):

@@ -11,7 +11,7 @@ from kempe import System
 from kempe.errors import UnknownNameError
 from kempe.kinematics.closure_errors import coordinate_value
 from kempe.kinematics.configuration import as_q
-from kempe.model.closures.reduced import slides_along_z
+from kempe.model.closures.implicit_form import slides_along_z
 from kempe.spatial import Array
 from oracles import pairs
 from oracles.carried import Carried, coordinate_row

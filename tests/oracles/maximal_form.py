@@ -168,7 +168,7 @@ def _three_angles(X: Array, near: Array) -> tuple[Array, list[Array]]:
     """Turns (..., 3) about z, y', x'': of the two ways to say a rotation the one that is nearest; rates (..., 6)."""
     (a, da), (b, db), (c, dc) = (pairs.turn(X, k) for k in ("yaw", "pitch", "roll"))
     locked = np.hypot(X[..., 0, 0], X[..., 1, 0]) < pairs.ANGLES_SINGULAR
-    a = np.where(locked, near[..., 0], a)  # only a combination of a and c is told
+    a = np.where(locked, near[..., 0], a)  # only a combination of a and c is determined
     rest = np.swapaxes(spatial.rot_z(a) @ spatial.rot_y(b), -1, -2) @ X[..., :3, :3]
     c = np.where(locked, np.arctan2(rest[..., 2, 1], rest[..., 1, 1]), c)
     one = _unwrapped(np.stack([a, b, c], axis=-1), near)

@@ -14,7 +14,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.joints import JointType
-from kempe.model.closures.reduced import flat_frame, reduced, screw, slides_along_z
+from kempe.model.closures.implicit_form import flat_frame, implicit_form, screw, slides_along_z
 from kempe.spatial import Array
 
 Rows = tuple[Array, Array]
@@ -22,7 +22,7 @@ Rows = tuple[Array, Array]
 
 AXES = {"x": 0, "y": 1, "z": 2}
 ANGLES_SINGULAR = 1e-9
-"""Cosine of ry below which the turns about z and x of three angles are not told apart."""
+"""Cosine of ry below which the turns about z and x of three angles are not distinguished."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Hold:
 
 def hold_of(kind: JointType, dim: int = 3, particle: bool = False) -> Hold | None:
     """What a joint type holds, None where that has no fixed axes; in the plane a slide is along x (`flat_frame`)."""
-    form = reduced(kind, dim, particle)
+    form = implicit_form(kind, dim, particle)
     if form is not None:
         return Hold(form.position, form.turns)
     pitch = screw(kind) if dim == 3 and not particle else None
@@ -206,7 +206,7 @@ def reading_groups(kind: JointType, dim: int = 3, particle: bool = False) -> lis
 
     Each is "x", "y", "z" a slide, "turn ..." as in `turn`, "screw", "angles" (yaw, pitch, roll) or "quaternion".
     """
-    form = reduced(kind, dim, particle)
+    form = implicit_form(kind, dim, particle)
     if form is None:
         return [((0,), "screw")]
     angles = {how: k for k, how in form.readings if how in ("turn yaw", "turn pitch", "turn roll")}

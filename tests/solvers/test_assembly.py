@@ -16,7 +16,7 @@ import kempe
 from kempe import Mechanism, constraints
 from kempe.errors import InputError, NoSolutionError, UnknownNameError
 from kempe.kinematics import closure_rows
-from kempe.solvers.assembly.assembly import Assembler
+from kempe.solvers.assembly.assembler import Assembler
 from kempe.status import Status
 
 MECHANISMS = [
@@ -336,6 +336,7 @@ def test_what_is_left_open_is_nearest(seed):
 
 def test_large_systems_are_sparse():
     """The envelope of J J^T of a row of 200 four-bars grows with their number, not with its square."""
+
     def row(n):
         m = Mechanism("row", dim=2)
         for i in range(n + 1):

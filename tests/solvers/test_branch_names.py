@@ -263,7 +263,7 @@ def test_singular_configurations_are_called_so(kind, hunt):
 
 
 def test_where_the_shoulder_is_singular_the_elbow_has_a_sign(hunt):
-    """Straight above the shoulder up and down cannot be told apart; two solutions still have two names."""
+    """Straight above the shoulder up and down cannot be distinguished; two solutions still have two names."""
     right, rng = np.pi / 2, hunt.rng()
     wrist = [{"d": 0.5, "alpha": right}, {"alpha": -right}, {}]
     system = kempe.from_dh([{"alpha": right}, {"a": 0.6}, {"a": 0.1, "alpha": -right, "d": 0.15}, *wrist]).build()

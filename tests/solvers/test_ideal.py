@@ -160,7 +160,7 @@ def test_an_inverse_model_through_rounded_loops(hunt):
     assert answer and "within" in answer.status
 
 
-# ---- what was asked, and refused
+# ---- what is refused
 
 
 @pytest.mark.parametrize("tolerance", [1e-16, 0.1, -1.0, float("nan"), "small", True, [1e-5]])

@@ -284,7 +284,7 @@ def test_positions_as_points_and_as_poses(name):
         assert same_sets(arm, arm.model.theta(a), arm.model.theta(b), 1e-9)
 
 
-def test_the_pose_matters_only_where_it_is_asked_for():
+def test_the_pose_matters_only_where_the_task_reads_it():
     arm = ARMS["wrist3"]
     X = arm.model.fk(arm.random(14, 1)[0])
     X[:3, 3] = 7.0, 8.0, 9.0

@@ -49,7 +49,7 @@ def gaps(arm: arms.Arm, answer, q) -> np.ndarray:
         ("hc10", [0, H, 0.30774, H, -H, 0], 8),
     ],
 )
-def test_four_solutions_at_one_value_of_the_hidden_joint_are_told_apart(name, q, count):
+def test_four_solutions_at_one_value_of_the_hidden_joint_are_distinguished(name, q, count):
     """Up to four share it, two of them 0.03 to 0.1 rad apart; then 18 % of the poses had two fewer, said complete."""
     arm, Q = on_a_line(name, q, 0, 1000)
     answer = arm.system.ik_all(arm.model.fk(Q), arm.frame)

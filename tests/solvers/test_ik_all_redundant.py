@@ -340,7 +340,7 @@ def test_what_is_held_beyond_its_limits_is_outside(name, hunt):
     joint, X = robot.coordinate_names[at], robot.fk(robot.random(rng, hunt.cases(20)), frame)
     first = robot.lower[at] + 0.1
 
-    def is_told(answer):
+    def is_reported(answer):
         q, inside = answer.q.reshape(-1, robot.nq), answer.inside.reshape(-1)
         truth = ((q >= robot.lower - 1e-9) & (q <= robot.upper + 1e-9)).all(axis=1)
         return np.array_equal(inside, truth)
@@ -348,6 +348,6 @@ def test_what_is_held_beyond_its_limits_is_outside(name, hunt):
     for value in (first, first + 2 * math.pi, robot.upper[at] + 0.01):
         batch = ik_all(robot, X, frame, fixed={joint: value})
         assert batch.mask.any()
-        assert is_told(batch)
-        assert is_told(ik_all(robot, X, frame, fixed={joint: np.full(len(X), value)}))
-        assert all(is_told(ik_all(robot, x, frame, fixed={joint: value})) for x in X)
+        assert is_reported(batch)
+        assert is_reported(ik_all(robot, X, frame, fixed={joint: np.full(len(X), value)}))
+        assert all(is_reported(ik_all(robot, x, frame, fixed={joint: value})) for x in X)

@@ -184,7 +184,7 @@ def test_plain_calls_are_answered_as_careful_ones():
     assert np.array_equal(a.q, b.q) and inside(robot, a.q)
 
 
-@pytest.mark.parametrize("options", [{}, {"task": "position"}], ids=["told by the shape", "told by name"])
+@pytest.mark.parametrize("options", [{}, {"task": "position"}], ids=["by the shape", "by name"])
 def test_plain_calls_for_points_are_answered_as_careful_ones(options):
     for robot in map(kempe.load, ("panda", "ur5", "youbot")):
         frame = robot.frame_names[-1]
@@ -205,7 +205,10 @@ def test_plain_calls_after_unusual_ones_are_usual():
     X = robot.fk(robot.random(0, 20), frame)
     usual = [robot.ik(x, frame).q for x in X]
     for options in (
-        {"budget": kempe.Budget(starts=1)}, {"tolerance": 0.1}, {"budget": kempe.Budget(rng=3)}, {"task": "position"},
+        {"budget": kempe.Budget(starts=1)},
+        {"tolerance": 0.1},
+        {"budget": kempe.Budget(rng=3)},
+        {"task": "position"},
         {"task": "direction"},
     ):
         other, _ = robot_of("panda")

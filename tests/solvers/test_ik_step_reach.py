@@ -218,7 +218,7 @@ def test_under_loops_it_settles_too(name, frame, by, weights):
     assert np.abs(s.loops.closure_error(Q[-1])).max() < 1e-11
 
 
-def asked_of(name: str, s: System, frame: str, q: np.ndarray) -> list[list]:
+def demands_of(name: str, s: System, frame: str, q: np.ndarray) -> list[list]:
     """Tasks that cannot all be held, or that leave a posture behind."""
     X = s.fk(q, frame)
     far, p = X.copy(), X[:3, 3]
@@ -238,7 +238,7 @@ def asked_of(name: str, s: System, frame: str, q: np.ndarray) -> list[list]:
 @pytest.mark.parametrize("name", ["panda", pytest.param("iiwa14", marks=pytest.mark.slow)])
 def test_tasks_that_cannot_be_held_settle(name, k):
     s, frame, q = kempe.load(name), TIPS[name], np.array(STARTS[name])
-    Q = motion(s, q, asked_of(name, s, frame, q)[k], None, 0.01, 2.0)
+    Q = motion(s, q, demands_of(name, s, frame, q)[k], None, 0.01, 2.0)
     v = np.diff(Q, axis=0)[-100:] / 0.01
     v[np.abs(v) < 1e-12] = 0.0  # rounding
     assert not (np.diff(np.sign(v), axis=0) != 0.0).any(), np.abs(v).max()

@@ -59,10 +59,10 @@ def missed(s: System, answer: Reached, wanted: tasks.Task) -> float:
     if isinstance(wanted, tasks.Posture):
         far = s.configuration_space.difference(np.asarray(wanted.q), answer.q)
         slides = s.structure.layout.vector_v[~s.structure.coordinates.turning[s.structure.layout.vector_v]]
-        far[slides] /= answer.asked.packed.loops.length
+        far[slides] /= answer.problem.packed.loops.length
         return float(np.linalg.norm(far))
     linear, angular = answer.errors[wanted.name]
-    return math.hypot(linear / answer.asked.packed.loops.length, angular)
+    return math.hypot(linear / answer.problem.packed.loops.length, angular)
 
 
 def compare(s: System, wanted: list[tasks.Task], seed: np.ndarray | None) -> None:
@@ -74,7 +74,7 @@ def compare(s: System, wanted: list[tasks.Task], seed: np.ndarray | None) -> Non
         assert after.success or not before.success or wanted[n].weight is None
         for each in wanted[:n]:
             least, now = missed(s, before, each), missed(s, after, each)
-            assert now <= least * (1.0 + CLOSE) + LITTLE / after.asked.packed.loops.length, (n, each, least, now)
+            assert now <= least * (1.0 + CLOSE) + LITTLE / after.problem.packed.loops.length, (n, each, least, now)
             if now < least * (1.0 - CLOSE) - LITTLE or (each.weight is None and least > 1e-5):
                 break
         before = after

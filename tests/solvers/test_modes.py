@@ -254,8 +254,8 @@ def test_shaky_is_not_called_moving():
     assert no_dyads(question.system, ()) is None and len(by_dyads(question)) == 1
 
 
-@pytest.mark.parametrize(("asked", "limit"), [(None, 120.0), (5.0, 5.0), (math.inf, None)])
-def test_the_time_limit_is_the_one_that_was_asked_for(asked, limit, monkeypatch):
+@pytest.mark.parametrize(("requested", "limit"), [(None, 120.0), (5.0, 5.0), (math.inf, None)])
+def test_the_time_limit_is_the_one_that_was_given(requested, limit, monkeypatch):
     """Also none at all, which must not become the usual one where solvers complete the budget."""
     seen = []
 
@@ -266,7 +266,7 @@ def test_the_time_limit_is_the_one_that_was_asked_for(asked, limit, monkeypatch)
 
     monkeypatch.setattr(modes, "TimeLimit", Seen)
     system = kempe.load("bennett")
-    assembly_modes(system, {system.coordinate_names[0]: 0.5}, budget=kempe.Budget(starts=8, time_limit=asked))
+    assembly_modes(system, {system.coordinate_names[0]: 0.5}, budget=kempe.Budget(starts=8, time_limit=requested))
     assert seen and set(seen) == {limit}
 
 

@@ -1,4 +1,4 @@
-"""Targets of a batch that lengths prove out of reach cost a glance; what is nearest to them is found when asked for."""
+"""Targets of a batch that lengths prove out of reach cost a glance; what is nearest to them is found on demand."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ FIELDS = ("q", "position_error", "orientation_error", "iterations", "starts")
 @pytest.fixture
 def descents(monkeypatch):
     """The number of targets that the search for what is nearest was called with, so far: a list."""
-    asked: list[int] = []
+    requested: list[int] = []
 
     class Counted:
         @staticmethod
         def approach(*given):
-            asked.append(int(np.sum(given[-1][:, -3] == Status.NOT_FOUND)))  # those that are not found
+            requested.append(int(np.sum(given[-1][:, -3] == Status.NOT_FOUND)))  # those that are not found
             return fallback.approach(*given)
 
     monkeypatch.setattr("kempe.kernels.compiled.fallback", Counted)
-    return asked
+    return requested
 
 
 def mixed(s: kempe.System, frame: str, rng: np.random.Generator, n: int) -> np.ndarray:
@@ -37,7 +37,7 @@ def mixed(s: kempe.System, frame: str, rng: np.random.Generator, n: int) -> np.n
     return X
 
 
-def test_what_is_nearest_is_searched_for_when_it_is_asked_for(descents):
+def test_what_is_nearest_is_searched_for_on_demand(descents):
     s = kempe.load("puma560")
     X = np.array(s.fk(s.random(0, 500), "tool"))
     X[:, :3, 3] *= 30.0
@@ -61,7 +61,7 @@ def test_rows_of_a_batch_are_what_single_calls_answer(name, hunt):
     assert {Status.SOLVED, Status.OUT_OF_REACH} <= set(answer.code.tolist())
 
 
-@pytest.mark.parametrize("use", [pickle.dumps, repr, lambda a: a.status, lambda a: replace(a, asked=None)])
+@pytest.mark.parametrize("use", [pickle.dumps, repr, lambda a: a.status, lambda a: replace(a, problem=None)])
 def test_an_answer_can_be_used_before_its_numbers_were_read(use):
     s = kempe.load("puma560")
     X = mixed(s, "tool", np.random.default_rng(4), 30)

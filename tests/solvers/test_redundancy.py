@@ -304,9 +304,9 @@ def test_panda_over_its_last_joint():
         T = system.fk(q, "tool")
         sweep = ik_sweep(system, T, "tool", "panda_joint7", n=151)
         assert not sweep.exact and deviation(system, "tool", sweep.q[sweep.mask], T) < 1e-9
-        asked = sweep.at(sweep.values)
-        assert np.array_equal(asked.mask.sum(axis=1), sweep.mask.sum(axis=1))
-        assert np.array_equal(asked.inside.sum(axis=1), sweep.inside.sum(axis=1))
+        requested = sweep.at(sweep.values)
+        assert np.array_equal(requested.mask.sum(axis=1), sweep.mask.sum(axis=1))
+        assert np.array_equal(requested.inside.sum(axis=1), sweep.inside.sum(axis=1))
         assert lies_in(sweep.feasible, q[6])
         assert np.all(sweep.q[..., 6][sweep.mask] == sweep.values[np.nonzero(sweep.mask)[0]])
         ends = [x for rows in sweep.intervals for i in rows for x in i if abs(x) < 2.8973 - 1e-6]
@@ -323,9 +323,9 @@ def test_few_samples_find_the_curves_that_they_meet(k, joint):
     rng = np.random.default_rng(0)
     q = [system.random(rng) for _ in range(7)]
     sweep = ik_sweep(system, system.fk(q[k], "tool"), "tool", joint, n=60, budget=kempe.Budget(points=6))
-    asked = sweep.at(sweep.values)
-    assert len(sweep.labels) >= 12 and np.array_equal(asked.mask.sum(axis=1), sweep.mask.sum(axis=1))
-    assert np.array_equal(asked.inside.sum(axis=1), sweep.inside.sum(axis=1))
+    requested = sweep.at(sweep.values)
+    assert len(sweep.labels) >= 12 and np.array_equal(requested.mask.sum(axis=1), sweep.mask.sum(axis=1))
+    assert np.array_equal(requested.inside.sum(axis=1), sweep.inside.sum(axis=1))
 
 
 def test_folds_close_to_each_other():
@@ -395,10 +395,10 @@ def test_more_freedoms_than_one():
         assert np.all(sweep.q[sweep.mask][:, system.coordinate_names.index(name)] == x)
 
 
-# ---- what cannot be asked, and what is shown
+# ---- what is refused, and what is shown
 
 
-def test_what_cannot_be_asked():
+def test_what_is_refused():
     system, panda, six = iiwa(), kempe.load("panda"), kempe.load("puma560")
     T = system.fk(system.random(1), "tool")
     with pytest.raises(UnsupportedError, match="no arm angle.*last three axes do not meet"):

@@ -1,4 +1,4 @@
-"""Velocity constraints in steps, velocities and paths: what rolls does not slip, and where it would is told."""
+"""Velocity constraints in steps, velocities and paths: what rolls does not slip, and where it would is reported."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def test_paths_that_slip_are_refused_with_the_place(hunt):
         assert float(where[2]) < 1.5 * abs(speed)
 
 
-def test_slow_slip_all_along_is_told_with_its_speed():
+def test_slow_slip_all_along_is_reported_with_its_speed():
     system, t = wheels.knife(), np.linspace(0, 2, 50)
     motion = system.drive({"pose.x": t, "pose.y": 0.01 * t, "pose.rz": 0 * t}, t)
     assert "by 0.01 m/s across 'edge'" in motion.status and not motion.success

@@ -370,7 +370,7 @@ def test_out_of_reach_is_missed_by_as_much_as_must_be():
 
 
 def test_no_false_success():
-    """What is called a success holds, whatever is asked: checked by the forward model on impossible and odd wishes."""
+    """What is called a success holds, whatever the tasks: checked by the forward model on impossible and odd ones."""
     s = kempe.load("panda")
     rng = np.random.default_rng(9)
     for _ in range(20):

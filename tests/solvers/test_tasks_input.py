@@ -234,7 +234,7 @@ def test_lengths_prove_what_is_out_of_reach_as_for_one_frame(panda):
 
 
 def test_lengths_prove_nothing_wrong(panda):
-    """What a configuration reaches is never called out of reach, whatever is asked of it."""
+    """What a configuration reaches is never called out of reach, whatever is required of it."""
     point = [0.1, 0.0, 0.2]
     for q in panda.random(1, 30):
         X = panda.fk(q, HAND)

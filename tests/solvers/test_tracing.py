@@ -63,7 +63,7 @@ def test_the_circumference_of_an_ellipse(a):
 
 
 def test_a_helix_among_dependent_equations(hunt):
-    """x = cos z, y = sin z, said twice: every node on it, and steps as long as asked for where it bends evenly."""
+    """x = cos z, y = sin z, said twice: every node on it, and steps as long as requested where it bends evenly."""
 
     def f(x):
         F = np.array([x[0] - math.cos(x[2]), x[1] - math.sin(x[2])])

@@ -160,7 +160,7 @@ FILES = {
 
 @pytest.mark.parametrize("json", [False, True], ids=["text", "json"])
 @pytest.mark.parametrize("words", FAILING, ids=" ".join)
-def test_failures_are_told_in_options(words: list[str], json: bool, tmp_path):
+def test_failures_are_reported_in_options(words: list[str], json: bool, tmp_path):
     for name, text in FILES.items():
         (tmp_path / f"{name}.urdf").write_text(text)
     given = [str(tmp_path / f"{w}.urdf") if w in FILES else w for w in words]

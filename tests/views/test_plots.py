@@ -627,7 +627,7 @@ def test_without_matplotlib_the_error_names_the_extra():
 
 
 @pytest.mark.parametrize("name", library.names())
-def test_what_is_drawn_unless_told_holds(name):
+def test_what_is_drawn_by_default_holds(name):
     """The default configuration satisfies all that is declared, where assembling from home can."""
     system = kempe.load(name)
     q = plots._configuration(system, None, None)

@@ -1,7 +1,7 @@
 """The command line: each command is a few lines over the library.
 
 Exit codes: 0 the answer is complete; 1 it is not (no solution found, problems in a file, rows that are no
-numbers); 2 the question could not be asked (wrong usage, unknown name, a file that cannot be read).
+numbers); 2 the question could not be posed (wrong usage, unknown name, a file that cannot be read).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ __all__ = ["app", "inverse_commands", "library_commands", "loop_commands", "main
 
 
 def main() -> None:
-    """Entry point of the command `kempe`."""
+    """Run the command `kempe`."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")

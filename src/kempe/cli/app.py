@@ -1,8 +1,8 @@
 """What all commands share: the application, their options, how files are read.
 
 Exit codes: 0 the answer is complete; 1 it is not (no solution found, problems in a file, rows that are no
-numbers, a time limit); 2 the question could not be asked (wrong usage, unknown name, a file that cannot be read);
-130 Ctrl-C, where files that were asked for hold what was done.
+numbers, a time limit); 2 the question could not be posed (wrong usage, unknown name, a file that cannot be read);
+130 Ctrl-C, where files that were requested hold what was done.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from kempe import __version__
+from kempe.description.formats import named, read_by
 from kempe.description.source import no_file
 from kempe.errors import InputError, KernelsError
 from kempe.model.immovable import immovable
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 app = typer.Typer(
     cls=Commands, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
-    epilog="FILE is a URDF or TOML file, or the name of a shipped model. "
+    epilog=f"FILE is a file in {named(read_by())}, or the name of a shipped model. "
     "Exit codes: 0 complete, 1 no solution, problems or a time limit, 2 wrong usage or unreadable file, 130 Ctrl-C.",
 )  # fmt: skip
 
@@ -44,18 +45,18 @@ TimeLimit = Annotated[
 ]
 
 _READ = "How FILE is read"
-File = Annotated[str, typer.Argument(metavar="FILE", help="URDF or TOML file, or a shipped model's name.")]
+File = Annotated[str, typer.Argument(metavar="FILE", help=f"File in {named(read_by())}, or a shipped model's name.")]
 Json = Annotated[bool, option("--json", "Print JSON.")]
 Deg = Annotated[bool, option("--deg", "Angles are degrees, read and printed; lengths stay metres.")]
 Out = Annotated[Path | None, option("-o,--out", "Write the results to a .csv or .npy file.", "FILE")]
 InPlace = Annotated[Path | None, option("-o,--out", "The file to write, in place of OUT.", "FILE")]
-Base = Annotated[str | None, option("--base", "'free': the root link moves freely (URDF).", "free", _READ)]
+_FREE = f"'free': the root link moves freely ({named(read_by('base'))})."
+Base = Annotated[str | None, option("--base", _FREE, "free", _READ)]
 Root = Annotated[str | None, option("--root", "Link to take as root where FILE leaves it open.", "LINK", _READ)]
 Dirs = Annotated[list[Path] | None, option("--package-dir", "Folder for package://; can be repeated.", "FOLDER", _READ)]
 Xacro = Annotated[bool, option("--xacro", "Expand xacro first: a program, so only if you trust it.", None, _READ)]
-Lenient = Annotated[
-    bool, option("--lenient-limits", "Limits without a range (no bounds, or swapped) are none (URDF).", None, _READ)
-]
+_LENIENT = f"Limits without a range (no bounds, or swapped) are none ({named(read_by('lenient_limits'))})."
+Lenient = Annotated[bool, option("--lenient-limits", _LENIENT, None, _READ)]
 
 FrameOrAll = Annotated[str | None, option("--frame", "Body or frame; all bodies if not given.", "NAME")]
 Values = Annotated[
@@ -127,7 +128,7 @@ def main_options(
     context: typer.Context,
     version: Annotated[bool, option("--version", "Print the version, and which kernels run.")] = False,
 ) -> None:
-    """Kinematics of mechanisms: where bodies are, what reaches a pose, how closed loops move."""
+    """Analyse the kinematics of mechanisms: where bodies are, what reaches a pose, how closed loops move."""
     if version:
         try:
             from kempe.kernels.compiled import VARIANT
@@ -178,6 +179,6 @@ def written_to(out: Path | None, option: Path | None) -> Path:
     return out or option  # type: ignore[return-value]
 
 
-def told(out: Path, json: bool) -> None:
+def say_written(out: Path, json: bool) -> None:
     """Say which file was written."""
     print_json({"written": str(out)}) if json else print(f"written to {out}")

@@ -40,7 +40,7 @@ from kempe.cli.app import (
     load,
     option,
     results,
-    told,
+    say_written,
 )
 from kempe.errors import InputError
 from kempe.views.terminal import INCOMPLETE, UsageError, guarded, leave, print_json, show
@@ -48,7 +48,7 @@ from kempe.views.terminal import INCOMPLETE, UsageError, guarded, leave, print_j
 if TYPE_CHECKING:
     from kempe.model.system import System
     from kempe.solvers.modes.modes import Modes
-    from kempe.views.input.task_file import Asked
+    from kempe.views.input.task_file import FileTasks
 
 SLICE, TASK_SLICE = 4096, 256
 """Targets that are solved at once: between them the work shows how far it is, and can be stopped."""
@@ -83,14 +83,14 @@ def ik(
 
     results(out)
     if frame is None or target is None:
-        asked = _read_tasks(system, tasks, deg)
+        read = _read_tasks(system, tasks, deg)
         start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
-        _answer(system, asked.count, TASK_SLICE, lambda i, j: system.ik(
-            asked.tasks(i, j), start=_part(start, i, j), tolerance=rows.tolerance(tolerance or "1e-6"), prefer=prefer,
+        _answer(system, read.count, TASK_SLICE, lambda i, j: system.ik(
+            read.tasks(i, j), start=_part(start, i, j), tolerance=rows.tolerance(tolerance or "1e-6"), prefer=prefer,
             budget=Budget(rng=rng),
         ), deg, out, json)  # fmt: skip
         return
-    system.structure.frame_name(frame)  # a wrong name is told before kernels are compiled
+    system.structure.frame_name(frame)  # a wrong name is reported before kernels are compiled
     X, position = rows.target(system, target, deg)
     start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
     position = position or position_only
@@ -99,7 +99,7 @@ def ik(
         _all(system, X, frame, task, axis, hold, start, tolerance, deg, out, json)
         return
     wanted = {"tolerance": rows.tolerance(tolerance or "1e-6"), "budget": Budget(rng=rng),
-              "task": _asked(task, axis)}  # fmt: skip
+              "task": _task_argument(task, axis)}  # fmt: skip
     _answer(system, len(X) if X.ndim > 2 else None, SLICE, lambda i, j: system.ik(
         X[i:j] if X.ndim > 2 else X, frame, start=_part(start, i, j), **wanted), deg, out, json)  # fmt: skip
 
@@ -116,7 +116,7 @@ def _one_way(tasks: Path | None, single: dict[str, Any], more: dict[str, Any]) -
         raise UsageError(f"Missing option '{missing[0]}', or '--tasks' in place of both.")
 
 
-def _read_tasks(system: System, path: Path | None, deg: bool) -> Asked:
+def _read_tasks(system: System, path: Path | None, deg: bool) -> FileTasks:
     from kempe.views.input import task_file
 
     assert path is not None
@@ -147,7 +147,7 @@ def _answer(
     else:
         show(report.solution(system, answer, deg) if out is None else report.outcome(answer))
         if out is not None:
-            told(out, json)
+            say_written(out, json)
     leave(answer)
 
 
@@ -179,8 +179,8 @@ def path(
     start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
     wanted: Any
     if frame is None or target is None:
-        asked = _read_tasks(system, tasks, deg)
-        wanted, count = asked.tasks(), asked.count
+        read = _read_tasks(system, tasks, deg)
+        wanted, count = read.tasks(), read.count
     else:
         system.structure.frame_name(frame)
         wanted, position = rows.target(system, target, deg)
@@ -201,7 +201,7 @@ def path(
     else:
         show(follow_report.path(answer, deg))
         if out is not None:
-            told(out, json)
+            say_written(out, json)
     leave(answer)
 
 
@@ -209,7 +209,7 @@ def _task(task: str | None, position: bool) -> str | None:
     """The task, for which a target that is a position may be enough."""
     from kempe.solvers.common.targets import task_of
 
-    task_of(task, position, False)  # a wrong name is told first
+    task_of(task, position, False)  # a wrong name is reported first
     if position and task not in (None, "position"):
         raise InputError(f"--task {task} needs a target with an orientation: x,y,z,roll,pitch,yaw")
     return "position" if position else task
@@ -223,7 +223,7 @@ def _all(
     from kempe.solvers.modes.modes import Modes
     from kempe.views import ik_report
 
-    answer = system.ik_all(X, frame, near, task=_asked(task, axis), fixed=_held(system, hold, deg),
+    answer = system.ik_all(X, frame, near, task=_task_argument(task, axis), fixed=_held(system, hold, deg),
                            tolerance=None if tolerance is None else ik_report.tolerance(tolerance))  # fmt: skip
     if isinstance(answer, Modes):
         _modes(answer, deg, out, json)
@@ -235,7 +235,7 @@ def _all(
     else:
         show(ik_report.solutions(answer, deg))
         if out is not None:
-            told(out, json)
+            say_written(out, json)
     if not (answer if answer.single else answer.inside.any(axis=-1).all()):
         raise typer.Exit(INCOMPLETE)
 
@@ -251,7 +251,7 @@ def _modes(answer: Modes, deg: bool, out: Path | None, json: bool) -> None:
     else:
         show(loop_report.modes(answer, deg))
         if out is not None:
-            told(out, json)
+            say_written(out, json)
     if not answer:
         raise typer.Exit(INCOMPLETE)
 
@@ -263,7 +263,7 @@ def _held(system: System, hold: list[str] | None, deg: bool) -> dict[str, Any]:
     return given.known(system, hold or [], deg, frames=False)
 
 
-def _asked(task: str | None, axis: str | None) -> Any:
+def _task_argument(task: str | None, axis: str | None) -> Any:
     """What of the target counts: a task, or a task with the axis of the tool that it points."""
     from kempe.views import ik_report
 
@@ -295,5 +295,5 @@ def plan(
 
     system.structure.frame_name(frame)
     words = [w if "=" in w else f"{w}=0" for w in hold or []]
-    answer = ik_plan(system, frame, _asked(task, axis), tuple(_held(system, words, False)))
+    answer = ik_plan(system, frame, _task_argument(task, axis), tuple(_held(system, words, False)))
     print_json(answer.data()) if json else show(ik_report.plan(answer))

@@ -31,7 +31,7 @@ from kempe.cli.app import (
     option,
     remark,
     results,
-    told,
+    say_written,
     writable,
     written_to,
 )
@@ -41,7 +41,7 @@ from kempe.views.terminal import INCOMPLETE, guarded, leave, print_json, show
 if TYPE_CHECKING:
     from kempe.analysis.continuation.path import Path as Motion
     from kempe.model.system import System
-    from kempe.solvers.assembly.assembly import Assembly
+    from kempe.solvers.assembly.assembled import Assembly
 
 PICTURES = (".png", ".svg", ".pdf")
 
@@ -299,7 +299,7 @@ def plot(
     _picture(out)
     at, closing = given.configuration(system, q, posture, deg)
     _save(system.plot(at, frames=names), out)
-    told(out, json)
+    say_written(out, json)
     if closing is not None and not closing:
         remark(str(closing.status))
         raise typer.Exit(INCOMPLETE)
@@ -355,10 +355,10 @@ def _say(data: dict[str, Any] | None, report: Any, written: list[Path]) -> None:
         return
     show(report)
     for path in written:
-        told(path, False)
+        say_written(path, False)
 
 
 def _not_written(out: Path | None, written: list[Path]) -> None:
-    """Say of a file that was asked for why there is none."""
+    """Say of a file that was requested why there is none."""
     if out is not None and out not in written:
         remark(f"{out} is not written: nothing is closed")

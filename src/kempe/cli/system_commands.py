@@ -28,9 +28,10 @@ from kempe.cli.app import (
     reading,
     remark,
     results,
-    told,
+    say_written,
     written_to,
 )
+from kempe.description.formats import endings_written, named, read_by
 from kempe.views.terminal import COMPLETE, INCOMPLETE, guarded, print_json, show
 
 # ---- describe
@@ -59,7 +60,7 @@ def info(
 @app.command(rich_help_panel=DESCRIBE)
 @guarded
 def check(
-    files: Annotated[list[str], typer.Argument(metavar="FILE...", help="URDF or TOML files.")],
+    files: Annotated[list[str], typer.Argument(metavar="FILE...", help=f"Files in {named(read_by())}.")],
     json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
     lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
@@ -96,13 +97,13 @@ def check(
 def convert(
     file: File,
     out: Annotated[
-        Path | None, typer.Argument(metavar="OUT", help="File to write: .toml or .urdf; or -o FILE.")
+        Path | None, typer.Argument(metavar="OUT", help=f"File to write: {endings_written()}; or -o FILE.")
     ] = None,
     output: InPlace = None,
     json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
     lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
-    """Write a system in another format: .toml (everything) or .urdf (trees).
+    """Write a system in another format, which the ending of OUT names.
 
     Example: kempe convert panda.urdf panda.toml
     """
@@ -138,13 +139,13 @@ def fk(
     from kempe.views import facts, report, rows
 
     if frame is not None:
-        system.structure.frame_name(frame)  # a wrong name is told before kernels are compiled
+        system.structure.frame_name(frame)  # a wrong name is reported before kernels are compiled
     results(out)
     values = rows.configuration(system, q, posture, deg)
     X = system.fk(values, frame)
     if out is not None:
         rows.write_poses(out, X, frame is None, deg)
-        told(out, json)
+        say_written(out, json)
     elif json:
         print_json(facts.poses_facts(system, frame, X, deg))
     else:

@@ -1,4 +1,4 @@
-"""What may be asked of a multibody system: every kind of constraint is one class, declared for all verbs alike.
+"""What may be required of a multibody system: every kind of constraint is one class, declared for all verbs alike.
 
 ``from kempe import constraints``: `Mechanism.constrain` holds one always, `System.ik` asks for it in one call.
 `KINDS` is the table.

@@ -114,7 +114,7 @@ class End:
 
 @dataclass(frozen=True, eq=False)
 class Constraint(ABC):
-    """Something asked of a system; each kind is a subclass that declares its rows.
+    """Something required of a system; each kind is a subclass that declares its rows.
 
     `Mechanism.constrain` holds it always, `System.ik` in one call. What only `ik` reads: without a `weight` it is hard,
     it must hold. With one it is soft: the sum of weight times squared error, in radians and characteristic lengths of
@@ -239,7 +239,7 @@ class Bounded(Constraint):
         return self.at_least is not None or self.at_most is not None
 
     def check(self, dim: int) -> None:
-        """Bounds leave something between them, and those of distances and angles are not negative."""
+        """Refuse bounds that leave nothing between them, and negative ones of distances and angles."""
         if not self.bounded:
             return
         signed = self.measured in SIGNED
@@ -329,7 +329,7 @@ SQUARE = {"Matrix": "a given pose", "Rotation": "a given rotation"}
 NUMBERS = ("Number", "Point", "Direction", "Matrix", "Rotation")
 """Annotations of fields of numbers, which in a description may be expressions in parameters."""
 PARAMETERS = "Parameters"
-"""Annotation of a field that is told the parameters of the mechanism."""
+"""Annotation of a field that receives the parameters of the mechanism."""
 
 
 def frames_of(constraint: Constraint) -> dict[str, Any]:

@@ -51,7 +51,7 @@ class Contact(Constraint):
     unbounded: ClassVar[str] = "its gap is never negative; OnPlane has bounds of a height"
 
     def check(self, dim: int) -> None:
-        """A radius is not negative."""
+        """Refuse a negative radius."""
         positive(self.radius, f"radius of {self.label}")
 
     def rows(self, dim: int) -> tuple[Row, ...]:
@@ -90,7 +90,7 @@ class Rolls(Constraint):
     one_sided: bool = False
 
     def check(self, dim: int) -> None:
-        """A radius is not negative."""
+        """Refuse a negative radius."""
         positive(self.radius, f"radius of {self.label}")
 
     def rows(self, dim: int) -> tuple[Row, ...]:

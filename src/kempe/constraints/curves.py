@@ -56,7 +56,7 @@ class OnCurve(Measured):
         across(self.points, self.closed, given.shape[1], what)
 
     def check(self, dim: int) -> None:
-        """The points are in the plane of a planar system, and have three numbers in space; bounds fit together."""
+        """Refuse points off the plane of a planar system, or of two numbers in space, and bounds that do not fit."""
         super().check(dim)
         points_of(self.points, dim, f"points of {self.label}")
 

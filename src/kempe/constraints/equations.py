@@ -22,7 +22,7 @@ from kempe.constraints.text import from_text, read
 from kempe.errors import InputError, UnknownNameError, shown
 from kempe.values import Expression
 
-Told: TypeAlias = Any
+Written: TypeAlias = Any
 """A field of an expression: text, several, or a function of named inputs."""
 Parameters: TypeAlias = "Mapping[str, float] | None"
 """Parameters of the mechanism by name; None where they are not known yet."""
@@ -105,7 +105,7 @@ class _Written(Constraint):
 
     @property
     def about(self) -> str:
-        """Its coordinates."""
+        """The coordinates that it reads."""
         return ", ".join(self.of or self.words)  # type: ignore[attr-defined]
 
     def _names(self, given: Any) -> tuple[str, ...]:
@@ -135,19 +135,19 @@ class _Written(Constraint):
         except InputError:
             return tape, shape
 
-    def _tape_of(self, told: Any) -> Tape:
+    def _tape_of(self, written: Any) -> Tape:
         """The tape of texts, over coordinates, the time and parameters. Errors: `InputError`, `UnknownNameError`."""
         of, time, known = self.of, self.time, self.parameters  # type: ignore[attr-defined]
-        if isinstance(told, Tape):
-            return told
+        if isinstance(written, Tape):
+            return written
         clock = (TIME,) if time else ()
         if time and TIME in of:
             raise InputError(f"{self.what} has a coordinate {TIME!r} besides the time, which is called so")
-        words = [w for w in words_of(told) if w not in clock]
+        words = [w for w in words_of(written) if w not in clock]
         parameters = tuple(words if known is None else known)
         names = of or tuple(w for w in words if known is None or w not in known)
         try:
-            return from_text(told, (*names, *clock), tuple(p for p in parameters if p not in names))
+            return from_text(written, (*names, *clock), tuple(p for p in parameters if p not in names))
         except UnknownNameError as error:
             more = "; for the time say time=True" if error.name == TIME and not time else ""
             raise InputError(f"{self.what}: {error}{more}") from None
@@ -170,22 +170,23 @@ class _Valued(_Written, Bounded):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        told = self.expression  # type: ignore[attr-defined]
-        if callable(told) and not isinstance(told, (Call, Tape)):
-            told, _ = self._recorded(told, self._fits)
-        elif isinstance(told, (list, tuple)):
-            told = tuple(as_text(x, self.what) for x in told)
-            self._fits((len(told),))
-        elif not isinstance(told, (Call, Tape)):
-            told = (as_text(told, self.what),)
-        object.__setattr__(self, "expression", told[0] if isinstance(told, tuple) and len(told) == 1 else told)
-        for text in told if isinstance(told, tuple) and (self.sense or self.bounded) else ():
+        written = self.expression  # type: ignore[attr-defined]
+        if callable(written) and not isinstance(written, (Call, Tape)):
+            written, _ = self._recorded(written, self._fits)
+        elif isinstance(written, (list, tuple)):
+            written = tuple(as_text(x, self.what) for x in written)
+            self._fits((len(written),))
+        elif not isinstance(written, (Call, Tape)):
+            written = (as_text(written, self.what),)
+        alone = written[0] if isinstance(written, tuple) and len(written) == 1 else written
+        object.__setattr__(self, "expression", alone)
+        for text in written if isinstance(written, tuple) and (self.sense or self.bounded) else ():
             if "=" in text:
                 what = "is within bounds" if self.bounded else "is not negative"
                 raise InputError(f"{self.what} is {text!r}: give what {what}, such as '1.2 - A'")
 
     def check(self, dim: int) -> None:
-        """Bounds leave something between them, and fit the values."""
+        """Refuse bounds that leave nothing between them, or do not fit the values."""
         super().check(dim)
         n = len(self.rows(dim))
         for name in ("at_least", "at_most"):
@@ -199,32 +200,34 @@ class _Valued(_Written, Bounded):
 
     @property
     def _texts(self) -> Any:
-        told = self.expression  # type: ignore[attr-defined]
-        return (told,) if isinstance(told, str) else told
+        written = self.expression  # type: ignore[attr-defined]
+        return (written,) if isinstance(written, str) else written
 
     @property
     def words(self) -> tuple[str, ...]:
         """The names in its expressions."""
-        told = self._texts
-        return told.inputs if isinstance(told, Tape) else told.of if isinstance(told, Call) else words_of(told)
+        written = self._texts
+        if isinstance(written, (Tape, Call)):
+            return written.inputs if isinstance(written, Tape) else written.of
+        return words_of(written)
 
     def in_words(self, name: str) -> str:
         """Its expressions, compared with zero."""
         if name != "expression":
             return super().in_words(name)
-        told, tail = self._texts, " >= 0" if self.sense else " = 0"
-        texts = told if isinstance(told, tuple) else (f"f({', '.join(self.of)})",)  # type: ignore[attr-defined]
+        written, tail = self._texts, " >= 0" if self.sense else " = 0"
+        texts = written if isinstance(written, tuple) else (f"f({', '.join(self.of)})",)  # type: ignore[attr-defined]
         if self.bounded:
             return f"{', '.join(texts)} {'is' if len(texts) == 1 else 'are'} {self.bounds_in_words}"
         return ", ".join(t if "=" in t else t + tail for t in texts)
 
     def rows(self, dim: int) -> tuple[Row, ...]:
         """One for each number."""
-        told = self._texts
-        if isinstance(told, Call):
-            op, of, n = Op.CALL, told, told.size
+        written = self._texts
+        if isinstance(written, Call):
+            op, of, n = Op.CALL, written, written.size
         else:
-            op, of = Op.TAPE, self._tape_of(told)
+            op, of = Op.TAPE, self._tape_of(written)
             n = len(of.outputs)
         sense = {"low": "at_least", "high": "at_most"} if self.bounded else self.sense
         part = n > 1 and self.bounded
@@ -233,14 +236,14 @@ class _Valued(_Written, Bounded):
 
     def prefixed(self, prefix: str) -> Constraint:
         """The same where coordinates have a prefix."""
-        told, new = self.expression, {n: prefix + n for n in self.of}  # type: ignore[attr-defined]
-        if isinstance(told, Call):
-            told = replace(told, of=tuple(new.get(n, n) for n in told.of))
-        elif isinstance(told, Tape):
-            told = renamed(told, new)
+        written, new = self.expression, {n: prefix + n for n in self.of}  # type: ignore[attr-defined]
+        if isinstance(written, Call):
+            written = replace(written, of=tuple(new.get(n, n) for n in written.of))
+        elif isinstance(written, Tape):
+            written = renamed(written, new)
         else:
-            told = renamed(self._tape_of(self._texts), new).texts()
-        return replace(self, expression=told, of=tuple(new.values()))  # type: ignore[call-arg]
+            written = renamed(self._tape_of(self._texts), new).texts()
+        return replace(self, expression=written, of=tuple(new.values()))  # type: ignore[call-arg]
 
 
 @kind("equation", says="{expression}")
@@ -249,10 +252,10 @@ class Equation(_Valued):
 
     A function is called with a mapping from the names `of` to numbers, with `time` also with the time t, and gives a
     number or a list. Text finds its coordinates itself; other names are parameters of the mechanism. `drive` and
-    `assemble` are told the time; for all other verbs it is 0. `at_least`, `at_most`: f within bounds, not zero.
+    `assemble` pass the time on; for all other verbs it is 0. `at_least`, `at_most`: f within bounds, not zero.
     """
 
-    expression: Told
+    expression: Written
     of: Names = ()
     time: bool = False
     parameters: Parameters = field(default=None, repr=False, kw_only=True)
@@ -265,7 +268,7 @@ class Inequality(_Valued):
     `at_least`, `at_most`: f within these bounds, in place of 0 and above.
     """
 
-    expression: Told
+    expression: Written
     of: Names = ()
     time: bool = False
     parameters: Parameters = field(default=None, repr=False, kw_only=True)
@@ -280,9 +283,9 @@ class VelocityEquation(_Written):
     `matrix` has a row for each equation and a column for each of `of`; `b` is one number, or one for each row.
     """
 
-    matrix: Told
+    matrix: Written
     of: Names = ()
-    b: Told = 0
+    b: Written = 0
     time: bool = False
     parameters: Parameters = field(default=None, repr=False, kw_only=True)
 
@@ -301,25 +304,25 @@ class VelocityEquation(_Written):
         object.__setattr__(self, "matrix", A)
         object.__setattr__(self, "b", b[0] if len(set(b)) == 1 else b)
 
-    def _entries(self, told: Any, fits: Callable[[tuple[int, ...]], None]) -> Any:
+    def _entries(self, written: Any, fits: Callable[[tuple[int, ...]], None]) -> Any:
         """Texts, or rows of texts."""
-        if callable(told) and not isinstance(told, Expression):
-            found, shape = self._recorded(told, fits)
+        if callable(written) and not isinstance(written, Expression):
+            found, shape = self._recorded(written, fits)
             if not isinstance(found, tuple):
                 why = found.reason if isinstance(found, Call) else "as text it is too long"
                 raise InputError(f"{self.what} cannot be recorded: {why}; rows of velocities need derivatives of "
                                  "their entries: write them as expressions")  # fmt: skip
             n = shape[-1] if len(shape) == 2 else 0
             return tuple(found[i : i + n] for i in range(0, len(found), n)) if n else found
-        if isinstance(told, np.ndarray):
-            told = told.tolist()
-        if not isinstance(told, (list, tuple)):
-            return (as_text(told, self.what),)
-        if any(isinstance(x, (list, tuple)) for x in told):
-            if len({len(x) if isinstance(x, (list, tuple)) else -1 for x in told}) > 1:
+        if isinstance(written, np.ndarray):
+            written = written.tolist()
+        if not isinstance(written, (list, tuple)):
+            return (as_text(written, self.what),)
+        if any(isinstance(x, (list, tuple)) for x in written):
+            if len({len(x) if isinstance(x, (list, tuple)) else -1 for x in written}) > 1:
                 raise InputError(f"{self.what} has rows of different lengths")
-            return tuple(tuple(as_text(x, self.what) for x in row) for row in told)
-        return tuple(as_text(x, self.what) for x in told)
+            return tuple(tuple(as_text(x, self.what) for x in row) for row in written)
+        return tuple(as_text(x, self.what) for x in written)
 
     def _fits(self, shape: tuple[int, ...]) -> None:
         """Refuse what is no matrix with a column for each coordinate."""

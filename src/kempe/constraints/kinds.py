@@ -1,7 +1,7 @@
 """Kinds that hold a frame, or a point or an axis of it, in, on or near something; lengths in metres, angles in radians.
 
 A frame is held against the ground, or against the frame `other`, in whose axes targets are then read. Targets may have
-leading axes where `System.ik` is asked: they make a batch. `point` is a point of the frame, in its axes.
+leading axes where `System.ik` takes them: they make a batch. `point` is a point of the frame, in its axes.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Pose(Placed):
         return whole(dim)
 
     def goal(self, dim: int) -> Array:
-        """The target."""
+        """The pose or position that is held."""
         return poses_of(self.target, dim, f"target of {self.label}")
 
 
@@ -89,7 +89,7 @@ class Position(Measured):
         return self.between(Op.DISTANCE) if self.bounded else points(dim)
 
     def goal(self, dim: int) -> Array:
-        """The target."""
+        """The pose or position that is held."""
         return self._at(dim, "target")
 
 
@@ -111,7 +111,7 @@ class Orientation(Measured):
         return self.between(Op.TAPE, TURNED, 0) if self.bounded else (ROTATION,)
 
     def goal(self, dim: int) -> Array:
-        """The target."""
+        """The pose or position that is held."""
         X = numbers_of(arrays(self.target, what := f"target of {self.label}"), what)
         return poses_of(spatial.pose(X) if X.ndim >= 2 and X.shape[-2:] == (3, 3) else X, dim, what)
 
@@ -164,7 +164,7 @@ class LookAt(_Axis):
         return self.between(Op.TAPE, AWAY, 0) if self.bounded else (LOOK,)
 
     def goal(self, dim: int) -> Array:
-        """The point."""
+        """The point that is looked at."""
         return self._at(dim, "target")
 
 
@@ -253,11 +253,11 @@ class OnSphere(Measured):
     instead: ClassVar[str] = "radius"
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """The distance."""
+        """One row, the distance."""
         return self.apart()
 
     def goal(self, dim: int) -> Array:
-        """The center."""
+        """The center of the sphere."""
         return self._at(dim, "center")
 
 
@@ -275,7 +275,7 @@ class InBox(Placed):
     unbounded: ClassVar[str] = "its bounds are the corners 'low' and 'high'"
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """All directions."""
+        """One row for each direction."""
         return points(dim, low="low_corner", high="high_corner")
 
     def goal(self, dim: int) -> Array:
@@ -283,7 +283,7 @@ class InBox(Placed):
         return poses_of(self.pose, dim, f"pose of {self.label}")
 
     def check(self, dim: int) -> None:
-        """The corners leave something between them, and the box is in the plane, or has a height."""
+        """Refuse corners that leave nothing between them, and boxes that are off the plane, or flat in space."""
         if dim == self._given:
             self._corners  # noqa: B018
         else:
@@ -352,7 +352,7 @@ class Distance(Measured):
     instead: ClassVar[str] = "value"
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """The distance."""
+        """One row, the distance."""
         return self.apart()
 
     def goal(self, dim: int) -> Array:

@@ -50,7 +50,7 @@ class Placed(Constraint):
     """A kind with a `target`, or an `origin`, and a `point` of the frame."""
 
     def tool(self, dim: int) -> tuple[float, ...]:
-        """The point."""
+        """The point of the frame."""
         point = getattr(self, "point", ORIGIN)
         return HERE if point is ORIGIN else at_point(point, dim, f"point of {self.label}")
 
@@ -72,7 +72,7 @@ class Measured(Placed, Bounded):
     """The field in whose place the bounds are; '' where the number is zero without bounds."""
 
     def check(self, dim: int) -> None:
-        """Bounds leave something between them; distances and angles are not negative."""
+        """Refuse bounds that leave nothing between them, and negative distances and angles."""
         value = getattr(self, self.instead) if self.instead else None
         if value is not None:
             positive(value, f"{self.instead} of {self.label}")

@@ -202,8 +202,8 @@ class Tape:
 
     def degrees_in(self, names: Iterable[str]) -> tuple[int, ...]:
         """Degree of each output in these inputs together, read off the program: 0, 1, or 2 for all that is more."""
-        asked = set(names)
-        degree = [int(name in asked) for name in self.inputs] + [0] * len(self.nodes)
+        requested = set(names)
+        degree = [int(name in requested) for name in self.inputs] + [0] * len(self.nodes)
         for i in self._needed():
             op, left, right = self.nodes[i - len(self.inputs)]
             parts = [degree[k] for k in self._operands(i)]

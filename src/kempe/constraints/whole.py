@@ -32,7 +32,7 @@ class Posture(Constraint):
 
     @property
     def about(self) -> str:
-        """What coordinates."""
+        """The coordinates that are held, by name."""
         given = named(self.q)
         return "all coordinates" if given is None else ", ".join(map(repr, given))
 
@@ -127,7 +127,7 @@ class CentreOfMass(_Centred):
 
     @property
     def about(self) -> str:
-        """The system."""
+        """The words for the whole system."""
         return "the system"
 
     def masses(self, bodies: Mapping[str, Any], what: str) -> list[Mass]:
@@ -155,7 +155,7 @@ class CentreOfPoints(_Centred):
 
     @property
     def about(self) -> str:
-        """The frames."""
+        """The names of the frames."""
         return ", ".join(repr(str(f)) for f in self.frames)
 
     def masses(self, bodies: Mapping[str, Any], what: str) -> list[Mass]:

@@ -176,7 +176,7 @@ def check(mechanism: Mechanism, made: Declared) -> None:
     rows, tool = numbers.rows(dim), numbers.tool(dim)
     if not made.parent:
         if not made.of.reads:
-            checks.refuse(subject, f"{made.of.label} is asked for in one call of ik, not held always", where,
+            checks.refuse(subject, f"{made.of.label} is requested in one call of ik, not held always", where,
                           "hold coordinates by lock, couple or equation, frames by kinds that name them")  # fmt: skip
         return
     a, b = (mechanism.bodies[n] for n in (made.parent, made.child))
@@ -252,5 +252,3 @@ def renamed(made: Declared, bodies: Mapping[str, str], frames: Mapping[str, str]
     of = replace(made.of, **{k: other(x) for k, x in frames_of(made.of).items()})
     own = {"name": prefix + made.name, "of": of.prefixed(prefix)}
     return replace(made, **own, parent=bodies.get(made.parent, ""), child=bodies.get(made.child, ""))
-
-

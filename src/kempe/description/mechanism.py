@@ -226,7 +226,7 @@ class Mechanism(ConstraintMethods):
         return self.couple(driven, {driver: ratio}, offset)
 
     def posture(self, name: str, coordinates: Mapping[str, float]) -> None:
-        """A named posture: values of some coordinates by name, the others neutral."""
+        """Declare a named posture: values of some coordinates by name, the others neutral."""
         if name in self.postures:
             raise InputError(f"posture {name!r} exists already")
         self.postures[name] = checks.numbers(coordinates, f"posture {name!r}")
@@ -273,7 +273,7 @@ class Mechanism(ConstraintMethods):
             return System(self)
 
     def save(self, path: str | Path) -> Path:
-        """Write it to a file: .toml holds everything, .urdf what URDF can express; returns the path."""
+        """Write it to a file, in the format that the ending names (.toml holds everything); returns the path."""
         from kempe.description.write import write
 
         return write(self, path)

@@ -4,38 +4,41 @@ from __future__ import annotations
 
 import difflib
 import os
-import re
 from collections.abc import Iterable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from kempe.calls import explained
+from kempe.description.formats import (
+    DEFAULT,
+    FORMATS,
+    TOML,
+    URDF,
+    Format,
+    by_contents,
+    by_ending,
+    joined,
+    named,
+    read_by,
+)
 from kempe.description.mechanism import Mechanism
 from kempe.description.source import SIZE_LIMIT, collecting_later, expanded, fail, no_file, shorten
-from kempe.description.toml.toml import read_toml
-from kempe.description.urdf.urdf import read_urdf
 from kempe.description.urdf.xacro import XACRO_ADVICE, expand_xacro
 from kempe.errors import DescriptionError, Fault, InputError, UnknownNameError, UnsupportedError, Where
 from kempe.library import names as library_models
 from kempe.library import path as library_path
 
-FORMATS = ("urdf", "toml")
-"""Formats that are read."""
-
-_BY_SUFFIX = {".urdf": "urdf", ".toml": "toml", ".sdf": "sdf", ".world": "sdf", ".mjcf": "mjcf"}
-_ROOT_TAG = re.compile(r"<([A-Za-z_][\w.:-]*)")
-_LATER = {"sdf": "SDF", "mujoco": "MJCF (MuJoCo)", "mjcf": "MJCF (MuJoCo)"}
-
 
 class _How(NamedTuple):
-    """How a description is read: the options of `read`, with the folders for meshes and the names of files beside."""
+    """How a description is read: in which format, and the options of `read` that were given.
 
-    format: str | None
-    base: str | None
-    root: str | None
-    package_dirs: tuple[str | Path, ...]
-    lenient_limits: bool
-    beside: tuple[str, ...] = ()
+    `folders` are those for meshes; with a file, its own is the first of them, and also `home`.
+    """
+
+    format: Format | None
+    options: dict[str, Any]
+    folders: tuple[str | Path, ...]
+    home: Path | None = None
 
 
 class Check(NamedTuple):
@@ -56,16 +59,20 @@ def read(
     xacro: bool = False,
     lenient_limits: bool = False,
 ) -> Mechanism:
-    """Mechanism from a file (its path), from text (URDF or TOML), or from a model of the library (its name).
+    """Mechanism from a file (its path), from text, or from a model of the library (its name).
 
-    `format` is "urdf" or "toml", found out where None. ``base="free"``, `root` and `lenient_limits` are for URDF, see
-    `read_urdf`. A path may begin with ``~``, the home folder. Meshes may lie in the file's folder and in
-    `package_dirs`. ``xacro=True`` expands a xacro file first, which is a program and must be trusted. Errors:
-    `DescriptionError` with file, line, what is wrong and what is allowed.
+    `format` is a name in `kempe.description.formats.FORMATS`, such as "urdf", found out where None. ``base="free"``,
+    `root` and `lenient_limits` are for URDF, see `read_urdf`. A path may begin with ``~``, the home folder. Meshes may
+    lie in the file's folder and in `package_dirs`. ``xacro=True`` expands a xacro file first, which is a program and
+    must be trusted. Errors: `DescriptionError` with file, line, what is wrong and what is allowed.
     """
-    if format is not None and format not in FORMATS:
-        raise InputError(f"format is {format!r}; it must be {' or '.join(map(repr, FORMATS))}")
-    how = _How(format, base, root, tuple(expanded(d) for d in package_dirs), bool(lenient_limits))
+    allowed = [name for name, f in FORMATS.items() if f.read]
+    if format is not None and format not in allowed:
+        raise InputError(f"format is {format!r}; it must be {joined(map(repr, allowed))}")
+    folders = tuple(expanded(d) for d in package_dirs)
+    options = {"base": base, "root": root, "lenient_limits": lenient_limits or None, "package_dirs": folders or None}
+    given = {name: value for name, value in options.items() if value is not None}
+    how = _How(None if format is None else FORMATS[format], given, folders)
     if isinstance(source, bytes) or (isinstance(source, str) and _is_text(source)):
         if xacro:
             raise InputError("xacro is expanded from a file, not from text; give its path")
@@ -74,7 +81,7 @@ def read(
         raise InputError(f"source is a {type(source).__name__}; it must be a path, text or bytes")
     path = expanded(source)
     if isinstance(source, str) and not os.path.exists(path) and source in library_models():
-        return _read_text(library_path(source).read_bytes(), f"{source}.toml", how._replace(format="toml"))
+        return _read_text(library_path(source).read_bytes(), f"{source}.toml", how._replace(format=TOML))
     return _read_file(path, how, xacro)
 
 
@@ -106,21 +113,19 @@ def check(
 def _is_text(source: str) -> bool:
     """Whether a string is a description itself rather than a path to one."""
     start = source.removeprefix("\ufeff").lstrip()
-    return "\n" in source or not start or start.startswith("<") or re.match(r"format\s*=", start) is not None
+    return "\n" in source or not start or by_contents(start) is not None
 
 
 def _read_file(path: Path, how: _How, xacro: bool) -> Mechanism:
     data = _bytes_of(path)
     if path.suffix == ".xacro" and not xacro:
         raise fail("this is a xacro file, a program that writes URDF", Where(str(path)), XACRO_ADVICE)
+    text, name = data, str(path)
     if xacro:
-        text = expand_xacro(path, package_dirs=how.package_dirs)
-        how = how._replace(format="urdf", package_dirs=(path.parent, *how.package_dirs))
-        return _read_text(text, f"{path} (expanded)", how)
-    format = how.format or _BY_SUFFIX.get(path.suffix.lower())
-    beside = tuple(n for n in _models_in(path.parent) if n.endswith(".urdf") and n != path.name)
-    how = how._replace(format=format, package_dirs=(path.parent, *how.package_dirs), beside=beside)
-    return _read_text(data, str(path), how)
+        text, name = expand_xacro(path, package_dirs=how.folders), f"{path} (expanded)"
+        how = how._replace(format=URDF)
+    how = how._replace(format=how.format or by_ending(path.name), folders=(path.parent, *how.folders), home=path.parent)
+    return _read_text(text, name, how)
 
 
 def _bytes_of(path: Path) -> bytes:
@@ -146,7 +151,7 @@ def _bytes_of(path: Path) -> bytes:
 def _models_in(folder: Path) -> list[str]:
     """Names of the files in a folder that may describe a robot; none where it cannot be listed."""
     try:
-        return sorted(n for n in os.listdir(folder) if Path(n).suffix.lower() in (*_BY_SUFFIX, ".xacro"))
+        return sorted(n for n in os.listdir(folder) if n.endswith(".xacro") or by_ending(n))
     except OSError:
         return []
 
@@ -167,33 +172,28 @@ def _near(path: Path) -> str:
 
 
 def _read_text(text: str | bytes, name: str, how: _How) -> Mechanism:
-    format, found = how.format, _format_of(text, name)
-    if found in _LATER or (found == "toml" and format in _LATER):
-        kind = _LATER.get(found, "") or _LATER[str(format)]
-        raise UnsupportedError(f"{name}: {kind} files are not read yet; Kempe reads URDF and TOML")
-    format = "urdf" if found == "urdf" and format != "toml" else format or found
-    if format == "toml":
-        if how.base is not None or how.root is not None:
-            raise InputError("base and root are for URDF; a TOML file names its ground itself")
-        if how.lenient_limits:
-            raise InputError("lenient_limits is for URDF; a TOML file without limits has none")
-        with collecting_later(len(text) >> 8):
-            return read_toml(text, name, package_dirs=how.package_dirs)
+    format = _format_of(text, how.format)
+    if format.read is None:
+        raise UnsupportedError(f"{name}: {format.title} files are not read; Kempe reads {named(read_by(), 'and')}")
+    for option in how.options:
+        if option not in format.options:
+            raise InputError(f"the option {option!r} is for {named(read_by(option))}, and this is {format.title}")
+    options = dict(how.options)
+    if "package_dirs" in format.options:
+        options["package_dirs"] = how.folders
+    if "beside" in format.options and how.home:
+        own = Path(name).name
+        options["beside"] = tuple(n for n in _models_in(how.home) if n.lower().endswith(format.endings) and n != own)
     with collecting_later(len(text) >> 8):
-        return read_urdf(
-            text, name, base=how.base, root=how.root, package_dirs=how.package_dirs, beside=how.beside,
-            lenient_limits=how.lenient_limits,
-        )  # fmt: skip
+        return format.read(text, name, **options)
 
 
-def _format_of(text: str | bytes, name: str) -> str:
-    """What a text is, by its first element where it is XML; what cannot be decoded is left to the readers."""
+def _format_of(text: str | bytes, given: Format | None) -> Format:
+    """The format that is given, if it is read; else that of the contents, which also tell a format that is not read."""
     if isinstance(text, bytes):
         head = text[:4096]
         text = head.decode("utf-16" if head[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8", "replace")
-    start = text.removeprefix("\ufeff").lstrip()
-    if not start.startswith("<"):
-        return "toml"
-    bare = re.sub(r"<!--.*?-->|<\?.*?\?>", "", start[:65536], flags=re.DOTALL)
-    tag = _ROOT_TAG.search(bare)
-    return tag[1] if tag and tag[1] in _LATER else "urdf"
+    found = by_contents(text)
+    if given and given.read and not (found and not found.read):
+        return given
+    return found or given or DEFAULT

@@ -199,8 +199,10 @@ def decode(data: bytes | str, name: str, declared: re.Pattern[bytes] | None = No
     text = data if isinstance(data, str) else _text_of(data, name, declared)
     text = text.removeprefix("\ufeff")
     if not text.strip():
+        from kempe.description.formats import named, read_by
+
         what = "empty" if not text else "nothing but blanks"
-        raise fail(f"the file is {what}", Where(name), "it must hold a description (URDF or TOML)")
+        raise fail(f"the file is {what}", Where(name), f"it must hold a description ({named(read_by())})")
     return text
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from kempe import spatial
 from kempe.description.parts import Joint
 from kempe.joints import R
-from kempe.model.closures.reduced import plain
+from kempe.model.closures.implicit_form import plain
 from kempe.model.kept import kept
 from kempe.placement import place
 from kempe.spatial import Array

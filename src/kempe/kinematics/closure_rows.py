@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.calls import explained
+from kempe.calls import explained, flag
 from kempe.kernels.compiled import closure_batch
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kinematics.configuration import as_q
-from kempe.model.closures.packed_loops import Loops, characteristic_length, loops_of, must_carry
+from kempe.model.closures.packed_loops import Loops, characteristic_length, loops_of, must_be_explicit
 from kempe.model.tree.own_tree import own_tree
 from kempe.spatial import Array
 
@@ -51,7 +51,7 @@ def jacobian(system: System, q: Any) -> Array:
 def evaluate(
     system: System, q: Any, with_jacobian: bool = True, scaled: bool = False, loops: Loops | None = None
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Residual (..., m) and Jacobian (..., m, nv) in one pass; the Jacobian is empty unless asked for.
+    """Residual (..., m) and Jacobian (..., m, nv) in one pass; the Jacobian is empty unless requested.
 
     `scaled`: lengths, those of sliding coordinates included, are measured in characteristic lengths, and loops are cut
     where solvers cut them (`own_tree`), so that nothing depends on the unit or on joints marked `cut`. `loops` are the
@@ -119,7 +119,7 @@ def of_system(system: System, own: bool = True) -> list[SystemConstraint]:
 
     With `own=False` the coordinates of the joints that close loops are left out where nothing else depends on them.
     """
-    loops = full(system, False) if own else loops_of(system, must_carry(system), length=1.0)
+    loops = full(system, False) if flag(own, "own") else loops_of(system, must_be_explicit(system), length=1.0)
     rows: dict[tuple[str, bool], list[int]] = {}
     for i, (name, what) in enumerate(loops.names):
         rows.setdefault((name, what == "relation"), []).append(i)

@@ -67,7 +67,7 @@ def has_loops(system: System) -> bool:
 
 
 def home_of(system: System) -> Array:
-    """Where a search starts that is told nothing: the posture 'closed' if there is one, else within the limits."""
+    """Where a search starts by default: the posture 'closed' if there is one, else within the limits."""
     if "closed" in system.structure.posture_names:
         return system.q("closed")
     return system.mid.copy()

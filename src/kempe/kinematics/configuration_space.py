@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import difference, distance, has_loops, integrate, interpolate
 from kempe.spatial import Array
+from kempe.status import Status
 
 if TYPE_CHECKING:
     from kempe.analysis.mobility.mobility import Mobility
@@ -29,7 +31,7 @@ class Product:
 
 
 @dataclass(frozen=True)
-class ConfigurationSpace:
+class ConfigurationSpace(Report):
     """The set of the configurations that a system can have.
 
     `ambient` is the space of all coordinates: a circle T for each turn, a line R for each slide, SO(3) for each
@@ -89,14 +91,14 @@ class ConfigurationSpace:
 
     @property
     def at(self) -> Array:
-        """The configuration (nq,) at which the dimension is told: closed, near home; of a tree it is the same anywhere.
+        """The closed configuration (nq,) of which the dimension is found; of a tree it is the same anywhere.
 
         At a singular point the dimension may differ from that of configurations nearby.
         """
         return self._mobility.q if has_loops(self.system) else self.system.mid
 
     @property
-    def within(self) -> str:
+    def within(self) -> str:  # type: ignore[override]
         """What it is a subset of, without its own dimension, which takes an analysis."""
         text = str(self.ambient) + (f", {self.limited} of them within limits" if self.limited else "")
         if not self.constraints:
@@ -104,7 +106,19 @@ class ConfigurationSpace:
         equations = "1 constraint equation" if self.constraints == 1 else f"{self.constraints} constraint equations"
         return f"the subset of {text}, that satisfies {equations}"
 
-    def __str__(self) -> str:
+    @property
+    def code(self) -> Status:  # type: ignore[override]
+        """The outcome: `UNDETERMINED` where nothing is known of the dimension."""
+        return Status.UNDETERMINED if self.dimension is None else Status.SOLVED
+
+    def _data(self) -> dict[str, Any]:
+        names = ("shape", "dimension", "certain", "ambient_dimension", "limited", "constraints")
+        at = dict(zip(self.system.coordinate_names, self.at.tolist(), strict=True))
+        return {"system": self.system.name} | {name: getattr(self, name) for name in names} | {"at": at}
+
+    @property
+    def status(self) -> str:
+        """Its dimension, and what it is a subset of."""
         if not has_loops(self.system):
             return self.within
         dimension = "not known here" if self.dimension is None else str(self.dimension)
@@ -113,7 +127,7 @@ class ConfigurationSpace:
 
 
 def configuration_space(system: System) -> ConfigurationSpace:
-    """The configuration space of a system; its dimension is found when asked for."""
+    """The configuration space of a system; its dimension is found on demand."""
     turning = system.structure.coordinates.turning[system.structure.layout.vector_v]
     turns, slides = int(turning.sum()), int((~turning).sum())
     balls = len(system.structure.layout.quaternion_q)

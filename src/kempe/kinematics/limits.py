@@ -98,19 +98,19 @@ def _check(made: System, name: str, joint: Joint) -> None:
     """Refuse limits that a coordinate cannot have, because another one moves with it."""
     i, m, offset = _led(made, name)
     has = sorted((m * made.structure.limits[i] + offset).tolist())
-    asked = joint.limits[_local(joint, name)]
-    if not all(a == b or abs(a - b) <= HELD_TOLERANCE * (1.0 + abs(b)) for a, b in zip(has, asked, strict=True)):
-        raise InputError(f"{name!r} cannot have the limits [{asked[0]:g}, {asked[1]:g}]: what moves with it leaves "
-                         f"[{has[0]:g}, {has[1]:g}]; give limits of {_others(made, name)}, too")  # fmt: skip
+    requested = joint.limits[_local(joint, name)]
+    if not all(a == b or abs(a - b) <= HELD_TOLERANCE * (1.0 + abs(b)) for a, b in zip(has, requested, strict=True)):
+        raise InputError(f"{name!r} cannot have the limits [{requested[0]:g}, {requested[1]:g}]: what moves with it "
+                         f"leaves [{has[0]:g}, {has[1]:g}]; give limits of {_others(made, name)}, too")  # fmt: skip
 
 
 def _check_speed(made: System, name: str, joint: Joint) -> None:
     """Refuse a speed that a coordinate cannot have, because another one moves with it."""
     i, m, _ = _led(made, name)
-    has, asked = abs(m) * float(made.structure.velocity_limits[i]), joint.velocity_limits[_local(joint, name)]
-    if not (has == asked or abs(has - asked) <= HELD_TOLERANCE * (1.0 + asked)):
-        raise InputError(f"{name!r} cannot have the speed {asked:g}: what moves with it leaves {has:g}; give that of "
-                         f"{_others(made, name)}, too")  # fmt: skip
+    has, requested = abs(m) * float(made.structure.velocity_limits[i]), joint.velocity_limits[_local(joint, name)]
+    if not (has == requested or abs(has - requested) <= HELD_TOLERANCE * (1.0 + requested)):
+        raise InputError(f"{name!r} cannot have the speed {requested:g}: what moves with it leaves {has:g}; give that "
+                         f"of {_others(made, name)}, too")  # fmt: skip
 
 
 def _local(joint: Joint, name: str) -> str:

@@ -248,7 +248,7 @@ class Poses:
 # ---- all of it
 
 
-class Asked(Protocol):
+class MeasuredTask(Protocol):
     """A task, as `kempe.kinematics.tasks.task.Task` is."""
 
     label: str
@@ -262,7 +262,7 @@ class Asked(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """How far all that is declared, or asked for, is missed, by poses multiplied out in numpy.
+    """How far all that is declared, or requested, is missed, by poses multiplied out in numpy.
 
     `errors` (n, ..., 2) are by `names`, in metres and in radians (or plain numbers, of an equation); those above
     `allowed` are `missed`.
@@ -293,7 +293,7 @@ class Judgement:
         """What is missed most, and by how much, or that all holds."""
         n = len(self.names)
         if not n:
-            return "nothing is declared or asked for that poses could miss"
+            return "nothing is declared or requested that poses could miss"
         each = self.errors.reshape(n, -1, 2)
         if self:
             names = ", ".join(map(repr, self.names[:SHOWN])) + (f", ... ({n} in all)" if n > SHOWN else "")
@@ -312,13 +312,13 @@ class Judgement:
 
 
 def judge(
-    system: System, q: Any, asked: Sequence[tuple[Asked, Any, Any]] = (), more: Array | float = 0.0
+    system: System, q: Any, requested: Sequence[tuple[MeasuredTask, Any, Any]] = (), more: Array | float = 0.0
 ) -> Judgement:  # fmt: skip
-    """The judgement of all that a system declares, and of what is asked, at q (..., nq).
+    """The judgement of all that a system declares, and of what is required, at q (..., nq).
 
-    That is: joints that the tree left out, rows of position of constraints, couplings with several sources. `asked` has
-    tasks with their goals (or None) and what (2,) each may be missed by; `more` (...) is what solvers left of others,
-    in radians and characteristic lengths. Rows of velocity are about motions, not about a configuration.
+    That is: joints that the tree left out, rows of position of constraints, couplings with several sources. `requested`
+    has tasks with their goals (or None) and what (2,) each may be missed by; `more` (...) is what solvers left of
+    others, in radians and characteristic lengths. Rows of velocity are about motions, not about a configuration.
     """
     q = as_q(system, q)
     at = Poses(system, q)
@@ -331,7 +331,7 @@ def judge(
     within = within + ROUNDING * np.array([far, 1.0])
     lead = (*q.shape[:-1], 2)
     allowed = [np.broadcast_to(within, lead) for _ in found]
-    for task, goals, most in asked:
+    for task, goals, most in requested:
         found.append((task.label, task.measure(system, q, goals, at)))
         allowed.append(np.broadcast_to(np.asarray(most) * (1.0 + 1e-3) + ROUNDING * np.array([far, 1.0]), lead))
     errors = np.array([np.stack(np.broadcast_arrays(*e), axis=-1) for _, e in found]).reshape(len(found), *lead)

@@ -70,7 +70,7 @@ class OneSided:
         return ROUNDING * (1.0 + bounds.max(axis=0, initial=0.0))
 
     def values(self, q: Any, declared: bool = False) -> Array:
-        """The rows' values (..., k) at q (..., nq), in their units; only those that are `declared`, if so asked."""
+        """The rows' values (..., k) at q (..., nq), in their units; only those that are `declared`, if so requested."""
         return self._read(q, False, declared)[0]
 
     def rates(self, q: Any, declared: bool = False) -> tuple[Array, Array]:
@@ -80,7 +80,7 @@ class OneSided:
     def beyond(self, q: Any, declared: bool = False) -> Array:
         """How far (..., k) the rows are outside their bounds at q (..., nq), in their units; 0 where they hold.
 
-        Only those that are `declared`, if so asked.
+        Only those that are `declared`, if so requested.
         """
         k = self.declared if declared else len(self)
         x = self._read(q, False, declared)[0]

@@ -76,11 +76,12 @@ def _plain(system: System, more: tuple[str, ...]) -> Mechanism:
 
 
 def _untimed(of: Any, more: tuple[str, ...]) -> Constraint:
-    told = of.expression
-    if isinstance(told, Call):
-        names = (*told.inputs, TIME)
-        told = replace(told, function=_with_time(told.function), inputs=names, of=(*told.of, TIME), time=False)
-    return replace(of, expression=told, of=(*of.of, *more), time=False)
+    expression = of.expression
+    if isinstance(expression, Call):
+        names = (*expression.inputs, TIME)
+        expression = replace(expression, function=_with_time(expression.function), inputs=names,
+                             of=(*expression.of, TIME), time=False)  # fmt: skip
+    return replace(of, expression=expression, of=(*of.of, *more), time=False)
 
 
 def _with_time(function: Callable) -> Callable:

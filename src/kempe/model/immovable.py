@@ -23,14 +23,14 @@ def immovable(system: System, coordinates: Iterable[int] | None = None, unstated
     still = np.flatnonzero(low == high).tolist()
     if not still:
         return ""
-    asked = set(still) if coordinates is None else {int(i) for i in coordinates}
-    names = [system.structure.velocity_names[i] for i in still if i in asked]
+    requested = set(still) if coordinates is None else {int(i) for i in coordinates}
+    names = [system.structure.velocity_names[i] for i in still if i in requested]
     ours = {name for name, joint in system.structure.joints.items() if joint.unstated}
     ours |= {f.source for of, f in system.structure.couplings.items() if of in ours and f.source is not None}
-    told, given = [n for n in names if n in ours], [n for n in names if n not in ours and not unstated]
+    reported, given = [n for n in names if n in ours], [n for n in names if n not in ours and not unstated]
     parts = []
     for group, why in (
-        (told, f"0..0 because the file gives no bounds; lenient_limits=True reads {_them(told)} as unlimited"),
+        (reported, f"0..0 because the file gives no bounds; lenient_limits=True reads {_them(reported)} as unlimited"),
         (given, f"lower and upper limit of {_them(given)} are the same"),
     ):
         if group:

@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 
 def kept(function: Callable[Concatenate[System, Keys], T]) -> Callable[Concatenate[System, Keys], T]:
-    """The function of a system and keys, which gives the same answer again where it was asked the same before."""
+    """The function of a system and keys, which gives the same answer again for the same arguments."""
 
     @wraps(function)
     def call(system: System, *keys: Any) -> T:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from kempe.model.system import System
     from kempe.solvers.analytic.describe.describe import Recognised
     from kempe.solvers.analytic.redundant.sweep import Sweep
-    from kempe.solvers.assembly.assembly import Assembler
+    from kempe.solvers.assembly.assembler import Assembler
     from kempe.solvers.dyads.dyads import Incomplete, Plan
     from kempe.solvers.paths.self_motion import SelfMotion
 
@@ -113,8 +113,8 @@ class Loops(Namespace):
         return closure_error(self.system, q)
 
     def assembler(self, known: Iterable[str] = ()) -> Assembler:
-        """The bound form of `assemble`: names looked up once; see `kempe.solvers.assembly.assembly.Assembler`."""
-        from kempe.solvers.assembly.assembly import assembler
+        """The bound form of `assemble`: names looked up once; see `kempe.solvers.assembly.assembler.Assembler`."""
+        from kempe.solvers.assembly.assembler import assembler
 
         return assembler(self.system, known)
 

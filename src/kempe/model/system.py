@@ -15,7 +15,6 @@ from kempe.model.former_names import FormerNames
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-
     from matplotlib.axes import Axes
 
     from kempe.analysis.continuation.path import Path as Motion
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
     from kempe.kinematics.forward import Query
     from kempe.model.namespaces import Inverse, Loops, Symbolic
     from kempe.solvers.analytic.answers.solutions import Solutions
-    from kempe.solvers.assembly.assembly import Assembly
+    from kempe.solvers.assembly.assembled import Assembly
     from kempe.solvers.assembly.charts import Chart
     from kempe.solvers.assembly.ideal import Idealised
     from kempe.solvers.modes.modes import Modes

@@ -1,1 +1,1 @@
-"""Which configurations do what is asked: the inverse model."""
+"""Which configurations do what is required: the inverse model."""

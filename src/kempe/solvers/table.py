@@ -1,20 +1,22 @@
-"""The table of solvers: who answers which question, in the order in which they are asked whether they can."""
+"""The table of solvers: who answers which question, in the order in which they are checked whether they can."""
 
 from __future__ import annotations
 
 from kempe.solvers.analytic import ik_all
-from kempe.solvers.assembly import assembly_asked
+from kempe.solvers.analytic.redundant import redundancy
+from kempe.solvers.assembly import assembly
 from kempe.solvers.common.problem import Solver
 from kempe.solvers.modes import modes
 from kempe.solvers.one_frame import inverse
-from kempe.solvers.paths import following
+from kempe.solvers.paths import following, self_motion
 
 TABLE: dict[str, tuple[Solver, ...]] = {
     "ik": inverse.SOLVERS, "ik_all": ik_all.SOLVERS, "ik_path": following.SOLVERS,
-    "assemble": assembly_asked.SOLVERS, "assembly_modes": modes.SOLVERS,
+    "assemble": assembly.SOLVERS, "assembly_modes": modes.SOLVERS,
+    "self_motion": self_motion.SOLVERS, "sweep": redundancy.SOLVERS,
 }  # fmt: skip
 """The rows by verb: the first that does not refuse answers; `Answer.solver` names it, and why those before it did not.
 
-`ik` without a frame is answered by "levels". Of `ik_all` for a frame that moves with loops, "assembly modes" are those
-of `assembly_modes`.
+"self_motion" and "sweep" are requested a set that is continuous. "assembly modes", of `ik_all` for a frame that moves
+with loops, are those of `assembly_modes`.
 """

@@ -183,7 +183,7 @@ def poses_facts(system: System, frame: str | None, X: spatial.Array, degrees: bo
 
 
 def answer_facts(answer: Answer, degrees: bool = False) -> dict[str, Any]:
-    """The data of an answer, with the angles of its configurations in degrees if asked for."""
+    """The data of an answer, with the angles of its configurations in degrees if requested."""
     if not degrees:
         return answer.data()
     names = answer.system.coordinate_names

@@ -31,7 +31,7 @@ BLOCK = 8
 """Solutions beside each other, at most."""
 
 
-# ---- what is asked
+# ---- what is required
 
 
 def axis(text: str) -> spatial.Array:

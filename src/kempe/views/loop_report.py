@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from kempe.analysis.mobility.classify import Classification
     from kempe.analysis.mobility.mobility import Mobility
     from kempe.model.system import System
-    from kempe.solvers.assembly.assembly import Assembly
+    from kempe.solvers.assembly.assembled import Assembly
     from kempe.solvers.modes.modes import Modes
 
 EVENT_LIMIT = 24

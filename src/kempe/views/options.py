@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Callable
 from typing import Any
 
-WORDS: tuple[tuple[str, str], ...] = (
+WORDS: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
     (r"hold=\{name: value\}", "--hold NAME=VALUE"),
     (r"\broot=(['\"])(.*?)\1", r"--root \2"),
     (r"\blenient_limits=True\b", "--lenient-limits"),
     (r"\bxacro=True\b", "--xacro"),
     (r"\btolerance=\(([\d.e+-]+), ([\d.e+-]+)\)", r"--tolerance \1,\2"),
     (r"\btolerance=([\d.e+-]+)", r"--tolerance \1"),
-    (r"\bbase and root are for URDF", "--base and --root are for URDF"),
-    (r"\blenient_limits is for URDF", "--lenient-limits is for URDF"),
     (r"\bpackage_dirs\b", "--package-dir"),
+    (r"\bthe option '?(\w+)'? is for\b", lambda found: f"--{found[1].replace('_', '-')} is for"),
     (r"\b(angles|deg)=True\b", r"\1 = true"),
     (r"`ik_all`", "ik --all"),
     (r"`ik`", "ik"),
@@ -33,7 +33,7 @@ WORDS: tuple[tuple[str, str], ...] = (
 PLAIN = ("toml", "name", "file", "system", "written")
 """Keys of data under which there is no sentence."""
 
-_ANY = re.compile("[=`(]|root|lenient_limits|package_dirs")
+_ANY = re.compile("[=`(]|the option|root|lenient_limits|package_dirs")
 _WORDS = tuple((re.compile(pattern), words) for pattern, words in WORDS)
 
 

@@ -23,14 +23,14 @@ FIELDS = ("q", "success", "code", "position_error", "orientation_error", "residu
 class Slices(Answer):
     """The answers of slices of a batch, one after the other, with the fields of a `Solution`.
 
-    `asked` is the number of targets; fewer are answered where the work was `interrupted`.
+    `requested` is the number of targets; fewer are answered where the work was `interrupted`.
     """
 
     q: Array
     also = ("position_error", "orientation_error", "iterations", "starts")
 
-    def __init__(self, answers: list[Solution], asked: int, system: System):
-        self.answers, self.asked, self._system = answers, asked, system
+    def __init__(self, answers: list[Solution], requested: int, system: System):
+        self.answers, self.requested, self._system = answers, requested, system
         self.first = np.cumsum([0, *(len(a) for a in answers)])
         for name in FIELDS:
             empty = np.zeros((0, system.nq) if name == "q" else 0, dtype=bool if name == "success" else float)
@@ -39,11 +39,11 @@ class Slices(Answer):
     @property
     def interrupted(self) -> bool:
         """Whether targets are left."""
-        return len(self) < self.asked
+        return len(self) < self.requested
 
     @property
     def system(self) -> System:
-        """The system that was asked."""
+        """The system of the problem."""
         return self._system
 
     @cached_property
@@ -62,7 +62,7 @@ class Slices(Answer):
 
     def __str__(self) -> str:
         what = self.answers[0].what if self.answers else "targets reached"
-        left = f" (interrupted: {self.asked - len(self)} targets were not asked)" if self.interrupted else ""
+        left = f" (interrupted: {self.requested - len(self)} targets were not solved)" if self.interrupted else ""
         return f"{int(np.sum(self.success))} of {len(self)} {what}{left}"
 
 
@@ -72,7 +72,7 @@ def in_slices(
 ) -> Slices:  # fmt: skip
     """The answers of `count` targets, `size` at a time; an interrupt (Ctrl-C) ends it with what was done.
 
-    solve: answers targets from a first to before a last. said: is told how many are done.
+    solve: answers targets from a first to before a last. said: receives how many are done.
     """
     answers: list[Solution] = []
     with contextlib.suppress(KeyboardInterrupt):

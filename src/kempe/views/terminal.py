@@ -13,14 +13,14 @@ from typer.core import TyperGroup
 from kempe.errors import KempeError
 
 COMPLETE, INCOMPLETE, REFUSED, INTERRUPTED = 0, 1, 2, 130
-"""Exit codes: complete answer; no solution or problems found; question that could not be asked; Ctrl-C."""
+"""Exit codes: complete answer; no solution or problems found; question that could not be posed; Ctrl-C."""
 
 UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 """Base of the errors for wrong usage, which has moved between versions of typer."""
 
 
 class Commands(TyperGroup):
-    """A group of commands in which wrong usage is one sentence, or JSON where that was asked for."""
+    """A group of commands in which wrong usage is one sentence, or JSON where that was requested."""
 
     def main(self, args: Any = None, *rest: Any, standalone_mode: bool = True, **extra: Any) -> Any:
         """Run the command line `args`; ends the process with an exit code unless `standalone_mode` is off."""
@@ -69,7 +69,7 @@ def guarded(function: Callable[..., None]) -> Callable[..., None]:
 
 
 def refuse(error: BaseException | str, json: bool = False) -> NoReturn:
-    """Say why the question cannot be asked, and end the command with exit code 2."""
+    """Say why the question cannot be posed, and end the command with exit code 2."""
     say_error(error, json)
     raise typer.Exit(REFUSED)
 

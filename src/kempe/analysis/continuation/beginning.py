@@ -100,10 +100,11 @@ def begin(system: System, start: Any, hold: Mapping[str, float]) -> tuple[Closur
     fixed = Closure(system, held + [angle_or_slide(system, n) for n in known], near)
     q = None if known else close(fixed, near)  # what is known may be far: then on the branch that `assemble` finds
     if q is None:
-        from kempe.solvers.assembly.assembly import assemble, of_equations
+        from kempe.solvers.assembly.assembler import of_equations
+        from kempe.solvers.assembly.assembly import assemble
 
         answer = assemble(system, known={**hold, **known}, start=near)
-        if not answer.success:  # what is one-sided is then told
+        if not answer.success:  # what is one-sided is then reported
             answer = of_equations(system, {**hold, **known})({**hold, **known}, near)
         q = close(fixed, answer.q) if answer.success else None
     return equations, q
@@ -153,19 +154,17 @@ def _turning(system: System, limits: bool) -> tuple[Array, list[Follower]]:
                 whole[i] = 0
                 never.append(Follower(names[p.coordinate], i, factor, p.kind == R))
     found = 2.0 * math.pi * whole.astype(float)
-    return np.where(_told_apart(system, found), 0.0, found), never
+    return np.where(_distinct(system, found), 0.0, found), never
 
 
-def _told_apart(system: System, period: Array) -> np.ndarray:
+def _distinct(system: System, period: Array) -> np.ndarray:
     """Which velocity coordinates (nv,) declared one-sided rows have other values of after a period."""
     rows, out = one_sided_rows(system), np.zeros(system.nv, dtype=bool)
     if rows.declared:
         q = random(system, np.random.default_rng(0), 3)
         before = rows.values(q, declared=True)
         for i in np.flatnonzero(period):
-            after = rows.values(
-                system.structure.layout.integrate(q, period[i] * np.eye(system.nv)[i]), declared=True
-            )
+            after = rows.values(system.structure.layout.integrate(q, period[i] * np.eye(system.nv)[i]), declared=True)
             out[i] = np.any(np.abs(after - before) > SAME_VALUE * (1.0 + np.abs(before)))
     return out
 
@@ -180,9 +179,10 @@ def first_node(
     if not equations.n:
         return None
     here = node(equations, q)
-    asked = np.flatnonzero(wish).tolist() + ([angle_or_slide(system, driver)] if driver else [])
-    rests = driver is not None and here.nullity == 1 and abs(here.t[asked[-1]]) < RESTS  # what moves may be but a spin
-    if (here.nullity > 1 or rests) and hold_spins(equations, q, asked):
+    requested = np.flatnonzero(wish).tolist() + ([angle_or_slide(system, driver)] if driver else [])
+    # what moves may be but a spin
+    rests = driver is not None and here.nullity == 1 and abs(here.t[requested[-1]]) < RESTS
+    if (here.nullity > 1 or rests) and hold_spins(equations, q, requested):
         here = node(equations, q)
     if here.nullity > 1 and hold_rank(equations, q, lambda: (equations, node(equations, q))):
         here = node(equations, q)

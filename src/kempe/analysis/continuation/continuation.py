@@ -88,7 +88,7 @@ class Closure(Curve):
         return self.both(x, False)[0]
 
     def both(self, x: Array, with_matrix: bool = True, further: int | None = None) -> tuple[Array, Array]:
-        """`values` and `matrix` in one pass; the latter is all zero unless asked for. Of further equations only the
+        """`values` and `matrix` in one pass; the latter is all zero unless requested. Of further equations only the
         first so many are written, where their number is given."""  # fmt: skip
         self.budget.check()
         F, J, m = np.zeros(self.rows), np.zeros((self.rows, self.n)), len(self.weight)
@@ -162,7 +162,7 @@ class Driven(Closure):
         return self.origin + self.unit[self.inputs] * self.direction * length
 
     def both(self, x: Array, with_matrix: bool = True, further: int | None = None) -> tuple[Array, Array]:
-        """`values` and `matrix` in one pass; the latter is all zero unless asked for."""
+        """`values` and `matrix` in one pass; the latter is all zero unless requested."""
         F, J, k = np.zeros(self.rows), np.zeros((self.rows, self.n)), self.real
         inner, columns = self.base.both(x[:-1], with_matrix, further)
         F[:k], J[:k, :-1] = inner[:k], columns[:k]

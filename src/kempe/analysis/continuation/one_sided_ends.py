@@ -52,11 +52,11 @@ class CoordinateBound(Bound):
     place: int
 
     def value(self, x: Array) -> float:
-        """The coordinate."""
+        """The value of the coordinate."""
         return float(x[self.place])
 
     def rate(self, n: Node) -> float:
-        """Its rate."""
+        """The rate of the coordinate."""
         return self.sign * float(n.t[self.of])
 
     def outside(self, over: float) -> str:

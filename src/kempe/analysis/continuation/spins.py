@@ -92,10 +92,10 @@ def spins_held(equations: Closure) -> Spins | None:
     return next((m for m in equations.more if isinstance(m, Spins)), None)
 
 
-def hold_spins(equations: Closure, q: Array, asked: Iterable[int]) -> bool:
-    """Hold the idle spins from a closed configuration on, but those that move held or `asked` velocities; whether
+def hold_spins(equations: Closure, q: Array, requested: Iterable[int]) -> bool:
+    """Hold the idle spins from a closed configuration on, but those that move held or `requested` velocities; whether
     there are others."""  # fmt: skip
-    keep, tree = [*equations.held, *asked], equations.tree
+    keep, tree = [*equations.held, *requested], equations.tree
     found = [s for s in spins_of(tree, q) if not s.moves[keep].any()]
     if found and spins_held(equations) is None:
         equations.add(Spins(tree, [s.body for s in found], np.array([s.line for s in found]), q))

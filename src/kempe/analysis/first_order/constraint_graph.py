@@ -128,13 +128,13 @@ class Cluster:
     moving: np.ndarray = field(repr=False)
     """Of all velocities of the edges, one edge after the other, those that are not held (mask)."""
     owner: np.ndarray = field(repr=False)
-    """For each of the moving ones its edge (index into `edges`),"""
+    """For each moving velocity, its edge (index into `edges`)."""
     local: np.ndarray = field(repr=False)
-    """the velocity of the system that it follows (index into `velocities`),"""
+    """For each moving velocity, the velocity of the system that it follows (index into `velocities`)."""
     factor: Array = field(repr=False)
-    """its multiplier,"""
+    """For each moving velocity, the factor by which it follows that."""
     sliding: np.ndarray = field(repr=False)
-    """and whether it slides."""
+    """Whether each moving velocity is a slide."""
     bent: tuple[str, ...] = ()
     """Laws that are not linear in coordinates."""
 

@@ -52,7 +52,7 @@ class Pair(NamedTuple):
 
     @property
     def holds(self) -> tuple[Hold, ...]:
-        """Both ends."""
+        """Both ends as holds."""
         return Hold(self.ring, self.left, 1.0), Hold(self.ring, self.right, -1.0)
 
 

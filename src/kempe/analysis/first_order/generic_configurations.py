@@ -47,7 +47,7 @@ def close(system: System, q: Array) -> Closed:
         raise InputError("q must be finite numbers, and its quaternions not zero")
     if given <= EXACT:
         return Closed(q, True, given, given)
-    from kempe.solvers.assembly.assembly import of_equations
+    from kempe.solvers.assembly.assembler import of_equations
 
     answer = of_equations(system)(
         start=q, limits=False, prefer="nearest" if given > NEAR else None, budget=Budget(starts=1))  # fmt: skip
@@ -87,7 +87,7 @@ def nearby(system: System, rank: Rank, rng: np.random.Generator) -> list[Rank]:
 
 
 def _walk(system: System, rank: Rank, rng: np.random.Generator, count: int) -> list[Rank]:
-    from kempe.solvers.assembly.assembly import of_equations
+    from kempe.solvers.assembly.assembler import of_equations
 
     z = rng.normal(size=(count, rank.nullity)) @ rank.kernel.T
     size = STEP * np.sqrt(rank.nullity)

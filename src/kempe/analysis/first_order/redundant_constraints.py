@@ -20,7 +20,7 @@ from kempe.analysis.first_order.rank import ClusterRank, Rank, rows_of_loop
 from kempe.analysis.first_order.screws import Screws
 from kempe.constraints.base import Op
 from kempe.description.parts import Declared, Joint
-from kempe.model.closures.reduced import Reduced, reduced, screw, slides_along_z
+from kempe.model.closures.implicit_form import ImplicitForm, implicit_form, screw, slides_along_z
 from kempe.model.tree.topology import natural
 from kempe.spatial import Array
 from kempe.words import counted, in_words
@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 CARRIES = 1e-6
 """Part of a unit self-stress below which a joint direction carries nothing."""
 WELL = 0.05
-"""A release is taken first where at least this part of it is not done by the others: they shall not be nearly one."""
+"""Part of a release, measured across those taken before it, from which on it is taken at once: so no two are nearly
+the same."""
 
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 REACTIONS = {"x": "Fx", "y": "Fy", "z": "Fz", "rx": "Mx", "ry": "My", "rz": "Mz"}
@@ -183,9 +184,9 @@ def directions(at: Screws, i: int, edge: Edge, dim: int) -> tuple[tuple[str, ...
     return names, both[[DIRECTIONS.index(n) for n in names]]
 
 
-def _form(edge: Edge, dim: int) -> Reduced | None:
+def _form(edge: Edge, dim: int) -> ImplicitForm | None:
     assert isinstance(edge.of, Joint)
-    return reduced(edge.of.type, dim, edge.particle)
+    return implicit_form(edge.of.type, dim, edge.particle)
 
 
 def _slider(edge: Edge, dim: int) -> bool:

@@ -247,9 +247,9 @@ class Wrenches:
             n = sided.declared
             J = sided.rates(Q, declared=True)[1] / self._scale / sided.scale[:n, None]
             assert sided.loops is not None
-            told = [(t.name, row) for t in sided.loops.ties for row in t.rows]
+            tied = [(t.name, row) for t in sided.loops.ties for row in t.rows]
             for i, which in enumerate(sided.chosen[:n].tolist()):
-                of, name = told[which]
+                of, name = tied[which]
                 out.append(_Row(of, name, sided.units[i], False, J[i]))
         return tuple(out)
 

@@ -54,7 +54,7 @@ class LocalDimension:
     the Jacobian, an upper bound; `smooth` says that the set is a manifold of dimension `rank_dim` there.
     `obstruction_order` is the first order at which a kernel vector cannot be continued (None: all can, to `order`).
     `q` is the configuration with its last digits corrected. `sampled` is the dimension by the second method (None: not
-    asked for, or a theorem decides).
+    requested, or a theorem decides).
 
     `certain` says that `dim` is proven, for the mechanism in which what is zero to rounding is zero; `proof` names the
     theorem. Otherwise `dim` is what Taylor coefficients to `order` and the second method say. `counted` says that the

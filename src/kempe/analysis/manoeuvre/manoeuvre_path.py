@@ -102,13 +102,13 @@ class Manoeuvre(Motion):
 
     def at(self, t: ArrayLike) -> Array:
         """Configurations (..., nq) at times `t` (...), exactly. Errors: `InputError` for times outside."""
-        return self._asked(t)[0]
+        return self._at(t)[0]
 
     def velocity(self, t: ArrayLike) -> Array:
         """Velocities (..., nv) at times `t` (...); where two pieces meet, those of the later one."""
-        return self._asked(t)[1]
+        return self._at(t)[1]
 
-    def _asked(self, t: ArrayLike) -> tuple[Array, Array]:
+    def _at(self, t: ArrayLike) -> tuple[Array, Array]:
         t = numbers(t, "t")
         if not ((t >= 0.0) & (t <= self.duration)).all():
             raise InputError(f"t is outside the manoeuvre, which takes from 0 to {self.duration:.9g} s")

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from kempe.analysis.mobility.reachable import Place, Reach, random_place, reach
 from kempe.calls import explained, explained_methods, generator
 from kempe.description.parts import Fixed
 from kempe.errors import InputError, shown
-from kempe.kinematics.common.result import Report
+from kempe.kinematics.common.result import Worded
 from kempe.kinematics.configuration import one
 from kempe.kinematics.velocity.velocity import tangent_rows
 from kempe.reals import is_real
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
     from kempe.solvers.assembly.ideal import Idealised
 
 HOLONOMIC, INTEGRABLE, NONHOLONOMIC, UNILATERAL = "holonomic", "integrable", "nonholonomic", "unilateral"
+
+
 @dataclass(frozen=True)
 class ConstraintKind:
     """What one constraint is, alone beside what holds positions.
@@ -66,7 +69,7 @@ class ConstraintKind:
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class Classification(Report):
+class Classification(Worded):
     """What the constraints of a system are, each alone and all together, with the reasoning; ``print`` it.
 
     `position_dof` is the dimension of the set of closed configurations at `q`, `velocity_dof` that of the velocities
@@ -98,7 +101,7 @@ class Classification(Report):
     reachable_around: int | None = None
     """The dimension that motions reach from configurations drawn at random."""
     within: Idealised | None = field(default=None, repr=False)
-    """The nearest mechanism that closes exactly, which was asked in place of the given one; None: it was itself."""
+    """The nearest mechanism that closes exactly, which was solved in place of the given one; None: it was itself."""
 
     @property
     def singular(self) -> bool:
@@ -115,26 +118,10 @@ class Classification(Report):
         """The outcome: `UNDETERMINED` where growth and what is reached are not known."""
         return Status.UNDETERMINED if self.why and self.growth is None else Status.SOLVED
 
-    @property
-    def status(self) -> str:
-        """The result in one sentence."""
-        from kempe.analysis.mobility.classify_text import sentence
+    def _words(self) -> ModuleType:
+        from kempe.analysis.mobility import classify_text
 
-        return sentence(self)
-
-    def topics(self) -> list[tuple[str, list[str]]]:
-        """The reasons as (title, lines)."""
-        from kempe.analysis.mobility.classify_text import lines
-
-        return lines(self)
-
-    def _headline(self) -> str:
-        return f"{self.name}: {self.status}"
-
-    def _data(self) -> dict[str, Any]:
-        from kempe.analysis.mobility.classify_text import data
-
-        return data(self)
+        return classify_text
 
 
 @explained
@@ -193,7 +180,7 @@ class _Classifier:
         return [i for c in names for i in self.of[c] if self.rows.names[i].velocity]
 
     def found(self) -> Classification:
-        """Everything."""
+        """All that was found."""
         place, system = self.place, self.system
         whole, around = place.kernel(), random_place(place, self.rng)
         positions = whole.dimension - place.extra
@@ -206,7 +193,7 @@ class _Classifier:
             why = f"q is a singular point of what holds positions, which leaves {count}"
             return self._without(why, made, around)
         if place.extra and not np.any(np.abs(place.kernel(which).basis[-1]) > 1e-9):
-            return self._without("the velocities that are asked for contradict each other at q", made, around)
+            return self._without("the velocities that are requested contradict each other at q", made, around)
         total = reach(place, around, which, self.rng)
         kind = self._together(total)
         lost = "constraints of velocity lose rank at q, where velocities do not go on smoothly around"

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 SHOWN = 24
 """Constraints that are listed one by one."""
 SEEN = 1e-9
-"""Distance above which it is told that the configuration is not the one that was given."""
+"""Distance above which it is reported that the configuration is not the one that was given."""
 
 
 def vector(growth: tuple[int, ...], open_end: bool = False) -> str:

@@ -69,10 +69,10 @@ def distribution(
     rows: Rows, q: Array, which: Sequence[int] | None = None, t: float = 0.0, error: float = 1e-15
 ) -> Distribution:
     """The kernel of some `rows`, or of all, at q (nq,) and the time t, which are right up to an `error`."""
-    asked = np.arange(len(rows.names)) if which is None else np.array(which, dtype=np.int64)
+    requested = np.arange(len(rows.names)) if which is None else np.array(which, dtype=np.int64)
     A, b = rows.values(q, t)
-    whole = A[asked] if rows.steady else np.concatenate([A[asked], -b[asked, None]], axis=1)
-    return _kernel(rows, q, t, asked, whole * rows.units[: whole.shape[1]], error)
+    whole = A[requested] if rows.steady else np.concatenate([A[requested], -b[requested, None]], axis=1)
+    return _kernel(rows, q, t, requested, whole * rows.units[: whole.shape[1]], error)
 
 
 def _kernel(rows: Rows, q: Array, t: float, which: np.ndarray, scaled: Array, error: float) -> Distribution:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from kempe.analysis.mobility.reachable import velocity_freedoms
 from kempe.calls import explained, explained_methods, generator
 from kempe.errors import InputError
 from kempe.kinematics.ball_angles import regular_chart
-from kempe.kinematics.common.result import Report
+from kempe.kinematics.common.result import Worded
 from kempe.kinematics.configuration import as_q
 from kempe.model.tree.own_tree import own_tree
 from kempe.solvers.assembly.ideal import tolerant
@@ -53,13 +54,13 @@ class ClusterMobility:
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class Mobility(Report):
+class Mobility(Worded):
     """Degrees of freedom of a mechanism at a configuration, with the reasoning; ``print`` it.
 
-    `gruebler` is the count; `rank_dof` the nullity of the loop equations at `q`, `generic_rank_dof` its minimum at
-    other configurations around; `dof` the true local number: the dimension of the set of closed configurations at `q`
-    (None where it was not asked for, or the mechanism cannot be closed). `redundant` constraints depend on others at
-    generic configurations, to first order; `redundant_here` at `q`. `idle` freedoms transmit nothing: `useful` are
+    `gruebler` is the Grübler count; `rank_dof` the nullity of the loop equations at `q`, `generic_rank_dof` its minimum
+    at other configurations around; `dof` the true local number: the dimension of the set of closed configurations at
+    `q` (None where it was not requested, or the mechanism cannot be closed). `redundant` constraints depend on others
+    at generic configurations, to first order; `redundant_here` at `q`. `idle` freedoms transmit nothing: `useful` are
     the others. `singular` says that `q` is a singular point of the configuration space, `kind` which.
     """
 
@@ -151,33 +152,17 @@ class Mobility(Report):
         bent = [c for r in self.rank.clusters for c in r.cluster.bent] if self.rank is not None else []
         if bent:
             return f"no bound is known of how {', '.join(map(repr, bent))} bends"
-        return "a singular value is too near zero to be told from it"
+        return "a singular value is too near zero to be distinguished from it"
 
     @property
     def code(self) -> Status:  # type: ignore[override]
         """The outcome: solved where the mechanism can be closed here."""
         return Status.SOLVED if self.closed else Status.NOT_FOUND
 
-    @property
-    def status(self) -> str:
-        """The result in one sentence."""
-        from kempe.analysis.mobility.mobility_text import sentence
+    def _words(self) -> ModuleType:
+        from kempe.analysis.mobility import mobility_text
 
-        return sentence(self)
-
-    def topics(self) -> list[tuple[str, list[str]]]:
-        """The reasons as (title, lines)."""
-        from kempe.analysis.mobility.mobility_text import lines
-
-        return lines(self)
-
-    def _headline(self) -> str:
-        return f"{self.name}: {self.status}"
-
-    def _data(self) -> dict[str, Any]:
-        from kempe.analysis.mobility.mobility_text import data
-
-        return data(self)
+        return mobility_text
 
 
 @explained

@@ -131,7 +131,7 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
     if m.velocity_dof is not None:
         out.append(("velocity", _of_velocity(m)))
     if m.called:
-        who = f"constraint {m.called[0]!r} {NO_SERIES}: what is singular here cannot be told from what is redundant"
+        who = f"constraint {m.called[0]!r} {NO_SERIES}: what is singular here may be redundant"
         out.append(("truth", ["not known", who]))
     if m.redundancy is not None and m.redundancy.number:
         out.append(("redundant", [*str(m.redundancy).split("\n")]))

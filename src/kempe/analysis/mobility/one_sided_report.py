@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
 
 
-
 BLIND = "its gradient vanishes or is not defined here: nothing is known to first order"
 """What is said of a row that does not tell what it allows."""
 

@@ -29,10 +29,10 @@ from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.common.tabular import write_table
 from kempe.model.clocked import clocked, timed
 from kempe.reals import reals
-from kempe.solvers.assembly.held import held_at
 from kempe.solvers.assembly.ideal import tolerant
 from kempe.solvers.common.clock import BROKEN_OFF, LONG, TimeLimit, TimeUp
 from kempe.solvers.common.slip import rolls
+from kempe.solvers.dyads.held import held_at
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import counted
@@ -44,9 +44,9 @@ USUAL = Usual("drive", step=None, time_limit=LONG, progress=None)
 CONTINUOUS = 1e-5
 """Distance between the pose that was held and the one from which it goes on, above which that is a jump."""
 BETWEEN = 0.2
-"""Change of an input between two samples above which a function is asked for values in between."""
+"""Change of an input between two samples above which a function is evaluated in between, too."""
 MOST_PARTS = 200
-"""Values in between two samples that a function is asked for at most."""
+"""Values in between two samples for which a function is evaluated at most."""
 
 
 def _samples_text(first: int, last: int) -> str:
@@ -74,7 +74,7 @@ class Toggle:
 class Drive(Motion):
     """The motion of a mechanism whose inputs were prescribed.
 
-    `q` (n, nq) are closed configurations, one for each sample of `times` (n,); `inputs` the values asked for. Where
+    `q` (n, nq) are closed configurations, one for each sample of `times` (n,); `inputs` the values requested. Where
     `held` (n,) the inputs cannot be reached and the last pose stays: see `toggles`. `jumps` are (index, distance) of
     samples at which the motion is not continuous: it went on from elsewhere than it was held.
     `singular_points` are the change points passed, straight on. Where the work was `interrupted`, or the time limit
@@ -190,9 +190,9 @@ def drive(
     first = dict(zip(names, samples(0, 1)[-1].tolist(), strict=True))
     closure, q = _begin(system, start, dict(hold or {}), first, index)
     if q is None:
-        near, asked = start_of(system, start, dict(hold or {})), {n: np.array([v]) for n, v in first.items()}
+        near, requested = start_of(system, start, dict(hold or {})), {n: np.array([v]) for n, v in first.items()}
         said = "the loops do not close near the start"
-        return Drive(system, near[None], clock[:1], asked, np.ones(1, dtype=bool), (), (), (), False, False, said)
+        return Drive(system, near[None], clock[:1], requested, np.ones(1, dtype=bool), (), (), (), False, False, said)
     closure.budget = time
     wish = wish_of(system, toward)
     course = Course(closure, index, longest, Limits(closure, limits), wish / closure.unit)
@@ -235,11 +235,11 @@ def _rolled(
     if found is None:
         found = Driven(start_of(system, None, {})[None], "the loops do not close near the start", None)
     n = len(found.q)
-    asked = np.array([samples(k, 1)[-1] for k in range(n)]).reshape(n, len(names))
+    requested = np.array([samples(k, 1)[-1] for k in range(n)]).reshape(n, len(names))
     return Drive(
-        system, found.q, clock[:n], {name: asked[:, j] for j, name in enumerate(names)}, np.zeros(n, dtype=bool), (),
-        (), (), not found.reason and found.broken is None, isinstance(found.broken, KeyboardInterrupt), found.reason,
-        isinstance(found.broken, TimeUp),
+        system, found.q, clock[:n], {name: requested[:, j] for j, name in enumerate(names)},
+        np.zeros(n, dtype=bool), (), (), (), not found.reason and found.broken is None,
+        isinstance(found.broken, KeyboardInterrupt), found.reason, isinstance(found.broken, TimeUp),
     )  # fmt: skip
 
 
@@ -316,7 +316,7 @@ def _run(
 ) -> Drive:  # fmt: skip
     """The motion through all samples."""
     state = State(q, q[course.closure.place[course.index]])
-    asked, poses, held = [], [], []
+    requested, poses, held = [], [], []
     toggles: list[Toggle] = []
     jumps: list[tuple[int, float]] = []
     stuck: Stuck | None = None
@@ -331,7 +331,7 @@ def _run(
                 last = u
                 if gap > CONTINUOUS:
                     jumps.append((k, gap))
-            asked.append(end)
+            requested.append(end)
             poses.append(state.q if stuck is None else stuck.q)
             held.append(stuck is not None and not stuck.reached)
             if stuck is not None and not stuck.reached:
@@ -345,7 +345,7 @@ def _run(
     except BROKEN_OFF as error:
         broken = error
     n = len(held)
-    values = np.array(asked[:n]).reshape(n, len(names))
+    values = np.array(requested[:n]).reshape(n, len(names))
     return Drive(
         course.closure.system, np.array(poses[:n]).reshape(n, course.closure.system.nq), clock[:n],
         {name: values[:, j] for j, name in enumerate(names)}, np.array(held[:n], dtype=bool), tuple(toggles),

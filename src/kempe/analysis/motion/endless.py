@@ -28,7 +28,7 @@ SAME_RATE = 1e-8
 """How near the ratio of two rates of a straight curve must be to one of whole numbers: rates are computed, far from the
 origin with less digits."""
 SOON = 8.0
-"""Arc length after which that is asked."""
+"""Arc length after which that is checked."""
 NO_RETURN = "a place like any other of a motion that does not come back"
 """How a reason begins that holds both ways."""
 ROUNDS = 10
@@ -46,15 +46,15 @@ class Endless:
         self.away = np.array([i for i in system.structure.layout.vector_v if not periods[i]], dtype=np.int64)
         self.place = equations.place[self.away]
         self.followers = followers(system, limits.limits)
-        self.next, self.asked = FAR, False
+        self.next, self.requested = FAR, False
 
     def reason(self, b: Node, length: float) -> str:
         """Why the curve has no end, as the place where it ends; empty as long as nothing speaks for that."""
         for f in self.followers:
             if f.turns and self._turned(b, f.source) > 2.0 * math.pi * ROUNDS:
                 return self._unrelated(f.name, f.factor, f.source)
-        if not self.asked and length > SOON:
-            self.asked = True
+        if not self.requested and length > SOON:
+            self.requested = True
             if float(np.abs(b.t - self.first.t).max()) < STRAIGHT:
                 return self._straight(b)
         if not self.away.size:

@@ -23,7 +23,7 @@ from kempe.solvers.common.tracing import ACROSS, BEND, LEAST_STEP, Node, bend, c
 from kempe.spatial import Array
 
 SAME_INPUT = 1e-9
-"""How far a toggle may be from the inputs asked for and still be what was asked for."""
+"""How far a toggle may be from the inputs requested and still be what was requested."""
 NO_CHANGE = 1e-13
 """Changes of the inputs, in radians and characteristic lengths, below which they rest."""
 FORWARD = 1e-6
@@ -48,7 +48,7 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Stuck:
-    """The pose where the inputs cannot go on, their values there, why; `reached` if more was not asked for."""
+    """The pose where the inputs cannot go on, their values there, why; `reached` if more was not requested."""
 
     q: Array
     u: Array

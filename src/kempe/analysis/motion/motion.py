@@ -124,9 +124,7 @@ def without_slip(path: Path) -> Path:
     return replace(path, success=False, remark="; ".join(filter(None, [path.remark, said])))
 
 
-def _followed(
-    equations: Closure, q: Array, options: _Options, toward: Mapping[str, float] | None
-) -> Path:
+def _followed(equations: Closure, q: Array, options: _Options, toward: Mapping[str, float] | None) -> Path:
     """The path from a closed configuration on."""
     first = first_node(equations, q, options.driver, toward)
     if first is None:

@@ -2,7 +2,7 @@
 
 The velocities satisfy the inputs and the loops; among those that do, the ones that slip least are taken. They are
 integrated by the classical method of Runge and Kutta, and after each sample the inputs have their values and the loops
-are closed. Whether the motion slips is told from its samples.
+are closed. Whether the motion slips is decided by its samples.
 """
 
 from __future__ import annotations

@@ -92,7 +92,7 @@ def falling(system: System, q: Array, v: Array, duration: float) -> Falling:
 
 
 def start_of_flight(fall: Falling, q: Array) -> None:
-    """Nothing where a start (nq,) is above all planes. Errors: `InputError`, with the distance."""
+    """Refuse a start (nq,) that is not above all planes. Errors: `InputError`, with the distance."""
     for plane in fall.planes:
         gap = plane.offset + float(plane.normal @ fall.y(q))
         if gap < -TOUCH:
@@ -100,7 +100,7 @@ def start_of_flight(fall: Falling, q: Array) -> None:
 
 
 def _no_others(system: System, q: Array) -> None:
-    """Nothing where neither loops nor rolling act. Errors: `UnsupportedError`."""
+    """Refuse systems on which loops or rolling act. Errors: `UnsupportedError`."""
     if rates(system, q)[0].shape[-2]:
         raise UnsupportedError(f"{system.name} rolls (it has velocity constraints): how it would roll by itself needs "
                                "masses and moments of inertia; inputs={...} gives velocities instead")  # fmt: skip
@@ -174,7 +174,7 @@ def _planes(
 def _turns(
     system: System, body: str, q: Array, v: Array, turning: np.ndarray, duration: float
 ) -> None:  # fmt: skip
-    """Nothing where the turning goes on evenly. Errors: `UnsupportedError`."""
+    """Refuse bodies whose turning does not go on evenly. Errors: `UnsupportedError`."""
     moving = np.flatnonzero(turning & (v != 0.0))
     if not len(moving):
         return

@@ -91,13 +91,13 @@ class Simulation(Motion):
 
         Errors: `InputError` for times outside.
         """
-        return self._asked(t)[0]
+        return self._sampled(t)[0]
 
     def velocity(self, t: ArrayLike) -> Array:
         """Velocities (..., nv) at times `t` (...), at a bounce those after it; as `at`."""
-        return self._asked(t)[1]
+        return self._sampled(t)[1]
 
-    def _asked(self, t: ArrayLike) -> tuple[Array, Array]:
+    def _sampled(self, t: ArrayLike) -> tuple[Array, Array]:
         t = numbers(t, "t")
         if not ((t >= self.t[0]) & (t <= self.t[-1])).all():
             raise InputError(f"t is outside the motion, which is known from {self.t[0]:g} to {self.t[-1]:.9g} s")
@@ -168,8 +168,8 @@ def simulate(
     q = start_of(system, start, {}).astype(float)
     times = np.linspace(0.0, float(duration), int(samples))
     if inputs is not None:
-        return _rolls(system, q, times, inputs, velocity, acceleration, TOLERANCE if tolerance is None else tolerance,
-                      TimeLimit(spend.time_limit))
+        allowed, limit = TOLERANCE if tolerance is None else tolerance, TimeLimit(spend.time_limit)
+        return _rolls(system, q, times, inputs, velocity, acceleration, allowed, limit)
     if not is_real(restitution) or not 0.0 <= restitution <= 1.0:
         raise InputError(f"restitution is {restitution!r}; it must be between 0 (no rebound) and 1 (no loss)")
     v = _velocity(system, velocity)

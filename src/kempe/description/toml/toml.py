@@ -87,7 +87,7 @@ class _Reader:
         self.postures_and_locks()
 
     def chain(self, kind: str, table: dict[str, Any]) -> None:
-        """The bodies and joints of [dh] or [screws]."""
+        """Read the bodies and joints of [dh] or [screws]."""
         rows, add = table["rows"], add_dh if kind == "dh" else add_screws
         wheres = [self.where(kind, "rows", i) for i in range(len(rows))]
         settings = {k: v for k, v in table.items() if k != "rows"}
@@ -211,7 +211,7 @@ class _Reader:
         return tuple(x) if isinstance(x, list) and how not in NUMBERS else x
 
     def between(self, table: dict[str, Any], path: Path, subject: str, good: bool) -> None:
-        """A constraint that is placed on bodies as joints are."""
+        """Read a constraint that is placed on bodies as joints are."""
         for key in ("parent", "child"):
             good &= self.known_body(table, key, path, subject)
             if key not in table:

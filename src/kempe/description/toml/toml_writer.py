@@ -12,10 +12,12 @@ import numpy as np
 from kempe.constraints.base import NUMBERS, End, expressions_in, fields_of, numbers_in
 from kempe.constraints.tape import TEXT_LIMIT, Tape
 from kempe.description.constrain import BETWEEN
+from kempe.description.formats import TOML
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body, Declared, Frame, Joint
+from kempe.description.source import Findings
 from kempe.description.toml.toml_document import FORMAT, NEWEST
-from kempe.errors import InputError, UnsupportedError
+from kempe.errors import DescriptionError, Fault, InputError
 from kempe.joints import in_zoo
 from kempe.placement import Placement, place
 from kempe.values import Expression
@@ -29,10 +31,13 @@ _NOT_LITERAL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f]|'''|'$")
 def write_toml(mechanism: Mechanism) -> str:
     """TOML text of a mechanism, to be read by `read_toml`; parameters and expressions stay what they are.
 
-    Errors: `UnsupportedError` for joint types that are not in the zoo.
+    Errors: `DescriptionError` listing all that a file cannot hold, by `TOML.cannot` of `kempe.description.formats`.
     """
-    m = mechanism
-    constraints = [_constraint(c, m.dim) for c in m.constraints.values()]
+    m, findings = mechanism, Findings()
+    constraints: list[dict[str, Any]] = []
+    for c in m.constraints.values():
+        with findings.guard(f"constraint {c.name!r}", c.where):
+            constraints.append(_constraint(c, m.dim))
     version = NEWEST if any("parent" not in table for table in constraints) else FORMAT
     head = {"format": version, "name": m.name, "dim": m.dim, "ground": m.ground.name, "notes": list(m.notes)}
     defaults = {"dim": 3, "ground": "ground", "notes": []}
@@ -41,7 +46,13 @@ def write_toml(mechanism: Mechanism) -> str:
     if m.parameters:
         blocks.append("[parameters]\n" + _lines(m.parameters))
     blocks += [_block("body", _body(b)) for b in m.bodies.values() if b != Body(m.ground.name)]
-    blocks += [_block("joint", _joint(j, m.dim)) for j in m.joints.values()]
+    for joint in m.joints.values():
+        if in_zoo(joint.type):
+            blocks.append(_block("joint", _joint(joint, m.dim)))
+            continue
+        allowed = TOML.cannot["joints of types that are not in the table of joints"]
+        said = f"type {joint.type.type_name!r} is not in the table of joints"
+        findings.add(said, f"joint {joint.name!r}", joint.where, allowed)
     blocks += [_block("frame", _frame(f, m.dim)) for f in m.frames.values()]
     blocks += [_block("constraint", table) for table in constraints]
     for c in m.couplings.values():
@@ -51,6 +62,7 @@ def write_toml(mechanism: Mechanism) -> str:
         blocks.append("[postures]\n" + _lines(m.postures))
     if m.locks:
         blocks.append("[locks]\n" + _lines(m.locks))
+    findings.finish()
     return "\n".join(blocks)
 
 
@@ -78,8 +90,6 @@ def _frame(frame: Frame, dim: int) -> dict[str, Any]:
 
 
 def _joint(joint: Joint, dim: int) -> dict[str, Any]:
-    if not in_zoo(joint.type):
-        raise UnsupportedError(f"joint {joint.name!r}: type {joint.type.type_name!r} is not in the zoo of joints")
     out: dict[str, Any] = {
         "name": joint.name,
         "type": joint.type.type_name,
@@ -127,11 +137,11 @@ def _constraint(constraint: Declared, dim: int) -> dict[str, Any]:
     for key, how in fields_of(type(constraint.of)).items():
         x = getattr(constraint.of, key)
         if x is not None and not (isinstance(x, (str, bool, int, float, tuple)) and x == usual[key]):
-            out[key] = _field(x, how, dim, f"constraint {constraint.name!r}")
+            out[key] = _field(x, how, dim)
     return out
 
 
-def _field(x: Any, how: str, dim: int, what: str) -> Any:
+def _field(x: Any, how: str, dim: int) -> Any:
     """A field of a constraint as TOML can hold it."""
     if isinstance(x, End):
         return {"body": x.body, **_placement(x.X, dim)}
@@ -139,9 +149,11 @@ def _field(x: Any, how: str, dim: int, what: str) -> Any:
         return x if isinstance(x, (list, tuple)) and expressions_in(x) else np.asarray(x).tolist()
     if callable(x):
         why = f", which cannot be recorded: {x.reason}" if hasattr(x, "reason") else ""
-        raise UnsupportedError(f"{what}: a file cannot hold the Python function {x!r}{why}; write it as text")
+        allowed = TOML.cannot["Python functions that are no expression"]
+        raise DescriptionError(Fault(f"a file cannot hold the Python function {x!r}{why}", allowed=allowed))
     if isinstance(x, Tape):
-        raise UnsupportedError(f"{what}: a file cannot hold an expression of more than {TEXT_LIMIT} characters")
+        said = f"a file cannot hold an expression of more than {TEXT_LIMIT} characters"
+        raise DescriptionError(Fault(said, allowed=TOML.cannot["expressions that are too long"]))
     return str(x) if isinstance(x, (Body, Frame)) else x
 
 

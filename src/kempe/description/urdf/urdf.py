@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from kempe.description.formats import URDF, by_contents
 from kempe.description.mechanism import Mechanism
 from kempe.description.source import Findings, fail, shorten
 from kempe.description.urdf.link_graph import choose_root
@@ -98,14 +99,10 @@ def read_urdf(
 def _check_is_urdf(robot: Element) -> None:
     if robot.tag == "robot":
         return
-    others = {
-        "sdf": "it is an SDF file",
-        "mujoco": "it is a MuJoCo file (MJCF)",
-        "COLLADA": "it is a mesh",
-        "launch": "it is a ROS launch file",
-        "package": "it is a ROS package manifest",
-    }
-    said = f": {others[robot.tag]}" if robot.tag in others else ""
+    others = {"COLLADA": "a mesh", "launch": "a ROS launch file", "package": "a ROS package manifest"}
+    format = by_contents(f"<{robot.tag}/>")
+    what = others.get(robot.tag, "" if format in (None, URDF) else f"a file in {format.title}")
+    said = f": it is {what}" if what else ""
     raise fail(f"the outermost element is <{robot.tag}>{said}", robot.where, "URDF starts with <robot name=...>")
 
 
@@ -344,7 +341,7 @@ def _refuse_cycles(follows: Mapping[str, tuple[str, Element]], findings: Finding
 
 
 def _note_unused(urdf: _Urdf) -> None:
-    """Notes on blocks that speak of joints: those of missing joints, and joints that only simulators know."""
+    """Note blocks that speak of joints: those of missing joints, and joints that only simulators know."""
     for block in urdf.robot.children:
         if block.tag not in ("transmission", "ros2_control", "gazebo"):
             continue

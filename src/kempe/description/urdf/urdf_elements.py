@@ -276,7 +276,7 @@ def _range(
     both = " ".join(f"{key}={shorten(limit.attributes[key])}" for key in given)
     if lenient and (not given or lower > upper):
         said = f"its limits are swapped ({both})" if given else "its <limit> has no lower and upper"
-        findings.note(f"{said}; it is read as unlimited, as asked for", subject, limit.where)
+        findings.note(f"{said}; it is read as unlimited, as requested", subject, limit.where)
         return {}
     if not given:
         said = "its <limit> has no lower and upper; by the rules of URDF both are 0 and the joint cannot move"

@@ -164,8 +164,8 @@ def _check_element(element: Element, local: str, known: tuple[str, ...], finding
     if near := _near(local[:60].casefold(), used):
         findings.add(f"unknown element {shorten(tag)}; did you mean {near!r}?", subject, where)
     else:
-        told = _speaks_of(element) if _SPEAKS.search(local) else ""
-        findings.note(f"the element {shorten(tag)} is not read{told}", subject, where)
+        reported = _speaks_of(element) if _SPEAKS.search(local) else ""
+        findings.note(f"the element {shorten(tag)} is not read{reported}", subject, where)
 
 
 def _words(name: str) -> list[str]:
@@ -222,9 +222,9 @@ def _note_followers(block: Element, joints: Mapping[str, Element], findings: Fin
     """Note what makes joints follow each other for a simulator alone: joints that have their own <mimic> are known."""
     for element in block.walk():
         if element.tag not in MOTION and _FOLLOWS.search(element.tag):
-            told = [n for n in _named(element) if n in joints]
-            if not told or any(not joints[n].of("mimic") for n in told):
-                said = f"<{element.tag}> in a <gazebo> block is not read{f': {told[0]!r}' if told else ''}"
+            reported = [n for n in _named(element) if n in joints]
+            if not reported or any(not joints[n].of("mimic") for n in reported):
+                said = f"<{element.tag}> in a <gazebo> block is not read{f': {reported[0]!r}' if reported else ''}"
                 findings.note(f"{said}; there joints follow each other", "", element.where)
 
 

@@ -11,6 +11,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from kempe import spatial
+from kempe.description.formats import URDF
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body, Joint
 from kempe.description.source import Findings
@@ -42,9 +43,8 @@ def write_urdf(mechanism: Mechanism) -> str:
     Parameters are evaluated, locked joints become fixed ones, named frames become links without mass. A body
     whose origin lies off the axis of its joint gets a link of its own for the joint's frame. Unlimited
     prismatic joints get limits of +-1e308, since URDF demands some. Postures, notes and the marks of actuated
-    joints are left out. Errors: `DescriptionError` listing all that URDF cannot say: loops, joints that lead
-    towards the ground, joint types that it does not have, particles, constraints that are not joints, couplings with
-    several sources.
+    joints are left out. Errors: `DescriptionError` listing all that URDF cannot say, by `URDF.cannot` of
+    `kempe.description.formats`.
     """
     return _Writer(mechanism).text()
 
@@ -66,7 +66,7 @@ class _Writer:
                 f"a {constraint.kind} does not exist in URDF",
                 f"constraint {constraint.name!r}",
                 constraint.where,
-                "URDF has joints only; a .toml file can hold it",
+                URDF.cannot["constraints that are not joints"],
             )
         self.resolve_couplings()
         left_out = [f"posture {name!r}" for name in self.m.postures]
@@ -92,7 +92,7 @@ class _Writer:
     # ---- what must hold
 
     def check_tree(self) -> None:
-        """Every body but the ground must be the child of one joint, on a way that leads from the ground."""
+        """Refuse what is no tree: each body but the ground must be the child of one joint, led to from ground."""
         incoming: dict[str, list[Joint]] = {b: [] for b in self.m.bodies}
         for joint in self.m.joints.values():
             incoming[joint.child].append(joint)
@@ -108,7 +108,7 @@ class _Writer:
                     if body != ground
                     else f"joint {names} leads to it"
                 )
-                allowed = "in URDF one joint leads to each body, and none to the ground"
+                allowed = URDF.cannot["loops, joints from child to parent"]
                 self.findings.add(what, f"body {body!r}" if body != ground else f"ground {body!r}", last.where, allowed)
         reached = reachable(ground, ((j.parent, j.child) for j in self.m.joints.values()))
         lost = [b for b in self.m.bodies if b not in reached]
@@ -118,7 +118,7 @@ class _Writer:
                 f"no joints lead from the ground to {shown} in their own direction, from parent to child",
                 "mechanism",
                 self.m.bodies[lost[0]].where,
-                "swap parent and child of the joints between",
+                URDF.cannot["bodies that no joint carries"],
             )
 
     def resolve_couplings(self) -> None:
@@ -141,20 +141,21 @@ class _Writer:
         for of, (free, offset) in open_.items():
             subject, where = f"coordinate {of!r}", self.m.couplings[of].where
             if of in self.held:
-                self.findings.add("it is locked, but follows others", subject, where, "lock what it follows")
+                allowed = URDF.cannot["locks of coordinates that follow others"]
+                self.findings.add("it is locked, but follows others", subject, where, allowed)
             elif len(free) > 1:
                 self.findings.add(
                     f"it follows several coordinates ({', '.join(free)})",
                     subject,
                     where,
-                    "a mimic follows one",
+                    URDF.cannot["couplings with several sources"],
                 )
             elif not {of, *free} <= self.m.joints.keys():
                 self.findings.add(
                     "it is one of several coordinates of a joint, or follows one",
                     subject,
                     where,
-                    "revolute and prismatic joints can mimic each other",
+                    URDF.cannot["couplings of a part of a joint"],
                 )
             else:
                 source, factor = next(iter(free.items()))
@@ -164,7 +165,8 @@ class _Writer:
 
     def quoted(self, text: str) -> str:
         if _FORBIDDEN.search(text):
-            self.findings.add("it has a character that XML forbids", f"name {text!r}", None, "rename it")
+            allowed = URDF.cannot["control characters in names"]
+            self.findings.add("it has a character that XML forbids", f"name {text!r}", None, allowed)
         return quoteattr(text)
 
     def link(self, name: str, inside: Iterable[str] = ()) -> None:
@@ -177,7 +179,7 @@ class _Writer:
     def body(self, body: Body) -> None:
         subject = f"body {body.name!r}"
         if body.particle:
-            self.findings.add("it is a particle", subject, body.where, "URDF has rigid bodies only")
+            self.findings.add("it is a particle", subject, body.where, URDF.cannot["particles"])
         inside = []
         if body.mass is not None or body.center is not None:
             center = f'<origin xyz="{_numbers(body.center)}"/>' if body.center is not None else ""
@@ -208,7 +210,7 @@ class _Writer:
                 f"only {', '.join(held)} of its coordinates are locked",
                 f"joint {joint.name!r}",
                 joint.where,
-                "lock all of them, or none",
+                URDF.cannot["locks of a part of a joint"],
             )
         if len(held) == len(coordinates):
             X_PC = joint.X_PF @ self.locked_pose(joint, coordinates) @ joint.X_CM.inverse()
@@ -263,12 +265,13 @@ class _Writer:
                 f"a {name} joint{angles} does not exist in URDF",
                 subject,
                 joint.where,
-                "URDF has revolute, prismatic, fixed, planar, and free and spherical by quaternion",
+                URDF.cannot["joints of other types"],
             )
             return None
         bounded = {*joint.limits, *joint.velocity_limits, *joint.effort_limits}
         if name in ("planar", "free", "spherical") and bounded:
-            self.findings.add(f"limits of a {name} joint do not exist in URDF", subject, joint.where, "remove them")
+            allowed = URDF.cannot["limits of joints with several coordinates"]
+            self.findings.add(f"limits of a {name} joint do not exist in URDF", subject, joint.where, allowed)
         return kinds[name]
 
     def limit(self, joint: Joint, kind: str) -> list[str]:

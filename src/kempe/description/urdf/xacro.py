@@ -24,8 +24,7 @@ MEMORY = 2 * 2**30
 """Bytes of memory that an expansion may use."""
 
 XACRO_ADVICE = (
-    "load it with xacro=True (it needs the extra kempe[xacro]), only if you trust it:"
-    " xacro can read any file"
+    "load it with xacro=True (it needs the extra kempe[xacro]), only if you trust it: xacro can read any file"
 )
 """What to do with a xacro file that was given in place of URDF."""
 
@@ -86,7 +85,7 @@ def expand_xacro(
 ) -> str:
     """URDF text that a xacro file expands to, with `arguments` for its ``<xacro:arg>``.
 
-    Only for files that you trust: xacro reads any file that it is told to. It runs in a process with little
+    Only for files that you trust: xacro reads any file that it names. It runs in a process with little
     environment, bounded in time, memory and output. `package_dirs` are searched by ``$(find package)``: for a
     package.xml with that name at any depth, then for a folder of that name in them or above the file.
     Errors: `MissingExtraError` without the extra [xacro], `DescriptionError` with xacro's own message.

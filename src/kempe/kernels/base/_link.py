@@ -54,7 +54,7 @@ class _HelperLibrary(CodeOnly):
         self._finalized = True
 
     def _optimize_functions(self, module: Any) -> None:
-        """As Numba's, with one manager of passes for all functions, and none for those that are but declared."""
+        """Optimise all functions with one manager of passes, none that is but declared; else as Numba does."""
         module.data_layout = self._codegen._data_layout
         manager, builder = self._codegen._function_pass_manager()
         for function in module.functions:
@@ -75,7 +75,7 @@ class _HelperLibrary(CodeOnly):
                         known.append(library)
             for part in needed[1:]:
                 whole.link_in(part._final_module, preserve=True)
-            for library in others:  # last: of these only what is asked for is taken
+            for library in others:  # last: of these only what is requested is taken
                 whole.link_in(library._get_module_for_linking(), preserve=True)
             for function in whole.functions:
                 if not function.is_declaration and function.linkage == Linkage.external:

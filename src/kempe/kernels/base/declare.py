@@ -60,5 +60,5 @@ class Entry:
 
     @property
     def name(self) -> str:
-        """"module__function", unique among all kernels."""
+        """ "module__function", unique among all kernels."""
         return f"{self.function.__module__.rpartition('.')[2]}__{self.function.__name__}"

@@ -133,7 +133,7 @@ def _three(p, q, r):
 
 @routine
 def _qr_step(a, stride, low, high, x, y, w, numbers):
-    """One implicit QR step on rows low to high with the two shifts of sum x + y and product x y - w (Francis 1961)."""
+    """Take an implicit QR step on rows low to high, shifts of sum x + y and product x y - w (Francis 1961)."""
     m = high - 2
     p = q = r = 0.0
     while m >= low:

@@ -33,7 +33,7 @@ def plus(a, k, b):
 
 @device
 def minus(a, b):
-    """a - b."""
+    """The difference a - b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 

@@ -174,7 +174,7 @@ def raw(typingctx, array):
 
 @intrinsic
 def keep(typingctx, array):
-    """Nothing; but the array lives until here."""
+    """Keep the array alive until here."""
 
     def codegen(context, builder, sig, args):
         return context.get_dummy_value()
@@ -340,9 +340,7 @@ def rarely(typingctx, condition):
 
     def codegen(context, builder, sig, args):
         bit = ir.IntType(1)
-        expect = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(bit, [bit, bit]), "llvm.expect.i1"
-        )
+        expect = cgutils.get_or_insert_function(builder.module, ir.FunctionType(bit, [bit, bit]), "llvm.expect.i1")
         return builder.call(expect, [args[0], ir.Constant(bit, 0)])
 
     return types.boolean(types.boolean), codegen
@@ -357,9 +355,7 @@ def where(typingctx, condition, yes, no):
     def codegen(context, builder, sig, args):
         yes, no = args[1:]
         if widths:
-            yes, no = (
-                _like(context, builder, v, t, widths[0]) for v, t in zip(args[1:], sig.args[1:], strict=True)
-            )
+            yes, no = (_like(context, builder, v, t, widths[0]) for v, t in zip(args[1:], sig.args[1:], strict=True))
         return builder.select(args[0], yes, no)
 
     pair = [v if isinstance(v, Vec) else types.float64 for v in (yes, no)]

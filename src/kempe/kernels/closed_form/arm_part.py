@@ -77,7 +77,7 @@ def measures(kind, what, h, o, option, hx, kx, hz, kz):
 
 @routine
 def terms(kind, h, o, e, sign, what, y_slides, first, second, out):
-    """Nothing; out[0:3], out[3:6]: constant, first and second factor of both measures of the element under a joint.
+    """Write to out[0:3], out[3:6] the constant, first and second factor of both measures of the element under a joint.
 
     The factors belong to cos and sin of a turn, to d and d^2 of a slide; `sign` -1 for the inverse motion.
     """
@@ -221,13 +221,13 @@ def outer_of(what, kinds, lines, x, y, z, option, p0, n0, p1, n1):
 
 @device
 def x_terms(o, out):
-    """Terms of x, six numbers."""
+    """Write the terms of x, six numbers."""
     terms(o.kx, o.hx, o.ox, o.e0, -1.0, o.what, o.ky == SLIDE, o.first, o.second, out)
 
 
 @device
 def z_terms(o, out):
-    """Terms of z, six numbers."""
+    """Write the terms of z, six numbers."""
     terms(o.kz, o.hz, o.oz, o.e1, 1.0, o.what, o.ky == SLIDE, o.first, o.second, out)
 
 

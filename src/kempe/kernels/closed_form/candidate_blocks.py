@@ -97,7 +97,7 @@ def take_targets(targets, at, floats, tip, lanes):
 
 @routine
 def reduced(ints, floats, moves, locked, six):
-    """Nothing; six (SIX numbers) gets the tip's pose, lines and joints of the unknowns, carried by the locked ones."""
+    """Write to six (SIX numbers) the tip's pose, lines and joints of the unknowns, moved by the locked joints."""
     n, order = ints[N_JOINTS], beyond(ints, ORDER)
     shift, theta = beyond(six, AT_SHIFT), beyond(six, AT_SHIFT + 12)
     joints = beyond(floats, LINES + LINE_STRIDE * ints[N_LINES])
@@ -140,7 +140,7 @@ def problem_of(ints, floats, six, lanes, out, near, near_step):
 
 @routine
 def spread_rows(answers, n, order, moves, locked, count, out):
-    """Nothing; answers of six unknowns written as those of n joints, with the values of the locked ones."""
+    """Write answers of six unknowns as those of n joints, with the values of the locked ones."""
     width = n + INFO
     for i in range(count * SLOTS):
         row, from_ = beyond(out, width * i), beyond(answers, ROW * i)

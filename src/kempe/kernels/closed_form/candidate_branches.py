@@ -102,7 +102,7 @@ def coordinate(pr, joint, theta, near):
 
 @routine
 def write_row(pr, at, slot, valid, error):
-    """Nothing; one slot of all lanes, from the coordinates in the scratch."""
+    """Write one slot of all lanes, from the coordinates in the scratch."""
     place = at * SLOTS * ROW + slot * ROW
     inside = load_lanes(pr.lanes, AT_FITS * LANES)
     for joint in range(1, 6):

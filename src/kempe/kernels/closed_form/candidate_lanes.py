@@ -91,7 +91,7 @@ def joint_line(lines, i):
 
 @routine
 def sides(lines, k, what, n, p, oy, lanes):
-    """Nothing; both sides for the goals in the lanes. k: place of the first inner joint; (n, p) what it keeps.
+    """Write both sides for the goals in the lanes. k: place of the first inner joint; (n, p) what it keeps.
 
     The goal stands before x (k = 3), between x and y (2), between y and z (1) or after z (0); y's frame is that of its
     own neighbour on the side where the goal is not.

@@ -86,7 +86,7 @@ def ball_centre(lines, k):
 
 @routine
 def loop_lines(lines, goal, first, out):
-    """Nothing; the lines in out, those of joints before `first` taken round the goal: mapped by its inverse."""
+    """Write the lines to out, those of joints before `first` taken round the goal: mapped by its inverse."""
     for i in range(6):
         at = LINE_STRIDE * i
         h, o = three(lines, at), three(lines, at + 4)
@@ -224,7 +224,7 @@ def closed_candidates(kinds, lines, goal, k, what, mode, measure, option, scratc
 
 @kernel(I(6), F(6 * LINE_STRIDE), F(12), INT, INT, INT, OUT(12), returns=False)
 def outer_terms(kinds, lines, goal, k, what, option, out):
-    """Nothing; out gets the terms of x and of z (6, 6) for one goal: a plan sees by them which unknowns are missing."""
+    """Write the terms of x and of z (6, 6) for one goal: a plan sees by them which unknowns are missing."""
     scratch = np.empty(SCRATCH)
     around, l_, g_ = raw(scratch), raw(lines), raw(goal)
     loop_lines(l_, g_, k, around)

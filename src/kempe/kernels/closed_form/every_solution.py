@@ -22,7 +22,7 @@ from kempe.kernels.closed_form.merging import (
     WEAKEST,
     listed,
 )
-from kempe.kernels.closed_form.one_target import begin, desk_of, desk_scratch, end, take_candidates
+from kempe.kernels.closed_form.one_target import begin, end, take_candidates, target_scratch, target_scratch_size
 
 
 @device
@@ -49,7 +49,7 @@ def led_nowhere(d, candidates, count):
     OUT("N", "_", f"n+{INFO}"), OUTI("N", 2), returns=False,
 )  # fmt: skip
 def closed(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, which, out, counts):
-    """Nothing; all solutions by closed form of the targets whose numbers are in `which`.
+    """Find all solutions by closed form of the targets whose numbers are in `which`.
 
     ints, floats: plan, see `analytic_layout`. targets: (N, 4, 4). near: (1 or N, n), of each angle the turn nearest to
     it is given. locked: (1 or N, n) coordinates of which those of locked joints are read. tol_linear [m], tol_angular:
@@ -58,9 +58,9 @@ def closed(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, w
     in doubt.
     """
     n, slots = ints[N_JOINTS], out.shape[1]
-    block, flags = np.empty(desk_scratch(n) + SCRATCH), np.empty(6 + slots, np.int64)
-    d = desk_of(raw(ints), raw(floats), raw(block), raw(flags), tol_linear, tol_angular)
-    scratch = beyond(raw(block), desk_scratch(n))
+    block, flags = np.empty(target_scratch_size(n) + SCRATCH), np.empty(6 + slots, np.int64)
+    d = target_scratch(raw(ints), raw(floats), raw(block), raw(flags), tol_linear, tol_angular)
+    scratch = beyond(raw(block), target_scratch_size(n))
     for i in which:
         close_to = beyond(raw(near), n * i if near.shape[0] > 1 else 0)
         held = beyond(raw(locked), n * i if locked.shape[0] > 1 else 0)

@@ -1,4 +1,4 @@
-"""Solutions where two roots nearly meet and polishing stopped between them: told apart."""
+"""Solutions where two roots nearly meet and polishing stopped between them: distinguished."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from kempe.kernels.forward.table_layout import SLIDE
 
 EQUAL, SAME, NEAR, INDISTINCT = 1e-9, 1e-6, 2e-3, 1e-15
 """Solutions nearer than SAME are one, and those nearer than NEAR whose midpoint solves the target to INDISTINCT: roots
-that merge cannot be told apart at the square root of rounding. Their mean stands for both, unless they are EQUAL."""
+that merge cannot be distinguished at the square root of rounding. Their mean stands for both, unless they are EQUAL."""
 
 MERGED, CLOSE, UNSURE, STUCK = 1e-8, 1e-4, 1e-12, 1e-13
 """Bound of the smallest singular value squared of a solution in which roots may have merged, or that lies near a curve
@@ -178,7 +178,7 @@ def listed(found, count):
 
 @device
 def drop(found, count, k):
-    """Nothing; the last solution takes the place of solution k."""
+    """Drop solution k: the last one takes its place."""
     stride = SOLUTION + found.model.n
     for i in range(stride):
         found.rows[stride * k + i] = found.rows[stride * (count - 1) + i]
@@ -246,7 +246,7 @@ def arrange(n, joints, near, out, slots):
 
 @device
 def swap(out, width, a, b):
-    """Nothing; rows a and b change places."""
+    """Exchange the rows a and b."""
     if a != b:
         for i in range(width):
             out[width * a + i], out[width * b + i] = out[width * b + i], out[width * a + i]

@@ -106,7 +106,7 @@ def goal_of(target, tip, goal):
 
 @routine
 def six_lines(ints, floats, moves, theta, goal, shift, six, kinds):
-    """Nothing; the six lines of the plan with the locked joints at their values, and the goal without these.
+    """Write the six lines of the plan with the locked joints at their values, and the goal without these.
 
     A locked joint carries all lines that follow it: E_1 E_l E_2 = E_1 (E_l E_2 E_l^-1) E_l.
     """
@@ -173,7 +173,7 @@ def write_out(found, floats, joints, count, near, out, slots, placed):
     return written
 
 
-class Desk(NamedTuple):
+class TargetScratch(NamedTuple):
     """What the work on one target after the other needs: plan, scratch and results; pointers."""
 
     ints: object
@@ -193,14 +193,14 @@ class Desk(NamedTuple):
 
 
 @device
-def desk_scratch(n):
-    """Numbers of scratch of a desk."""
+def target_scratch_size(n):
+    """Numbers of scratch that a target needs."""
     return CANDIDATE * MOST_CANDIDATES + (SOLUTION + n) * (MOST_SOLUTIONS + 1) + model_scratch(n) + 2 * n + 96
 
 
 @device
-def desk_of(ints, floats, block, flags, tol_linear, tol_angular):
-    """A desk in a block of `desk_scratch` numbers and 6 + SLOTS flags."""
+def target_scratch(ints, floats, block, flags, tol_linear, tol_angular):
+    """The scratch of one target in a block of `target_scratch_size` numbers and 6 + SLOTS flags."""
     n = ints[N_JOINTS]
     goal, stride = block, SOLUTION + n
     theta, fixed = beyond(goal, 96), beyond(goal, 96 + n)
@@ -211,8 +211,8 @@ def desk_of(ints, floats, block, flags, tol_linear, tol_angular):
     model = Model(beyond(ints, PLAN_HEADER), beyond(floats, LINES), moves, beyond(floats, TIP), beyond(floats, TASK),
                   beyond(goal, 12), beyond(rows, stride * (MOST_SOLUTIONS + 1)), n)  # fmt: skip
     found = Found(model, rows, tol_linear / floats[LENGTH], tol_angular)
-    return Desk(ints, floats, moves, joints, goal, beyond(goal, 24), beyond(goal, 36), theta, fixed, candidates,
-                flags, beyond(flags, 6), found, n)  # fmt: skip
+    return TargetScratch(ints, floats, moves, joints, goal, beyond(goal, 24), beyond(goal, 36), theta, fixed,
+                         candidates, flags, beyond(flags, 6), found, n)  # fmt: skip
 
 
 @routine

@@ -66,7 +66,7 @@ def model_scratch(n):
 
 @routine
 def place(m, theta):
-    """Nothing; axes, points and the pose of the tip at theta, in the scratch."""
+    """Write axes, points and the pose of the tip at theta to the scratch."""
     g, axes = beyond(m.scratch, AT_POSE), beyond(m.scratch, AT_AXES)
     identity(g)
     for i in range(m.n):
@@ -311,5 +311,3 @@ def weakest(m):
     for i in range(n):
         least = min(least, matrix[i * n + i])
     return least
-
-

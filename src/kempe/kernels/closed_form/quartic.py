@@ -162,4 +162,3 @@ def coupled_pairs(x_slides, z_slides, tx, tz, work, out_x, out_z):
 
 WORK = 5
 """Numbers of `work`."""
-

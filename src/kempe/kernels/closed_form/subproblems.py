@@ -131,5 +131,3 @@ def parabola_roots(a, b, k):
     if d2 <= 0.0:
         x0 = x1 = -0.5 * b / a
     return min(x0, x1), max(x0, x1), d2
-
-

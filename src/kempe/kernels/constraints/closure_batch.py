@@ -22,7 +22,7 @@ from kempe.kernels.forward.table_rows import poses_at, row_poses, scratch_size
     returns=False,
 )  # fmt: skip
 def equations(ints, floats, plan, weights, pins, q, with_jacobian, residual, jacobian):
-    """Write the residual (N, m) at q (N, nq) and, if asked, the Jacobian (N, m, nv), both scaled as `weights` say.
+    """Write the residual (N, m) at q (N, nq) and, if requested, the Jacobian (N, m, nv), both scaled as `weights` say.
 
     ints, floats: the table; plan, weights: the loops, and pins (N or 1, k): as in
     `loop_layout`.

@@ -31,7 +31,7 @@ from kempe.kernels.forward.table_rows import placement
 
 @intrinsic
 def call(typingctx, address, q, out, columns, flag):
-    """Nothing; calls the C function void(double*, double*, double*, int64) at an address."""
+    """Call the C function void(double*, double*, double*, int64) at an address."""
 
     def codegen(context, builder, sig, args):
         kinds = [context.get_value_type(t) for t in sig.args[1:]]
@@ -216,7 +216,7 @@ def fill_tape(loops, k, at, with_blocks):
 
 @routine
 def fill(loops, with_blocks):
-    """Square of the residual at the poses last written; writes it and, if asked, the Jacobian's blocks."""
+    """Square of the residual at the poses last written; writes it and, if requested, the Jacobian's blocks."""
     plan = loops.plan
     for k in range(plan[L.N_TIES]):
         tie = plan[L.AT_TIES] + L.TIE_INTS * k

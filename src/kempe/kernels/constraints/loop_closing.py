@@ -142,7 +142,7 @@ def close(loops, work, limit, accepted, kept):
 
 
 @routine
-def settle(loops, work, limit, kept):
+def descend(loops, work, limit, kept):
     """Least square of the residual near q and steps taken, where it does not vanish; `kept` is where.
 
     Damped steps that are taken back where they lead up (Levenberg, 1944; Marquardt, 1963).
@@ -223,7 +223,7 @@ def search(loops, work, key, tries, limit, accepted, nearest, best_q):
         return best, steps, count
     copy(loops.q, best_q, 0, loops.nq)
     if best > accepted:
-        best, used = settle(loops, work, 10 * limit, best_q)
+        best, used = descend(loops, work, 10 * limit, best_q)
         steps += used
     elif nearest > 0:
         steps += approach(loops, work, nearest, accepted, best_q)

@@ -234,7 +234,7 @@ def power_order(k, width, series, i, left, right):
         if m > k:
             return 0.0
     u, w = width * left + m, width * i + m * int(c)
-    n = k - m * int(c)  # the order of u^c that is asked for
+    n = k - m * int(c)  # the order of u^c that is requested
     if m > 0 and n <= 0:
         return series[u] ** c if n == 0 else 0.0
     total = 0.0

@@ -22,7 +22,7 @@ def vector(v, place):
 
 @device
 def put(v, place, value):
-    """Nothing; the vector at a place is `value`."""
+    """Set the vector at a place to `value`."""
     store(v, LANES * place, value)
 
 
@@ -34,7 +34,7 @@ def pose(v, place):
 
 @device
 def put_pose(v, place, value):
-    """Nothing; the register has this pose."""
+    """Set the pose of a register."""
     put(v, place, value[0])
     put(v, place + 1, value[1])
     put(v, place + 2, value[2])
@@ -100,11 +100,11 @@ def brought(ax, ay, c, s, bx, by):
 
 @device
 def flag(v, size, least):
-    """Nothing; counts the lanes in which `size` is not above `least`: they are undetermined."""
+    """Count the lanes in which `size` is not above `least`: they are undetermined."""
     put(v, FLAG, vector(v, FLAG) + where(size > least, 0.0, 1.0))
 
 
 @device
 def open_by(v, square):
-    """Nothing; adds a squared opening."""
+    """Add a squared opening."""
     put(v, GAP, vector(v, GAP) + square)

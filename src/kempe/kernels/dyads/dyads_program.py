@@ -22,7 +22,7 @@ from kempe.kernels.dyads.dyads_rings import circles, line_circle, lines, pin_pin
 
 @routine
 def sincos_each(v, theta):
-    """Nothing; sine and cosine, by the C library, in the spare vectors."""
+    """Write sine and cosine, by the C library, to the spare vectors."""
     put(v, K.SPARE, theta)
     for lane in range(LANES):
         x = v[LANES * K.SPARE + lane]
@@ -32,7 +32,7 @@ def sincos_each(v, theta):
 
 @routine
 def turn(v, ints, i, floats, f):
-    """Register 1 = register 2 . constant 1 . turn by (multiplier . vector 3) . constant 5."""
+    """Set register 1 = register 2 . constant 1 . turn by (multiplier . vector 3) . constant 5."""
     theta = floats[f] * vector(v, ints[i + 3])
     s, c = sincos(theta)
     if rarely(not all_between(-REACH, theta, REACH)):
@@ -46,7 +46,7 @@ def turn(v, ints, i, floats, f):
 
 @routine
 def slide(v, ints, i, floats, f):
-    """Register 1 = register 2 . constant 1 . slide along x by (multiplier . vector 3) . constant 5."""
+    """Set register 1 = register 2 . constant 1 . slide along x by (multiplier . vector 3) . constant 5."""
     d = floats[f] * vector(v, ints[i + 3])
     a = times(pose(v, ints[i + 2]), constant(floats, f + 1))
     a = a[0], a[1], a[2] + a[0] * d, a[3] + a[1] * d
@@ -55,7 +55,7 @@ def slide(v, ints, i, floats, f):
 
 @routine
 def rebase(v, ints, i):
-    """Registers 3 and 4 = the identity and register 2, seen from the pose in register 1."""
+    """Set registers 3 and 4 to the identity and register 2, seen from the pose in register 1."""
     back = inverted(pose(v, ints[i + 1]))
     other = times(back, pose(v, ints[i + 2]))
     put_pose(v, ints[i + 3], back)
@@ -86,7 +86,7 @@ def representative(a, target, period, low, high):
 
 @routine
 def read_turn(v, ints, i, floats, f):
-    """Coordinate 3 of a pin between bodies 1 and 2, target 4; what was known (5 is not 0) is checked.
+    """Read coordinate 3 of a pin between bodies 1 and 2, target 4; what was known (5 is not 0) is checked.
 
     floats: cosine and sine of the constant turn between the frames; 1/multiplier, -offset/multiplier, period, limits;
     the pin on both bodies; metres for a unit of misfit.
@@ -109,7 +109,7 @@ def read_turn(v, ints, i, floats, f):
 
 @routine
 def read_slide(v, ints, i, floats, f):
-    """Coordinate 3 of a rail between bodies 1 and 2; what was known (5 is not 0) is checked.
+    """Read coordinate 3 of a rail between bodies 1 and 2; what was known (5 is not 0) is checked.
 
     floats: the rail on both bodies; 1/multiplier, -offset/multiplier; metres for a unit of misfit; metres for a radian.
     """
@@ -129,7 +129,7 @@ def read_slide(v, ints, i, floats, f):
 
 @device
 def move(code, v, ints, i, floats, f):
-    """Nothing; one operation on coordinates or registers alone."""
+    """Run one operation on coordinates or registers alone."""
     if code == K.SET:
         put(v, ints[i + 1], spread_lanes(floats[f]))
     elif code == K.ADD:
@@ -151,7 +151,7 @@ def move(code, v, ints, i, floats, f):
 
 @device
 def close(code, v, ints, i, floats, f):
-    """Nothing; one operation that closes a ring or reads a joint."""
+    """Run one operation that closes a group or reads a joint."""
     if code == K.READ_TURN:
         read_turn(v, ints, i, floats, f)
     elif code == K.READ_SLIDE:
@@ -172,7 +172,7 @@ def close(code, v, ints, i, floats, f):
 
 @device
 def begin(v, ints):
-    """Nothing; all registers are the identity, nothing is open yet."""
+    """Set all registers to the identity, and what is open to zero."""
     zero, one = spread_lanes(0.0), spread_lanes(1.0)
     put(v, K.GAP, zero)
     put(v, K.FLAG, zero)

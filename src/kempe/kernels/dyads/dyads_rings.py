@@ -14,7 +14,7 @@ from kempe.kernels.dyads.dyads_poses import TINY, brought, flag, pin, positive, 
 
 @routine
 def circles(v, ints, i, floats, f):
-    """Two links between three pins: circle meets circle. Pins 1 and 2: A and C of the base; 3 and 4: A and B of a link;
+    """Join two links by a pin: circle meets circle. Pins 1 and 2: A and C of the base; 3 and 4: A and B of a link;
     5 and 6: B and C of the other. The sign 7 is the orientation of A, C, B. Out: registers 8 and 9 of the links.
 
     The height of B above AC comes from the product of four sums of the sides, which loses nothing where the triangle
@@ -50,8 +50,8 @@ def circles(v, ints, i, floats, f):
 
 @routine
 def line_circle(v, ints, i, floats, f):
-    """A slider and a link: line meets circle. Rails 1 (base) and 2 (slider); pins 3 and 4: B of the slider and of the
-    link; 5 and 6: A of the link and of the base. The sign 7 is that of B - A along the rail: + slides farther.
+    """Join a slider and a link: line meets circle. Rails 1 (base) and 2 (slider); pins 3 and 4: B of the slider and of
+    the link; 5 and 6: A of the link and of the base. The sign 7 is that of B - A along the rail: + slides farther.
     Out: registers 8 of the slider and 9 of the link.
     """
     px, py, dx, dy = rail(v, ints[i + 1], floats, f)
@@ -76,7 +76,7 @@ def line_circle(v, ints, i, floats, f):
 
 @routine
 def lines(v, ints, i, floats, f):
-    """Two sliders on one base, pinned together: line meets line. Rails 1 (base) and 2 (first slider), 3 (base) and 4
+    """Pin two sliders on one base together: line meets line. Rails 1 (base) and 2 (first slider), 3 (base) and 4
     (second); pins 5 and 6 of the first and of the second. Out: registers 7 and 8.
     """
     p1x, p1y, d1x, d1y = rail(v, ints[i + 1], floats, f)
@@ -101,7 +101,7 @@ def lines(v, ints, i, floats, f):
 
 @routine
 def pin_pin(v, ints, i, floats, f):
-    """A body on two pins. Pins 1 and 2 of the base, 3 and 4 of the body; exact at the first. Out: register 5."""
+    """Place a body on two pins. Pins 1 and 2 of the base, 3 and 4 of the body; exact at the first. Out: register 5."""
     ax, ay = pin(v, ints[i + 1], floats, f)
     bx, by = pin(v, ints[i + 2], floats, f + 2)
     a1x, a1y = pin(v, ints[i + 3], floats, f + 4)
@@ -114,7 +114,7 @@ def pin_pin(v, ints, i, floats, f):
 
 @routine
 def pin_rail(v, ints, i, floats, f):
-    """A body on a pin and a rail. Rails 1 (base) and 2 (body), pins 3 (base) and 4 (body). Out: register 5."""
+    """Place a body on a pin and a rail. Rails 1 (base) and 2 (body), pins 3 (base) and 4 (body). Out: register 5."""
     _, _, dx, dy = rail(v, ints[i + 1], floats, f)
     _, _, ex, ey = rail(v, ints[i + 2], floats, f + 4)
     ax, ay = pin(v, ints[i + 3], floats, f + 8)
@@ -124,7 +124,7 @@ def pin_rail(v, ints, i, floats, f):
 
 @routine
 def rail_rail(v, ints, i, floats, f):
-    """A body on two rails. Rails 1 (base) and 2 (body), 3 (base) and 4 (body). Out: register 5."""
+    """Place a body on two rails. Rails 1 (base) and 2 (body), 3 (base) and 4 (body). Out: register 5."""
     p1x, p1y, d1x, d1y = rail(v, ints[i + 1], floats, f)
     q1x, q1y, ex, ey = rail(v, ints[i + 2], floats, f + 4)
     p2x, p2y, d2x, d2y = rail(v, ints[i + 3], floats, f + 8)

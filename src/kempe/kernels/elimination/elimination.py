@@ -18,6 +18,16 @@ from typing import NamedTuple
 from kempe.kernels.base._jit import device, routine
 from kempe.kernels.base.eigen import EIGEN_SCRATCH, balance, hessenberg, shifted_qr
 from kempe.kernels.base.scratch import beyond
+from kempe.kernels.elimination.elimination_accept import (
+    CLAIMED,
+    FOUND,
+    KNOWN,
+    RAW_ERROR,
+    START,
+    accept,
+    is_singular,
+    twin,
+)
 from kempe.kernels.elimination.elimination_cluster import CLUSTER_SCRATCH, MOST, postures_at
 from kempe.kernels.elimination.elimination_loop import (
     EQUATIONS,
@@ -66,16 +76,6 @@ from kempe.kernels.elimination.elimination_roots import (
     together,
     write_roots,
 )
-from kempe.kernels.elimination.elimination_settle import (
-    CLAIMED,
-    FOUND,
-    KNOWN,
-    RAW_ERROR,
-    START,
-    is_singular,
-    settle,
-    twin,
-)
 
 CANDIDATES = 24
 """Candidates at most; 16 postures are possible."""
@@ -84,12 +84,12 @@ ODD, NEARLY_REAL, NO_EIGENVALUES, ILL_LEAD, ILL_NULL, ASTRAY, TWICE, UNUSABLE, S
     2**k for k in range(12)
 )
 """Bits of `suspect`: an odd number of candidates; a pair of roots so nearly real that two postures may have been lost;
-eigenvalues not found; leading matrix nearly singular; fewer null vectors than roots, some that cannot be told apart, or
-too many candidates; a real root that led to no posture; two that led to the same; no independent equations; a singular
-posture, where others may merge with it or be connected with it by a self-motion; a hidden joint that is nearly free, as
-on a self-motion, or near one, where the eigenvalues are those of noise; a real root without a posture of its own that
-has its value of the hidden joint, or a posture without a root; a triple that does not determine the pair, so that two
-postures may share it."""
+eigenvalues not found; leading matrix nearly singular; fewer null vectors than roots, some that cannot be distinguished,
+or too many candidates; a real root that led to no posture; two that led to the same; no independent equations; a
+singular posture, where others may merge with it or be connected with it by a self-motion; a hidden joint that is nearly
+free, as on a self-motion, or near one, where the eigenvalues are those of noise; a real root without a posture of its
+own that has its value of the hidden joint, or a posture without a root; a triple that does not determine the pair, so
+that two postures may share it."""
 
 DEGENERATE = NO_EIGENVALUES | ILL_LEAD | ILL_NULL | UNUSABLE
 """Bits of doubts that a goal nearby may not raise."""
@@ -117,7 +117,7 @@ NULL = 1e-9
 """Third last pivot, relative to the first, below which there are more than two null vectors."""
 
 SEPARATE = 1e-8
-"""Separation below which two postures cannot be told apart."""
+"""Separation below which two postures cannot be distinguished."""
 
 NO_MATRIX, GOOD_LEAD = 1e-12, 1e-7
 """Pivot ratio of the leading matrix: below the first the equations are dependent, below the second they are suspect."""
@@ -300,7 +300,7 @@ def _add(s, i, n, twins, count, strays):
         none += int(other or defect == math.inf)
         if defect == math.inf:
             continue
-        state = settle(s.kinds, s.lines, s.goal, found, count, work)
+        state = accept(s.kinds, s.lines, s.goal, found, count, work)
         suspect |= SINGULAR if state > 0 and is_singular(found, count) else 0
         suspect |= SHARED if state >= 0 and quality < DETERMINED else 0
         if state < 0 and not other:

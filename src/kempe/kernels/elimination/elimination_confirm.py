@@ -69,7 +69,7 @@ CONFIRM_SCRATCH = AT_HITS + HIT * MOST_SOLUTIONS
 
 @routine
 def goal_aside(goal, side, far, out):
-    """Nothing; writes the goal moved so far in a random direction, for odd sides opposite to the one before."""
+    """Write the goal moved so far in a random direction, for odd sides opposite to the one before."""
     key, sign = mix(np.uint64(1), np.uint64(side // 2)), 1.0 - 2.0 * (side % 2)
     x = 2.0 * unit(mix(key, np.uint64(0))) - 1.0
     y = 2.0 * unit(mix(key, np.uint64(1))) - 1.0

@@ -29,7 +29,7 @@ from kempe.kernels.closed_form.merging import (
     distance,
     listed,
 )
-from kempe.kernels.closed_form.one_target import begin, desk_of, desk_scratch, end, take_candidates
+from kempe.kernels.closed_form.one_target import begin, end, take_candidates, target_scratch, target_scratch_size
 from kempe.kernels.closed_form.polish import error_at, polish, tangent
 from kempe.kernels.elimination.elimination import ELIMINATION_SCRATCH, FREE, UNSOUND, eliminate
 from kempe.kernels.elimination.elimination_confirm import ALONE, CONFIRM_SCRATCH, confirmed, kind_of, thinned
@@ -173,12 +173,12 @@ def eliminated(d, scratch, thetas):
     OUT("N", "_", f"n+{INFO}"), OUTI("N", 2), returns=False,
 )  # fmt: skip
 def general(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, which, out, counts):
-    """Nothing; all solutions by elimination, arguments as of `every_solution.closed`; counts[:, 1] is 1 in doubt."""
+    """Find all solutions by elimination, arguments as of `every_solution.closed`; counts[:, 1] is 1 in doubt."""
     n, slots = ints[N_JOINTS], out.shape[1]
-    block = np.empty(desk_scratch(n) + CONFIRM_SCRATCH)
+    block = np.empty(target_scratch_size(n) + CONFIRM_SCRATCH)
     flags = np.empty(6 + slots, np.int64)
-    d = desk_of(raw(ints), raw(floats), raw(block), raw(flags), tol_linear, tol_angular)
-    scratch = beyond(raw(block), desk_scratch(n))
+    d = target_scratch(raw(ints), raw(floats), raw(block), raw(flags), tol_linear, tol_angular)
+    scratch = beyond(raw(block), target_scratch_size(n))
     for i in which:
         close_to = beyond(raw(near), n * i if near.shape[0] > 1 else 0)
         held = beyond(raw(locked), n * i if locked.shape[0] > 1 else 0)

@@ -169,7 +169,7 @@ def sample(loop, fans, table):
 
 @routine
 def remove_pair(table, v):
-    """Nothing; the last six rows of the table become equations of the triple alone. v: scratch, 14 numbers.
+    """Turn the last six rows of the table into equations of the triple alone. v: scratch, 14 numbers.
 
     Reflections (Householder 1958) make the eight differences upper triangular: below, the pair has vanished.
     """

@@ -157,7 +157,7 @@ def split(x, work):
 
     In the plane of x and x + ROW lie the vectors of the two roots, y_0 x_0 + y_1 x_1 with w U y = u W y for joint a or
     b, where U and W are the vectors' u and w parts: a 2x2 pencil. Complex roots belong to no posture. The separation
-    is the pencil's discriminant, over what it can be: near 0 the two cannot be told apart. work: 64 numbers.
+    is the pencil's discriminant, over what it can be: near 0 the two cannot be distinguished. work: 64 numbers.
     """
     best, separation, joint = -1.0, 0.0, 0
     for k in range(2):

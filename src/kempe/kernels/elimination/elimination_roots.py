@@ -73,7 +73,7 @@ def together(roots, n, i):
 
 @device
 def stand_for(roots, n, i, postures):
-    """Nothing; of the roots at the value of root i the first `postures` are expected to have one, no others."""
+    """Mark of the roots at the value of root i the first `postures` as those that have one, no others."""
     left = postures
     for j in range(n):
         if is_with(roots, j, i):

@@ -13,9 +13,9 @@ from kempe.kernels.base.scratch import beyond
 from kempe.kernels.base.vectors import keep, raw
 from kempe.kernels.closed_form.analytic_layout import FORMULATIONS
 from kempe.kernels.elimination.elimination import CANDIDATES, ELIMINATION_SCRATCH, FOUNDLINGS, eliminate
+from kempe.kernels.elimination.elimination_accept import FOUND, RAW_ERROR
 from kempe.kernels.elimination.elimination_loop import LINE_STRIDE, hidden_of, removed_of
 from kempe.kernels.elimination.elimination_polish import POLISH_SIZE, POSE, trace, wrapped
-from kempe.kernels.elimination.elimination_settle import FOUND, RAW_ERROR
 from kempe.kernels.forward.table_layout import SLIDE
 
 FIRST, SECOND, BEST = 5, 20, 8

@@ -184,7 +184,7 @@ def strays(ints, floats, q, start):
 
 @device
 def sweep_lanes(ints, floats, variables, out, first):
-    """Nothing; writes LANES poses from out[first:] on."""
+    """Write LANES poses from out[first:] on."""
     n_rows = ints[0]
     u, v, w = spread_row(floats, 0), spread_row(floats, 4), spread_row(floats, 8)
     row = k = 0

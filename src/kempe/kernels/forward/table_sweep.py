@@ -151,7 +151,7 @@ def express(columns, first, nv, frame, particle, a, b, c):
 
 @device
 def jacobian_at(ints, floats, q, start, frame, with_pose, out, k, columns, first):
-    """1 if the configuration q[start:] is bad, else 0; writes the Jacobian of output 0 and, if asked, its pose."""
+    """1 if the configuration q[start:] is bad, else 0; writes the Jacobian of output 0 and, if requested, its pose."""
     nv = ints[3]
     particle = ints[HEADER + ROW_INTS * ints[0] + 1]
     for i in range(first, first + 6 * nv):

@@ -16,10 +16,10 @@ from kempe.kernels.one_frame.ik_problem import (
     begin,
     count_columns,
     go_to,
-    job_floats,
-    job_ints,
-    job_of,
     judged,
+    problem_floats,
+    problem_ints,
+    problem_of,
     write,
 )
 
@@ -30,28 +30,28 @@ The best of 16 is the best of 1000 for at least 95 of 100 goals out of reach of 
 
 
 @routine
-def answer_nearest(job, i):
-    """Nothing; goal i, of which all starts failed, is answered by the nearest that descents find.
+def answer_nearest(problem, i):
+    """Write for goal i, which no start reached, the nearest configuration that descents find.
 
     They begin at the answer as it is, whose energy stands for its linear error, and at random.
     """
-    chain, best = job.chain, answer_of(job, i)
+    chain, best = problem.chain, answer_of(problem, i)
     least, steps = best[chain.nq + LINEAR], int(best[chain.nq + STEPS])
-    begin(job, i, job.home)
-    for k in range(min(job.tries, DESCENTS)):
+    begin(problem, i, problem.home)
+    for k in range(min(problem.tries, DESCENTS)):
         if k == 0:
             copy(chain.q, best, 0, chain.nq)
         else:
-            go_to(job, i, job.tries + k, job.home)
-        reached, count = descend(chain, DESCENT_STEPS * job.iteration_limit, job.kept)
+            go_to(problem, i, problem.tries + k, problem.home)
+        reached, count = descend(chain, DESCENT_STEPS * problem.iteration_limit, problem.kept)
         steps += count
         if reached < least:
             least = reached
-            copy(best, job.kept, 0, chain.nq)
+            copy(best, problem.kept, 0, chain.nq)
     copy(chain.q, best, 0, chain.nq)
-    solved, linear, angular = judged(job, job.home)
+    solved, linear, angular = judged(problem, problem.home)
     copy(best, chain.q, 0, chain.nq)
-    write(job, i, SOLVED if solved else NOT_FOUND, linear, angular, steps, job.tries)
+    write(problem, i, SOLVED if solved else NOT_FOUND, linear, angular, steps, problem.tries)
 
 
 @kernel(*ARGUMENTS)
@@ -61,15 +61,15 @@ def approach(
 ):  # fmt: skip
     """Number of goals not reached; those NOT_FOUND in `out`, as `schedule.reach` left it, get the nearest q instead."""
     columns, nq, nv = count_columns(raw(ints)), ints[NQ], ints[NV]
-    notes, block = np.empty(job_ints(columns, nv), np.int64), np.empty(job_floats(columns, nq, nv))
-    job = job_of(
+    notes, block = np.empty(problem_ints(columns, nv), np.int64), np.empty(problem_floats(columns, nq, nv))
+    problem = problem_of(
         ints, floats, limits, task, targets, seeds, seed, first, start_limit, iteration_limit, tol_linear, tol_angular,
         length, out, columns, raw(notes), raw(block),
     )  # fmt: skip
     missed = 0
     for i in range(targets.shape[0]):
         if out[i, nq + STATUS] == NOT_FOUND:
-            answer_nearest(job, i)
+            answer_nearest(problem, i)
         missed += int(out[i, nq + STATUS] != SOLVED)
     keep(block)
     keep(notes)

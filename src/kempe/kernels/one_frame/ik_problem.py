@@ -1,4 +1,4 @@
-"""What is asked of the inverse kinematics in one call, the goals one by one, and how answers are judged and written."""
+"""The problem of one call of the inverse kinematics: its goals one by one, and how answers are judged and written."""
 
 from __future__ import annotations
 
@@ -67,7 +67,8 @@ ARGUMENTS = (
 )  # fmt: skip
 """What the kernels of the inverse kinematics take, see `schedule.reach`."""
 
-class Job(NamedTuple):
+
+class IkProblem(NamedTuple):
     """The arguments of a call; all but numbers are pointers."""
 
     chain: Chain
@@ -118,62 +119,62 @@ def aim(chain, target, k):
 
 
 @routine
-def begin(job, i, home):
-    """Whether goal i and its seeds are sound; makes it the chain's goal and writes where the search is at home.
+def begin(problem, i, home):
+    """Whether goal i and its seeds are sound; makes it the chain's goal and writes the default start to `home`.
 
-    What is not sound is answered.
+    Where they are not sound, the answer is BAD_INPUT.
     """
-    chain, nq = job.chain, job.chain.nq
-    sound = aim(chain, job.targets, 16 * i)
+    chain, nq = problem.chain, problem.chain.nq
+    sound = aim(chain, problem.targets, 16 * i)
     for k in range(4):
-        sound = sound and job.targets[16 * i + 12 + k] == (1.0 if k == 3 else 0.0)
-    for k in range(job.seed_count):
-        sound = sound and take(chain, job.seeds, job.seed_step * i + (job.seed_count - 1 - k) * nq)
-    copy(home, chain.q if job.seed_count > 0 else job.middle, 0, nq)
+        sound = sound and problem.targets[16 * i + 12 + k] == (1.0 if k == 3 else 0.0)
+    for k in range(problem.seed_count):
+        sound = sound and take(chain, problem.seeds, problem.seed_step * i + (problem.seed_count - 1 - k) * nq)
+    copy(home, chain.q if problem.seed_count > 0 else problem.middle, 0, nq)
     if not sound:
         for k in range(nq):
-            answer_of(job, i)[k] = np.nan
-        write(job, i, BAD_INPUT, np.nan, np.nan, 0, 0)
+            answer_of(problem, i)[k] = np.nan
+        write(problem, i, BAD_INPUT, np.nan, np.nan, 0, 0)
     return sound
 
 
 @device
-def answer_of(job, i):
+def answer_of(problem, i):
     """Where answer i lies: the configuration, then ANSWER numbers."""
-    return beyond(job.out, (job.chain.nq + ANSWER) * i)
+    return beyond(problem.out, (problem.chain.nq + ANSWER) * i)
 
 
 @device
-def write(job, i, status, linear, angular, steps, starts):
+def write(problem, i, status, linear, angular, steps, starts):
     """Write all but the configuration of answer i."""
-    out = beyond(answer_of(job, i), job.chain.nq)
+    out = beyond(answer_of(problem, i), problem.chain.nq)
     out[LINEAR], out[ANGULAR], out[STATUS], out[STEPS], out[STARTS] = linear, angular, status, steps, starts
 
 
 @device
-def key_of(job):
+def key_of(problem):
     """What random numbers are drawn from, for all goals alike: an answer does not depend on the place in a batch."""
-    return mix(np.uint64(0), np.uint64(job.seed))
+    return mix(np.uint64(0), np.uint64(problem.seed))
 
 
 @routine
-def go_to(job, i, start, home):
-    """Nothing; q of the chain is start `start` of this call for goal i: a seed, or drawn."""
-    number = job.first + start
-    if number < job.seed_count:
-        take(job.chain, job.seeds, job.seed_step * i + number * job.chain.nq)
+def go_to(problem, i, start, home):
+    """Set q of the chain to start `start` of this call for goal i: a seed, or drawn."""
+    number = problem.first + start
+    if number < problem.seed_count:
+        take(problem.chain, problem.seeds, problem.seed_step * i + number * problem.chain.nq)
     else:
-        spread = spread_of(number - job.seed_count) if start < job.tries else 1.0
-        draw(job.chain, home, mix(key_of(job), np.uint64(number)), spread)
+        spread = spread_of(number - problem.seed_count) if start < problem.tries else 1.0
+        draw(problem.chain, home, mix(key_of(problem), np.uint64(number)), spread)
 
 
 @routine
-def judged(job, home):
+def judged(problem, home):
     """(whether solved, linear and angular distance) of the chain's q, which is brought inside the limits."""
-    chain = job.chain
-    wrap(chain, job.limits, job.circular, home)
+    chain = problem.chain
+    wrap(chain, problem.limits, problem.circular, home)
     linear, angular = distances(chain, error(chain.goal, trace(chain)))
-    return linear <= job.tol_linear and angular <= job.tol_angular, linear, angular
+    return linear <= problem.tol_linear and angular <= problem.tol_angular, linear, angular
 
 
 @device
@@ -186,14 +187,14 @@ def count_columns(ints):
 
 
 @device
-def job_floats(columns, nq, nv):
-    """Numbers of scratch of a job."""
+def problem_floats(columns, nq, nv):
+    """Numbers of scratch of a problem."""
     return AXES_STRIDE * columns + (BOX_STRIDE + JACOBIAN_STRIDE) * nv + GOAL_SIZE + 4 * nq
 
 
 @device
-def job_ints(columns, nv):
-    """Whole numbers of scratch of a job."""
+def problem_ints(columns, nv):
+    """Whole numbers of scratch of a problem."""
     return COLUMN_INTS * columns + PLACE_INTS * nv
 
 
@@ -246,11 +247,11 @@ def prepare(chain, limits, circular, task):
 
 
 @device
-def job_of(
+def problem_of(
     ints, floats, limits, task, targets, seeds, seed, first, start_limit, iteration_limit, tol_linear, tol_angular,
     length, out, columns, notes, block,
 ):  # fmt: skip
-    """The job for the arguments of a kernel, in scratch of `job_ints` and `job_floats`; and `home` for one goal."""
+    """The problem for the arguments of a kernel, in scratch of these two sizes, and `home` for one goal."""
     table, numbers, bounds, circular = raw(ints), raw(floats), raw(limits), beyond(raw(task), 7)
     nq, nv = ints[NQ], ints[NV]
     axes = block
@@ -265,7 +266,7 @@ def job_of(
     if seeds.shape[1] == 0:
         middle(chain, bounds, rest)
     seed_step = seeds.shape[1] * nq if seeds.shape[0] > 1 else 0
-    return Job(
+    return IkProblem(
         chain, bounds, circular, raw(targets), raw(seeds), rest, kept, home, seeds.shape[1], seed_step, seed, first,
         max(start_limit, 1), iteration_limit, tol_linear, tol_angular, raw(out),
     )  # fmt: skip

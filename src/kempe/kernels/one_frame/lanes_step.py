@@ -139,7 +139,7 @@ def first_steps(s, y):
 
 @routine
 def second_steps(s, y, again):
-    """Nothing; writes the steps of D, in lanes where `again` is not zero."""
+    """Write the steps of D, in lanes where `again` is not zero."""
     lanes = s.lanes
     for v in range(s.nv):
         at = lane_coordinate(s, v)

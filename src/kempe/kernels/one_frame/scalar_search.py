@@ -1,6 +1,6 @@
 """Starts one at a time: the search of chains with balls, whose steps the lanes of `schedule` do not have.
 
-One start in two to one in one reaches the goal, whatever the optimiser: restarts decide, so a step must be
+From 50 to 100 % of the starts reach the goal, whatever the optimiser: restarts decide, so a step must be
 cheap and a start must be given up early. Each step takes the damping 0.05 E + 1e-10 (Chan and Lawrence 1988;
 Sugihara 2011) and is always accepted. A start ends at the goal, after `iteration_limit` steps, or after three
 steps that hardly lower the error.
@@ -22,10 +22,10 @@ from kempe.kernels.one_frame.ik_problem import (
     begin,
     count_columns,
     go_to,
-    job_floats,
-    job_ints,
-    job_of,
     judged,
+    problem_floats,
+    problem_ints,
+    problem_of,
     write,
 )
 from kempe.kernels.one_frame.lanes_step import DAMPING, DAMPING_CAP, DAMPING_FLOOR, PATIENCE, SLOW
@@ -59,25 +59,27 @@ def attempt(chain, limit, tol_linear, tol_angular, kept):
 
 
 @routine
-def one_by_one(job, i):
-    """Nothing; goal i, which is the chain's, is answered by its starts as far as they do it."""
-    chain, best, steps, least = job.chain, answer_of(job, i), np.int64(0), np.inf
-    copy(best, job.home, 0, chain.nq)
-    for start in range(job.tries):
-        go_to(job, i, start, job.home)
-        reached, count, found = attempt(chain, job.iteration_limit, job.tol_linear, job.tol_angular, job.kept)
+def one_by_one(problem, i):
+    """Search from one start after the other until one reaches goal i, which is the chain's, and write the answer."""
+    chain, best, steps, least = problem.chain, answer_of(problem, i), np.int64(0), np.inf
+    copy(best, problem.home, 0, chain.nq)
+    for start in range(problem.tries):
+        go_to(problem, i, start, problem.home)
+        reached, count, found = attempt(
+            chain, problem.iteration_limit, problem.tol_linear, problem.tol_angular, problem.kept
+        )
         steps += count
         if found:
-            copy(chain.q, job.kept, 0, chain.nq)
-            solved, linear, angular = judged(job, job.home)
+            copy(chain.q, problem.kept, 0, chain.nq)
+            solved, linear, angular = judged(problem, problem.home)
             if solved:
                 copy(best, chain.q, 0, chain.nq)
-                write(job, i, SOLVED, linear, angular, steps, start + 1)
+                write(problem, i, SOLVED, linear, angular, steps, start + 1)
                 return
         if reached < least:
             least = reached
-            copy(best, job.kept, 0, chain.nq)
-    write(job, i, NOT_FOUND, least, 0.0, steps, job.tries)
+            copy(best, problem.kept, 0, chain.nq)
+    write(problem, i, NOT_FOUND, least, 0.0, steps, problem.tries)
 
 
 @kernel(*ARGUMENTS)
@@ -87,15 +89,15 @@ def reach_one_by_one(
 ):  # fmt: skip
     """As `schedule.reach`, for all chains, but slower."""
     columns, nq, nv = count_columns(raw(ints)), ints[NQ], ints[NV]
-    notes, block = np.empty(job_ints(columns, nv), np.int64), np.empty(job_floats(columns, nq, nv))
-    job = job_of(
+    notes, block = np.empty(problem_ints(columns, nv), np.int64), np.empty(problem_floats(columns, nq, nv))
+    problem = problem_of(
         ints, floats, limits, task, targets, seeds, seed, first, start_limit, iteration_limit, tol_linear, tol_angular,
         length, out, columns, raw(notes), raw(block),
     )  # fmt: skip
     missed = 0
     for i in range(targets.shape[0]):
-        if begin(job, i, job.home):
-            one_by_one(job, i)
+        if begin(problem, i, problem.home):
+            one_by_one(problem, i)
         missed += int(out[i, nq + STATUS] != SOLVED)
     keep(block)
     keep(notes)

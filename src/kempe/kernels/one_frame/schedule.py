@@ -1,6 +1,6 @@
 """Which start runs in which lane: the inverse kinematics of chains of turns and slides.
 
-Damped least squares inside the limits, restarted until it succeeds. One start in two to one in one reaches the goal,
+Damped least squares inside the limits, restarted until it succeeds. From 50 to 100 % of the starts reach the goal,
 whatever the optimiser: restarts decide, so a step must be cheap and a start must be given up early. Each step takes the
 damping 0.05 E + 1e-10 (Chan and Lawrence 1988; Sugihara 2011) and is always accepted. A start ends at the goal, after
 `iteration_limit` steps, or after three steps that hardly lower the error.
@@ -38,16 +38,16 @@ from kempe.kernels.forward.table_layout import (
 from kempe.kernels.one_frame.descent import ENOUGH
 from kempe.kernels.one_frame.ik_problem import (
     ARGUMENTS,
-    Job,
+    IkProblem,
     aim,
     answer_of,
     begin,
     count_columns,
     go_to,
-    job_floats,
-    job_ints,
-    job_of,
     judged,
+    problem_floats,
+    problem_ints,
+    problem_of,
     write,
 )
 from kempe.kernels.one_frame.lanes import (
@@ -75,7 +75,7 @@ from kempe.kernels.one_frame.residual import BOX_STRIDE, HIGH, LOW, POINTS, SCAL
 from kempe.kernels.one_frame.step import place_of
 
 AHEAD = 16
-"""Starts at most that are begun and not settled, for a goal."""
+"""Starts at most that are begun and not committed, for a goal."""
 
 HOLD = 5
 """Steps that a seed has to itself: from a good one, more are not needed, and to begin starts takes time."""
@@ -83,55 +83,57 @@ HOLD = 5
 ROUNDED = 1e-24
 """Energy that more steps would hardly lower."""
 
-TARGET, FIRST, NEXT, ANSWER, SPENT, BEST_START, DONE, DESK = 0, 1, 2, 3, 4, 5, 6, 6 + AHEAD
-"""A desk: its goal (-1: none), first start not settled, next to begin, the one that reached the goal (`tries`: none),
-steps of those settled, the start that came nearest; steps of start k at DONE + k % AHEAD, -1 while it runs."""
+TARGET, FIRST, NEXT, ANSWER, SPENT, BEST_START, DONE, SLOT = 0, 1, 2, 3, 4, 5, 6, 6 + AHEAD
+"""Places in the record of a slot: its goal (-1 where the slot is free), the first start that is not committed, the next
+start to begin, the start that reached the goal (`tries` where none did), the sum of the steps of committed starts, the
+start that came nearest. The steps of start k stand at DONE + k % AHEAD, -1 while it runs."""
 
-AT_DESK, START, LANE = 0, 1, 2
-"""A lane: the desk it works for (-1: none) and its start."""
+OF_SLOT, START, LANE = 0, 1, 2
+"""Places in the record of a lane: the slot whose start it runs (-1 where it is idle), and that start."""
 
 NONE = -1
 
 
-class Hall(NamedTuple):
-    """One desk for each lane. All but numbers are pointers."""
+class Scheduler(NamedTuple):
+    """Goals in work: a slot holds one, and there are as many slots as lanes. All but numbers are pointers."""
 
-    job: Job
+    problem: IkProblem
     lanes: Lanes
-    desks: object
+    slots: object
     places: object
-    """The lanes."""
-    homes: object
+    """The records of the lanes."""
+    defaults: object
+    """The configuration that the search of each slot starts from by default."""
     least: object
-    """Least energy of the starts that failed, for each desk."""
+    """Least energy of the starts that failed, for each slot."""
     count: int
     """How many goals there are."""
 
 
 @device
-def hall_floats(rows, nq, nv):
-    """Numbers of scratch of a hall."""
+def scheduler_floats(rows, nq, nv):
+    """Numbers of scratch of the scheduler."""
     lanes = ROWS + ROW_LANES * rows + COORDINATE_LANES * nv
     return LANES * lanes + 8 + ROW_FLOATS * (rows + 1) + 2 * nv + 6 + LANES * nq + LANES
 
 
 @device
-def hall_ints(rows):
-    """Whole numbers of scratch of a hall."""
-    return LANES * (DESK + LANE) + rows
+def scheduler_ints(rows):
+    """Whole numbers of scratch of the scheduler."""
+    return LANES * (SLOT + LANE) + rows
 
 
 @routine
-def hall(job, notes, block, count):
-    """The hall for a job, its chain in the units of the lanes; all desks are free."""
-    chain = job.chain
+def scheduler(problem, notes, block, count):
+    """The scheduler of a problem, its chain in the units of the lanes; all slots are free."""
+    chain = problem.chain
     rows, nq, nv, ints = chain.columns, chain.nq, chain.nv, chain.ints
     lanes = aligned(block)
     floats = beyond(lanes, LANES * (ROWS + ROW_LANES * rows + COORDINATE_LANES * nv))
     limits = beyond(floats, ROW_FLOATS * (rows + 1))
     weights = beyond(limits, 2 * nv)
-    homes = beyond(weights, 6)
-    places = beyond(notes, LANES * DESK)
+    defaults = beyond(weights, 6)
+    places = beyond(notes, LANES * SLOT)
     last = beyond(places, LANES * LANE)
     for row in range(rows + 1):
         at = ROW_FLOATS * row
@@ -158,37 +160,37 @@ def hall(job, notes, block, count):
     whole = weights[0] + weights[1] + weights[2] + turns == 6.0
     task = PLACE if turns == 0 else POINTING if chain.goal[POINTS] != 0.0 else WHOLE if whole else SOME
     for d in range(LANES):
-        notes[DESK * d + TARGET], places[LANE * d + AT_DESK] = NONE, NONE
+        notes[SLOT * d + TARGET], places[LANE * d + OF_SLOT] = NONE, NONE
     for k in range(LANES * (ROWS + ROW_LANES * rows + COORDINATE_LANES * nv)):
         lanes[k] = 0.0
     s = Lanes(ints, floats, limits, last, weights, lanes, rows, nv, task)
-    return Hall(job, s, notes, places, homes, beyond(homes, LANES * nq), count)
+    return Scheduler(problem, s, notes, places, defaults, beyond(defaults, LANES * nq), count)
 
 
 @device
-def home_of(h, d):
-    """Where the search of a desk is at home."""
-    return beyond(h.homes, h.job.chain.nq * d)
+def default_of(h, d):
+    """The configuration that the search of a slot starts from by default."""
+    return beyond(h.defaults, h.problem.chain.nq * d)
 
 
 @routine
-def put(h, lane, d):
-    """Nothing; the lane begins the next start of the desk."""
-    job, s = h.job, h.lanes
-    desk, chain, p = beyond(h.desks, DESK * d), job.chain, beyond(s.lanes, lane)
-    i, start = desk[TARGET], desk[NEXT]
-    desk[NEXT] = start + 1
-    desk[DONE + start % AHEAD] = NONE
-    h.places[LANE * lane + AT_DESK], h.places[LANE * lane + START] = d, start
-    go_to(job, i, start, home_of(h, d))
+def start_next(h, lane, d):
+    """Begin the next start of the slot in the lane."""
+    problem, s = h.problem, h.lanes
+    slot, chain, p = beyond(h.slots, SLOT * d), problem.chain, beyond(s.lanes, lane)
+    i, start = slot[TARGET], slot[NEXT]
+    slot[NEXT] = start + 1
+    slot[DONE + start % AHEAD] = NONE
+    h.places[LANE * lane + OF_SLOT], h.places[LANE * lane + START] = d, start
+    go_to(problem, i, start, default_of(h, d))
     for v in range(s.nv):
         k, u = place_of(chain, v), 0.0
         if k >= 0:
             u = chain.q[k] / chain.box[BOX_STRIDE * v + SCALE]
-            if job.circular[v] != 0:
+            if problem.circular[v] != 0:
                 u -= 2.0 * math.pi * math.floor(u / (2.0 * math.pi) + 0.5)
         p[(lane_coordinate(s, v) + U) * LANES] = u
-    target = beyond(job.targets, 16 * i)
+    target = beyond(problem.targets, 16 * i)
     for k in range(3):  # what the task does not read need not be a number
         p[(GOAL + 4 * k + 3) * LANES] = target[4 * k + 3] / chain.length if s.weights[k] != 0.0 else 0.0
         for j in range(3):
@@ -198,16 +200,16 @@ def put(h, lane, d):
 
 @device
 def begun_of(h, d):
-    """How many starts of a desk are begun and not settled; AHEAD where no other may begin."""
-    desk = beyond(h.desks, DESK * d)
-    if desk[TARGET] < 0 or desk[NEXT] >= desk[ANSWER]:
+    """How many starts of a slot are begun and not committed; AHEAD where no other may begin."""
+    slot = beyond(h.slots, SLOT * d)
+    if slot[TARGET] < 0 or slot[NEXT] >= slot[ANSWER]:
         return AHEAD
-    return desk[NEXT] - desk[FIRST]
+    return slot[NEXT] - slot[FIRST]
 
 
 @device
 def least_begun(h):
-    """(starts begun and not settled, desk) where they are fewest; AHEAD if none may begin another."""
+    """(starts begun and not committed, slot) where they are fewest; AHEAD if none may begin another."""
     least, at = AHEAD, 0
     for d in range(LANES):
         begun = begun_of(h, d)
@@ -217,53 +219,56 @@ def least_begun(h):
 
 
 @routine
-def employ(h, lane, queue, may_help):
-    """New number of goals taken; the lane gets a start of a goal without a lane, else a new goal, else it helps."""
+def assign(h, lane, queue, may_help):
+    """Give an idle lane a start, and return how many goals are taken from the queue by now.
+
+    A slot without a running start comes first, then a new goal; with `may_help` a start ahead for a slot that has one.
+    """
     begun, d = least_begun(h)
     if begun > 0 and queue < h.count:
         free = 0
-        while h.desks[DESK * free + TARGET] >= 0:  # there is one: each desk that is taken has a lane at work
+        while h.slots[SLOT * free + TARGET] >= 0:  # there is one: each slot that is taken has a lane at work
             free += 1
-        desk = beyond(h.desks, DESK * free)
-        while desk[TARGET] < 0 and queue < h.count:
-            if begin(h.job, queue, home_of(h, free)):
-                desk[TARGET], desk[FIRST], desk[NEXT], desk[ANSWER] = queue, 0, 0, h.job.tries
-                desk[SPENT], desk[BEST_START] = 0, NONE
+        slot = beyond(h.slots, SLOT * free)
+        while slot[TARGET] < 0 and queue < h.count:
+            if begin(h.problem, queue, default_of(h, free)):
+                slot[TARGET], slot[FIRST], slot[NEXT], slot[ANSWER] = queue, 0, 0, h.problem.tries
+                slot[SPENT], slot[BEST_START] = 0, NONE
                 h.least[free] = np.inf
-                copy(answer_of(h.job, queue), home_of(h, free), 0, h.job.chain.nq)
+                copy(answer_of(h.problem, queue), default_of(h, free), 0, h.problem.chain.nq)
                 begun, d = 0, free
             queue += 1
     if begun == 0 or (begun < AHEAD and may_help):
-        put(h, lane, d)
+        start_next(h, lane, d)
     return queue
 
 
 @device
-def settle(h, d):
-    """Nothing; counts the starts of a desk that are done, in order; closes it if one is the answer or all failed."""
-    desk, job = beyond(h.desks, DESK * d), h.job
-    i, end = desk[TARGET], desk[ANSWER]
-    while desk[FIRST] < min(end + 1, job.tries) and desk[FIRST] < desk[NEXT]:
-        steps = desk[DONE + desk[FIRST] % AHEAD]
+def commit(h, d):
+    """Count the starts of a slot that are done, in order; write the answer where one reached the goal or all failed."""
+    slot, problem = beyond(h.slots, SLOT * d), h.problem
+    i, end = slot[TARGET], slot[ANSWER]
+    while slot[FIRST] < min(end + 1, problem.tries) and slot[FIRST] < slot[NEXT]:
+        steps = slot[DONE + slot[FIRST] % AHEAD]
         if steps < 0:
             return
-        desk[SPENT] += steps
-        desk[FIRST] += 1
-    if end < job.tries:
-        if desk[FIRST] > end:
-            out = beyond(answer_of(job, i), job.chain.nq)
-            out[STATUS], out[STEPS], out[STARTS] = SOLVED, desk[SPENT], end + 1
-            desk[TARGET] = NONE
-    elif desk[FIRST] == job.tries:
-        write(job, i, NOT_FOUND, h.least[d], 0.0, desk[SPENT], job.tries)
-        desk[TARGET] = NONE
+        slot[SPENT] += steps
+        slot[FIRST] += 1
+    if end < problem.tries:
+        if slot[FIRST] > end:
+            out = beyond(answer_of(problem, i), problem.chain.nq)
+            out[STATUS], out[STEPS], out[STARTS] = SOLVED, slot[SPENT], end + 1
+            slot[TARGET] = NONE
+    elif slot[FIRST] == problem.tries:
+        write(problem, i, NOT_FOUND, h.least[d], 0.0, slot[SPENT], problem.tries)
+        slot[TARGET] = NONE
 
 
 @device
-def fetch(h, lane, d, what):
-    """Nothing; q of the chain is `what` a lane holds: U, or KEPT."""
-    chain, s = h.job.chain, h.lanes
-    copy(chain.q, home_of(h, d), 0, chain.nq)
+def load(h, lane, d, what):
+    """Set q of the chain to `what` a lane holds: U, or KEPT."""
+    chain, s = h.problem.chain, h.lanes
+    copy(chain.q, default_of(h, d), 0, chain.nq)
     for v in range(s.nv):
         k = place_of(chain, v)
         if k >= 0:
@@ -275,78 +280,79 @@ def fetch(h, lane, d, what):
 @routine
 def accepted(h, lane, d, what, enough):
     """Whether what a lane holds is an answer, of energy below `enough`; writes it and lets all later starts go."""
-    job, chain, desk = h.job, h.job.chain, beyond(h.desks, DESK * d)
+    problem, chain, slot = h.problem, h.problem.chain, beyond(h.slots, SLOT * d)
     start = h.places[LANE * lane + START]
-    fetch(h, lane, d, what)
-    aim(chain, job.targets, 16 * desk[TARGET])
-    solved, linear, angular = judged(job, home_of(h, d))
+    load(h, lane, d, what)
+    aim(chain, problem.targets, 16 * slot[TARGET])
+    solved, linear, angular = judged(problem, default_of(h, d))
     if not solved or 0.5 * ((linear / chain.length) ** 2 + angular**2) > enough:
         return False
-    out = answer_of(job, desk[TARGET])
+    out = answer_of(problem, slot[TARGET])
     copy(out, chain.q, 0, chain.nq)
     out[chain.nq + LINEAR], out[chain.nq + ANGULAR] = linear, angular
-    desk[ANSWER] = start
+    slot[ANSWER] = start
     for other in range(LANES):
-        if h.places[LANE * other + AT_DESK] == d and h.places[LANE * other + START] > start:
-            h.places[LANE * other + AT_DESK] = NONE
+        if h.places[LANE * other + OF_SLOT] == d and h.places[LANE * other + START] > start:
+            h.places[LANE * other + OF_SLOT] = NONE
     return True
 
 
 @routine
-def finish(h, lane):
-    """Nothing; a start is done: it is the answer, the nearest so far, or nothing. Or it goes on, if that pays."""
-    d, start = h.places[LANE * lane + AT_DESK], h.places[LANE * lane + START]
-    desk, p, out = beyond(h.desks, DESK * d), beyond(h.lanes.lanes, lane), answer_of(h.job, h.desks[DESK * d + TARGET])
+def retire(h, lane):
+    """End the start of a lane: keep it as the answer or as the nearest so far; let it go on if one step more pays."""
+    d, start = h.places[LANE * lane + OF_SLOT], h.places[LANE * lane + START]
+    slot, p = beyond(h.slots, SLOT * d), beyond(h.lanes.lanes, lane)
+    out = answer_of(h.problem, slot[TARGET])
     energy, found = p[BEST * LANES], p[FOUND * LANES]
-    spent = p[COUNT * LANES] >= h.job.iteration_limit
+    spent = p[COUNT * LANES] >= h.problem.iteration_limit
     if found == 1.0 and p[STALL * LANES] == 0.0 and energy >= ENOUGH and not spent:  # one step from rounding error
         p[COUNT * LANES] += 1.0
         p[FOUND * LANES] = 2.0
         if not accepted(h, lane, d, np.int64(U), ROUNDED):
             return
     elif found == 0.0 or not accepted(h, lane, d, np.int64(KEPT), np.inf):
-        nearer = energy < h.least[d] or (energy == h.least[d] and start < desk[BEST_START])
-        if nearer and desk[ANSWER] == h.job.tries:
-            fetch(h, lane, d, np.int64(KEPT))
-            h.least[d], desk[BEST_START] = energy, start
-            copy(out, h.job.chain.q, 0, h.job.chain.nq)
-    h.places[LANE * lane + AT_DESK] = NONE
-    desk[DONE + start % AHEAD] = int(p[COUNT * LANES])
-    settle(h, d)
+        nearer = energy < h.least[d] or (energy == h.least[d] and start < slot[BEST_START])
+        if nearer and slot[ANSWER] == h.problem.tries:
+            load(h, lane, d, np.int64(KEPT))
+            h.least[d], slot[BEST_START] = energy, start
+            copy(out, h.problem.chain.q, 0, h.problem.chain.nq)
+    h.places[LANE * lane + OF_SLOT] = NONE
+    slot[DONE + start % AHEAD] = int(p[COUNT * LANES])
+    commit(h, d)
 
 
 @device
-def at_work(h):
-    """Lanes that run a start, as bits."""
+def busy_lanes(h):
+    """The lanes that run a start, as bits."""
     lanes = 0
     for lane in range(LANES):
-        lanes |= int(h.places[LANE * lane + AT_DESK] >= 0) << lane
+        lanes |= int(h.places[LANE * lane + OF_SLOT] >= 0) << lane
     return lanes
 
 
 @device
 def search(h):
-    """Nothing; all goals are answered, as far as starts do it."""
-    job, queue, busy, alone, changed = h.job, np.int64(0), 0, 0, True
-    linear, angular = (job.tol_linear / job.chain.length) ** 2, job.tol_angular**2
-    hold = HOLD if job.seed_count > job.first else 0
+    """Run the lanes until each goal is reached or has failed from all its starts."""
+    problem, queue, busy, alone, changed = h.problem, np.int64(0), 0, 0, True
+    linear, angular = (problem.tol_linear / problem.chain.length) ** 2, problem.tol_angular**2
+    hold = HOLD if problem.seed_count > problem.first else 0
     while True:
         if changed or alone == hold:
             for lane in range(LANES):
                 if not busy >> lane & 1:
                     before = queue
-                    queue = employ(h, lane, queue, alone >= hold)
+                    queue = assign(h, lane, queue, alone >= hold)
                     alone = alone if queue == before else 0
-            busy, changed = at_work(h), False
+            busy, changed = busy_lanes(h), False
             if busy == 0:
                 return
-        done = step_lanes(h.lanes, job.iteration_limit, linear, angular) & busy
+        done = step_lanes(h.lanes, problem.iteration_limit, linear, angular) & busy
         alone += 1
         if done != 0:
             for lane in range(LANES):
-                if done >> lane & 1 and h.places[LANE * lane + AT_DESK] >= 0:  # those before may have let it go
-                    finish(h, lane)
-            busy, changed = at_work(h), True
+                if done >> lane & 1 and h.places[LANE * lane + OF_SLOT] >= 0:  # those before may have let it go
+                    retire(h, lane)
+            busy, changed = busy_lanes(h), True
 
 
 @kernel(*ARGUMENTS)
@@ -371,13 +377,14 @@ def reach(
     or above 1e100, a goal that is no pose.
     """
     columns, nq, nv = count_columns(raw(ints)), ints[NQ], ints[NV]
-    whole, size = job_ints(columns, nv), job_floats(columns, nq, nv)
-    notes, block = np.empty(whole + hall_ints(columns), np.int64), np.empty(size + hall_floats(columns, nq, nv))
-    job = job_of(
+    whole, size = problem_ints(columns, nv), problem_floats(columns, nq, nv)
+    notes = np.empty(whole + scheduler_ints(columns), np.int64)
+    block = np.empty(size + scheduler_floats(columns, nq, nv))
+    problem = problem_of(
         ints, floats, limits, task, targets, seeds, seed, first, start_limit, iteration_limit, tol_linear, tol_angular,
         length, out, columns, raw(notes), raw(block),
     )  # fmt: skip
-    search(hall(job, beyond(raw(notes), whole), beyond(raw(block), size), targets.shape[0]))
+    search(scheduler(problem, beyond(raw(notes), whole), beyond(raw(block), size), targets.shape[0]))
     missed = 0
     for i in range(targets.shape[0]):
         missed += int(out[i, nq + STATUS] != SOLVED)

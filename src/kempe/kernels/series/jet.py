@@ -102,7 +102,7 @@ def _constant(target, b, s, k, to, floats, f):
 
 @routine
 def _turn(v, b, r, k, iv, multiplier, poses, extra):
-    """Order k of a turn about z; orders 0 of sine and cosine are there."""
+    """Write order k of a turn about z; orders 0 of sine and cosine are there."""
     if k > 0:
         s, c = 0.0, 0.0
         for j in range(1, k + 1):
@@ -124,7 +124,7 @@ def _turn(v, b, r, k, iv, multiplier, poses, extra):
 
 @routine
 def _slide(v, b, r, k, iv, multiplier, start, poses):
-    """Order k of a slide along z, `start` long at order 0."""
+    """Write order k of a slide along z, `start` long at order 0."""
     for i in range(9):
         poses[b, r, k, AFTER + i] = poses[b, r, k, BEFORE + i]
     for i in range(3):
@@ -136,7 +136,7 @@ def _slide(v, b, r, k, iv, multiplier, start, poses):
 
 @routine
 def _rotation_series(v, b, r, k, iv, extra):
-    """Order k of the rotation by the vector w(t) = v[b, :, iv : iv + 3], w(0) = 0."""
+    """Write order k of the rotation by the vector w(t) = v[b, :, iv : iv + 3], w(0) = 0."""
     for i in range(6):
         extra[b, r, k, OUTER + i] = 0.0
     for j in range(1, k):
@@ -183,7 +183,7 @@ def _rotation_series(v, b, r, k, iv, extra):
 
 @routine
 def _ball(v, b, r, k, iv, multiplier, turn, poses, extra):
-    """Order k of a ball whose rotation at order 0 is `turn` (of a reversed one its inverse)."""
+    """Write order k of a ball whose rotation at order 0 is `turn` (of a reversed one its inverse)."""
     _rotation_series(v, b, r, k, iv, extra)
     forward = multiplier > 0.0
     for i in range(3):
@@ -217,7 +217,7 @@ def _ball(v, b, r, k, iv, multiplier, turn, poses, extra):
 
 @routine
 def sweep_order(ints, floats, q, start, v, b, k, poses, extra):
-    """Order k of the poses of all rows."""
+    """Write order k of the poses of all rows."""
     for r in range(ints[N_ROWS]):
         h, f = HEADER + ROW_INTS * r, ROW_FLOATS * r
         kind, parent, iv, multiplier = ints[h + KIND], ints[h + PARENT], ints[h + V_INDEX], floats[f + MULTIPLIER]
@@ -242,7 +242,7 @@ def sweep_order(ints, floats, q, start, v, b, k, poses, extra):
 
 @routine
 def output_order(ints, floats, b, k, poses, frames):
-    """Order k of the poses of all outputs, from those of the rows."""
+    """Write order k of the poses of all outputs, from those of the rows."""
     n = ints[N_ROWS]
     for i in range(ints[N_OUT]):
         h, f = HEADER + ROW_INTS * n + OUTPUT_INTS * i, ROW_FLOATS * n + OUTPUT_FLOATS * i
@@ -291,7 +291,7 @@ def place_order(frames, b, a, k, i):
 
 @routine
 def _tape(ties, numbers, q, start, v, b, k, frames, tie, series, width, out):
-    """Order k of the equations of a recorded expression; `series` holds the lower orders of its nodes."""
+    """Write order k of the equations of a recorded expression; `series` holds the lower orders of its nodes."""
     t, a = 1 + TIE_INTS * tie, 2 * tie
     data = ties[t + DATA]
     tape, work = ties[data + TAPE_INTS], beyond(series, width * ties[data + TAPE_WORK])
@@ -313,7 +313,7 @@ def _tape(ties, numbers, q, start, v, b, k, frames, tie, series, width, out):
 
 @routine
 def violation_order(ties, numbers, q, start, v, b, k, frames, series, width, out):
-    """Order k of all equations."""
+    """Write order k of all equations."""
     per_length = numbers[0]
     for tie in range(ties[0]):
         t = 1 + TIE_INTS * tie

@@ -128,7 +128,7 @@ def spread_of(loops, ask, ball, hard):
 
 
 @routine
-def settle_base(loops, ask):
+def fit_base(loops, ask):
     """Move a free base so that the frames that tasks hold are nearest to where they shall be, as the other joints are.
 
     Least is the sum of squares of distances and, by the characteristic length, of rotation matrices (Kabsch, 1976).

@@ -1,4 +1,4 @@
-"""What is asked of ties, and how far it is missed: the rows of the solver of tasks (`task_search`)."""
+"""What is required of ties, and how far it is missed: the rows of the solver of tasks (`task_search`)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RIGID = 1e-6
 
 
 class Ask(NamedTuple):
-    """What is asked of the ties: pointers to their stage (-1: nothing), 1 if hard, weight, two tolerances."""
+    """What is required of the ties: pointers to their stage (-1: nothing), 1 if hard, weight, two tolerances."""
 
     given: object
     """Stages as they are given, then whether hard."""
@@ -29,9 +29,9 @@ class Ask(NamedTuple):
     tolerance: object
     stages: int
     between: bool
-    """Whether rows between bounds are asked for."""
+    """Whether rows between bounds are requested."""
     loose: bool
-    """Whether the first start, too, may be moved as a whole: nobody asked for it."""
+    """Whether the first start, too, may be moved as a whole: nobody requested it."""
 
 
 @routine
@@ -157,7 +157,7 @@ def rigid(pin, k):
 
 @routine
 def restore(loops, ask):
-    """Ask again what is given."""
+    """Restore the bounds that are given."""
     ties = loops.plan[L.N_TIES]
     for k in range(ties):
         ask.stage[k], ask.hard[k] = ask.given[k], ask.given[ties + k]

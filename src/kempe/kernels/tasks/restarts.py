@@ -13,7 +13,7 @@ from kempe.kernels.base.random import mix, unit
 from kempe.kernels.base.scratch import beyond, copy
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.constraints.loop_coordinates import draw, is_held, number, place_of, sort_of
-from kempe.kernels.tasks.base_fit import settle_base
+from kempe.kernels.tasks.base_fit import fit_base
 from kempe.kernels.tasks.level_rows import assess, square_of_tie
 
 NEAR = 0.6
@@ -44,7 +44,7 @@ def to_middle(loops, home, to):
 
 @routine
 def begin(loops, work, ask, key, count):
-    """Nothing; q is start `count`, `trial` being the middle."""
+    """Set q to start `count`, `trial` being the middle."""
     copy(loops.q, work.home, 0, loops.nq)
     fresh = mix(key, np.uint64(count))
     if 0 < count < PLAIN:
@@ -54,7 +54,7 @@ def begin(loops, work, ask, key, count):
         if count % 4 > 0:
             widen(loops, work.trial, WIDE if count % 4 == 1 else WIDER)
     if count > 0 or ask.loose:
-        settle_base(loops, ask)
+        fit_base(loops, ask)
 
 
 @routine
@@ -69,7 +69,7 @@ def widen(loops, about, far):
 
 @routine
 def begin_at(loops, work, ask, last, key, count):
-    """Nothing; q is start `count`, but for what is kept of `rest`: where only some tasks are missed, what moves others.
+    """Set q to start `count`, but for what is kept of `rest`: where only some tasks are missed, what moves others.
 
     In turns: all is kept that moves a tie which is met; all that moves another than the worst; any part.
     """

@@ -3,7 +3,7 @@
 Tasks are ties in stages. Stage 0 always holds (loops, relations); each further one is either hard, to be met, or soft,
 a sum of weighted squares to be lowered. First damped least squares on all hard rows, with restarts (Levenberg, 1944;
 Sugihara, 2011), then stage by stage steps that keep all earlier ones (Siciliano and Slotine, 1991; Escande, Mansard and
-Wieber, 2014), each closed again, so that the earlier ones hold and do not merely hardly suffer.
+Wieber, 2014), each closed again: so the earlier stages hold, to the tolerance and not only to first order.
 """
 
 from __future__ import annotations
@@ -239,7 +239,7 @@ def solve(
     tries: starts at most, drawn from `seed`, for all rows alike; with 0 each stage is lowered in turn from `starts`,
     with -1 only the last one.
     limit: steps of a start. mode: NOTHING, AHEAD, or the address of a function to lower. stop: address of a function
-    that writes whether the time is up, or 0: it is asked before each start and each step of a lower stage. loose:
+    that writes whether the time is up, or 0: it is read before each start and each step of a lower stage. loose:
     whether a free base may be moved before the first start.
     out_q: (N, nq). info: (N, 3) status, steps, starts.
     """

@@ -15,7 +15,7 @@ _pools: dict[int, ThreadPoolExecutor] = {}
 
 
 def _begin_anew() -> None:
-    """A child process has neither the threads of its parent, nor the one that may have held the lock."""
+    """Drop, in a child process, the threads of its parent and the lock that one of them may have held."""
     global _lock
     _lock = threading.Lock()
     _pools.clear()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,7 +34,7 @@ class Result:
     code: Any
     status: Any
     within: Idealised | None = None
-    """The nearest mechanism that closes exactly, which was asked in place of the given one; None: it was itself."""
+    """The nearest mechanism that closes exactly, which was solved in place of the given one; None: it was itself."""
 
     def data(self) -> dict[str, Any]:
         """All numbers and texts as plain Python, ready for JSON; `code` by the names of `Status`, NaN as None."""
@@ -115,3 +116,27 @@ class Report(Result):
     def _repr_html_(self) -> str:
         topics = self.topics()
         return paragraphs([self._headline()]) + topics_html(topics) if topics else super()._repr_html_()
+
+
+class Worded(Report):
+    """A report by `name` whose words stand in a module of their own: functions `sentence`, `lines` and `data` of it."""
+
+    name: str
+
+    def _words(self) -> ModuleType:
+        raise NotImplementedError
+
+    @property
+    def status(self) -> str:
+        """The result in one sentence."""
+        return self._words().sentence(self)
+
+    def topics(self) -> list[tuple[str, list[str]]]:
+        """The reasons as (title, lines)."""
+        return self._words().lines(self)
+
+    def _headline(self) -> str:
+        return f"{self.name}: {self.status}"
+
+    def _data(self) -> dict[str, Any]:
+        return self._words().data(self)

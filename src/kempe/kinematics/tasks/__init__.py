@@ -1,1 +1,1 @@
-"""Constraints as what is asked of a configuration."""
+"""Constraints as what is required of a configuration."""

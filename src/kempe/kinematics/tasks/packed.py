@@ -18,7 +18,7 @@ from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.tasks.task import GROUND, TILTS, Goals, Task
 from kempe.kinematics.tasks.task_classes import task_of
 from kempe.model.closures.packed_loops import Loops, Tie, pack
-from kempe.model.tree.coordinates import told_apart
+from kempe.model.tree.coordinates import distinct
 from kempe.model.tree.own_tree import own_tree
 from kempe.model.tree.primitive_table import Table
 from kempe.rigid import EXACT, rotation_error
@@ -61,7 +61,7 @@ def _wide(system: System, tasks: Sequence[Task]) -> np.ndarray:
     bound = {n for r in system.structure.relations for n in (r.of, *r.sources)}
     for task in tasks:
         bound |= task.coordinates(system)
-    wide = wide & ~told_apart(system.mechanism, c)
+    wide = wide & ~distinct(system.mechanism, c)
     return wide & np.array([name not in bound for name in system.structure.velocity_names], dtype=bool)
 
 
@@ -91,13 +91,13 @@ class Packed:
 
         self.wide = _wide(system, self.tasks) if turns else np.zeros(system.nv, dtype=bool)
         tree = own_tree(system)
-        carried = frozenset(tree.structure.closures)
+        explicit = frozenset(tree.structure.closures)
         level = (lambda tie: levels[owner[id(tie)][0]] if id(tie) in owner else 0) if any(levels) else None
         self.one_sided = one_sided_rows(system)
         """One-sided rows of the system; those that are declared hold, too."""
         bounded = self.one_sided.declared > 0
         self.loops: Loops = pack(
-            tree, carried, length=length, further=further, wide=self.wide, level=level, one_sided=bounded
+            tree, explicit, length=length, further=further, wide=self.wide, level=level, one_sided=bounded
         )
         self.stages: dict[Hashable, Any] = {}
         """What solvers have worked out of weights and priorities."""

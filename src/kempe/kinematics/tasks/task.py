@@ -1,4 +1,4 @@
-"""A constraint as something asked of a configuration: ties for the kernels, goals, and a measure by the forward model.
+"""A constraint as what a configuration shall do: ties for the kernels, goals, and a measure by the forward model.
 
 Which of the classes below a constraint needs follows from the operations of its rows (`task_of`).
 """
@@ -57,7 +57,7 @@ class Hold(NamedTuple):
 
 
 class Task(ABC):
-    """A constraint `of` that is asked for; see `kempe.constraints`."""
+    """A constraint `of` that is requested; see `kempe.constraints`."""
 
     lengths: bool = True
     """Whether its error has a part in metres."""
@@ -173,11 +173,11 @@ class Placed(Task):
         return [h._replace(bounds=(bound,) * n) for bound, _ in _sides(*ends)]
 
     def structure(self, system: System) -> Hashable:
-        """Its ties."""
+        """What the ties depend on: what they hold."""
         return tuple(self.holds(system))
 
     def ties(self, system: System, table: Table) -> list[Tie]:
-        """Its ties."""
+        """The ties of the task, one for each hold."""
         return [self._tie(system, table, h) for h in self.holds(system)]
 
     def _tie(self, system: System, table: Table, h: Hold) -> Tie:
@@ -190,7 +190,7 @@ class Placed(Task):
         leaned = a[2] and (h.turns != L.DISTANCE or np.any(self.goal(system)[..., :3, 3]))
         if (particle and turned) or leaned:
             name = h.b if particle and turned else h.a
-            raise InputError(f"{name!r} is a particle, which has no axes: {self.label} cannot be asked of it")
+            raise InputError(f"{name!r} is a particle, which has no axes: {self.label} cannot be required of it")
         return tie
 
     def centre(self, system: System, table: Table) -> Centre | None:
@@ -287,7 +287,7 @@ class Centred(Placed):
         return Centre(rows, rest)
 
     def place(self, system: System, at: At, hold: Hold | None = None) -> Array:
-        """The centre."""
+        """The centre of mass in the ground frame."""
         points = self._points(system)
         names, moments = _moments(system, points)
         return spatial.pose(p=np.einsum("...kij,kj->...i", at(names)[..., :3, :], moments))

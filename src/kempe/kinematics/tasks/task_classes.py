@@ -15,7 +15,7 @@ FAMILIES: dict[Op, type[Task]] = {Op.COORDINATE: Coordinates, Op.TAPE: Written, 
 
 
 def task_of(constraint: Constraint, dim: int) -> Task:
-    """The constraint as a task. Errors: `InputError` where it cannot be asked of a configuration."""
+    """The constraint as a task. Errors: `InputError` where it cannot be required of a configuration."""
     rows = constraint.rows(dim)
     constraint.check(dim)
     family = family_of(rows)

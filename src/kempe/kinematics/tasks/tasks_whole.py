@@ -53,7 +53,7 @@ class Coordinates(Task):
         return out, [item for item in items if (item in whole if item[3] else item[0] in given)]
 
     def structure(self, system: System) -> Hashable:
-        """The coordinates."""
+        """The names of the coordinates that are held."""
         return tuple(name for name, *_ in self._values(system)[1])
 
     def ties(self, system: System, table: Table) -> list[Tie]:
@@ -62,11 +62,11 @@ class Coordinates(Task):
                 for _, _, v, ball in self._values(system)[1]]  # fmt: skip
 
     def coordinates(self, system: System) -> set[str]:
-        """Its own."""
+        """The coordinates that it reads: those that it holds."""
         return {system.structure.velocity_names[v] for _, _, v, _ in self._values(system)[1]}
 
     def goals(self, system: System) -> Goals:
-        """The values."""
+        """The values at which coordinates are held."""
         values, items = self._values(system)
         out: Goals = []
         for name, i, _, ball in items:

@@ -83,7 +83,7 @@ class Written(Task):
         turned = particle and (any(map(reads_axes, rows)) or np.any(self.tool[:3, 3]))
         if turned or (A[2] and any(r.op is not Op.DISTANCE for r in rows)):
             name = b if turned else a
-            raise InputError(f"{name!r} is a particle, which has no axes: {self.label} cannot be asked of it")
+            raise InputError(f"{name!r} is a particle, which has no axes: {self.label} cannot be required of it")
         found = every_tie(system, self.label, self.made(system).of, A, (row, X @ self.tool, particle), True)
         return [t if t.function else replace(t, pin=True) for t in found]
 

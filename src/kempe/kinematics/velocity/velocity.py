@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 
-
 @explained
 def rates(system: System, q: Any, t: ArrayLike = 0.0) -> tuple[Array, Array]:
     """The rows A (..., m, nv) and b (..., m) of the velocity constraints A(q) v = b at q (..., nq) and times t (...).
@@ -101,7 +100,7 @@ class _Recording:
         self.known.setdefault(TIME, self.recorder.time)  # unless a coordinate is called so
 
     def _quaternion(self, iq: int, iv: int) -> None:
-        """The rates of the entries of a quaternion: q' = q (0, w) / 2."""
+        """Add the rates of the entries of a quaternion: q' = q (0, w) / 2."""
         half = [self.recorder.numbers.mul(0.5, iq + k) for k in range(4)]
         w, x, y, z = half
         minus = self.recorder.numbers.neg

@@ -48,7 +48,7 @@ class Numbers:
         return made
 
     def add(self, a: Num, b: Num) -> Num:
-        """a + b."""
+        """The sum a + b."""
         if isinstance(a, float) and isinstance(b, float):
             return a + b
         if isinstance(a, float) and a == 0.0:
@@ -56,11 +56,11 @@ class Numbers:
         return a if isinstance(b, float) and b == 0.0 else self.of(L.ADD, a, b)
 
     def neg(self, a: Num) -> Num:
-        """-a."""
+        """The negative -a."""
         return -a if isinstance(a, float) else self.of(L.NEG, a)
 
     def sub(self, a: Num, b: Num) -> Num:
-        """a - b."""
+        """The difference a - b."""
         if isinstance(a, float) and isinstance(b, float):
             return a - b
         if isinstance(b, float) and b == 0.0:
@@ -68,7 +68,7 @@ class Numbers:
         return self.neg(b) if isinstance(a, float) and a == 0.0 else self.of(L.SUB, a, b)
 
     def mul(self, a: Num, b: Num) -> Num:
-        """a b."""
+        """The product a b."""
         if isinstance(a, float) and isinstance(b, float):
             return a * b
         for x, y in ((a, b), (b, a)):
@@ -99,7 +99,7 @@ class Pose:
     p: list[Num]
 
     def column(self, j: int) -> list[Num]:
-        """An axis."""
+        """One axis of the frame."""
         return [self.R[i][j] for i in range(3)]
 
 
@@ -324,7 +324,7 @@ class Recorder:
 
 
 class Seen:
-    """Numbers of the pose of b seen from a by name, and their rates, as they are asked for."""
+    """Numbers of the pose of b seen from a by name, and their rates, as they are requested."""
 
     def __init__(self, recorder: Recorder, a: tuple, b: tuple):
         self.recorder, self.a, self.b = recorder, a, b

@@ -79,7 +79,6 @@ class Recorded:
         """The coordinates that it depends on."""
         return tuple(n for n in self.tape.inputs if self.input(n) == L.COORDINATE)
 
-
     def over(self, sources: Mapping[str, tuple[str | None, float, float]]) -> Recorded:
         """The same where coordinates follow others: source, multiplier, offset."""
         return replace(self, tape=substituted(self.tape, {n: sources[n] for n in self.coordinates if n in sources}))

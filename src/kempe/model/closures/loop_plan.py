@@ -11,7 +11,7 @@ from kempe.joints import P, Q, R
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.forward.table_layout import HEADER, OUTPUT_INTS, ROW_INTS
 from kempe.model.closures.frame_constraints import Centre, Recorded, Tie
-from kempe.model.closures.reduced import reduced
+from kempe.model.closures.implicit_form import implicit_form
 from kempe.model.tree.coordinates import Relation, coordinate_names, returning
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ READINGS = {
 def _readings(system: System, joint: Joint) -> list[tuple[int, int]]:
     """For each coordinate of a joint how it is read off the pose of M in F, and its place in q."""
     names, first = coordinate_names(system.mechanism, joint), system.structure.coordinates.first
-    form = reduced(joint.type, system.dim, system.mechanism.bodies[joint.child].particle)
+    form = implicit_form(joint.type, system.dim, system.mechanism.bodies[joint.child].particle)
     return [(READINGS[how], first[names[k]][0]) for k, how in (form.readings if form else ())]
 
 

@@ -2,10 +2,10 @@
 
 A *tie* is one constraint between two frames A and B: a joint that the tree left out, a declared constraint, a frame
 held in place (a pin), or a linear relation of coordinates. A joint that the tree left out is tied in one of two forms.
-*Reduced*, A is its frame F and B its frame M, held as the joint holds them; its own coordinates are read off
-afterwards. *Carried*, A is led on through the joint's own motion, and coincides with B; its coordinates are unknowns
+*Implicit*, A is its frame F and B its frame M, held as the joint holds them; its own coordinates are read off
+afterwards. *Explicit*, A is led on through the joint's own motion, and coincides with B; its coordinates are unknowns
 like all others. So a coordinate that is known, limited or coupled needs nothing special, and neither does a joint type
-that has no reduced form (`kempe.model.closures.reduced`).
+that has no implicit form (`kempe.model.closures.implicit_form`).
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from kempe.description.parts import Joint
 from kempe.kernels.constraints import loop_layout as L
 from kempe.model.closures.constraint_program import declared_ties
 from kempe.model.closures.frame_constraints import Centre, Function, Loops, Tie
+from kempe.model.closures.implicit_form import ImplicitForm, implicit_form, slides_along_z
 from kempe.model.closures.loop_plan import Plan, moving
-from kempe.model.closures.reduced import Reduced, reduced, slides_along_z
 from kempe.model.kept import kept
 from kempe.model.tree.characteristic_length import characteristic_length, moved, origin_of
 from kempe.model.tree.primitive_table import Table, lower
@@ -29,15 +29,15 @@ from kempe.model.tree.primitive_table import Table, lower
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-__all__ = ["Centre", "Function", "Loops", "Tie", "characteristic_length", "loops_of", "must_carry", "pack"]
+__all__ = ["Centre", "Function", "Loops", "Tie", "characteristic_length", "loops_of", "must_be_explicit", "pack"]
 
 Places = dict[str, tuple[int, int]]
 """For each coordinate by name its place in q, and in the velocities."""
 TURNS = {"": L.NO_TURN, "z": L.ANGLE, "xy": L.ALIGN, "x.y": L.CROSS, "xyz": L.FULL}
 
 
-def must_carry(system: System, known: Iterable[str] = ()) -> frozenset[str]:
-    """The joints left out of the tree that are carried: without a reduced form, or known, limited or coupled ones."""
+def must_be_explicit(system: System, known: Iterable[str] = ()) -> frozenset[str]:
+    """The explicit loop joints: those cut without an implicit form, or with known, limited or coupled coordinates."""
     related = {n for r in system.structure.relations for n in (r.of, *r.sources)} | set(known)
     related |= {n for c in system.mechanism.constraints.values() for n in c.of.reads}
     related |= {f.source for f in system.structure.couplings.values() if f.source is not None}  # others move with them
@@ -46,7 +46,7 @@ def must_carry(system: System, known: Iterable[str] = ()) -> frozenset[str]:
     out = set()
     for name in system.structure.closures:
         names = system.structure.coordinates_of_joint(name)
-        none = _reduced(system, system.structure.joints[name]) is None
+        none = _implicit(system, system.structure.joints[name]) is None
         if none or any(
             c in system.structure.couplings or c in related or (c in v_index and limited[v_index[c]]) for c in names
         ):
@@ -55,28 +55,28 @@ def must_carry(system: System, known: Iterable[str] = ()) -> frozenset[str]:
 
 
 def loops_of(
-    system: System, carried: frozenset[str], held: frozenset[str] = frozenset(),
+    system: System, explicit: frozenset[str], held: frozenset[str] = frozenset(),
     pins: tuple[tuple[str, bool], ...] = (), length: float | None = None, one_sided: bool = False,
 ) -> Loops:  # fmt: skip
     """The packed loops of a system; with `one_sided` those declared constraints, too, that hold between bounds.
 
-    `carried` names the left-out joints to carry, `held` the velocity coordinates that are no unknowns, `pins` the
-    frames that are held in place (with their orientation where the flag says so). Equations and unknowns are scaled by
-    `length` (default: the characteristic length); with length 1 they are in metres.
+    `explicit` names the left-out joints in explicit form, `held` the velocity coordinates that are no unknowns, `pins`
+    the frames that are held in place (with their orientation where the flag says so). Equations and unknowns are scaled
+    by `length` (default: the characteristic length); with length 1 they are in metres.
     """
-    return _packed(system, carried, held, pins, length, one_sided)
+    return _packed(system, explicit, held, pins, length, one_sided)
 
 
 @kept
 def _packed(
-    system: System, carried: frozenset[str], held: frozenset[str], pins: tuple[tuple[str, bool], ...],
+    system: System, explicit: frozenset[str], held: frozenset[str], pins: tuple[tuple[str, bool], ...],
     length: float | None, one_sided: bool,
 ) -> Loops:  # fmt: skip
-    return pack(system, carried, held, pins, length, one_sided=one_sided)
+    return pack(system, explicit, held, pins, length, one_sided=one_sided)
 
 
 def pack(
-    system: System, carried: frozenset[str], held: frozenset[str] = frozenset(),
+    system: System, explicit: frozenset[str], held: frozenset[str] = frozenset(),
     pins: tuple[tuple[str, bool], ...] = (), length: float | None = None,
     further: Callable[[Table], list[Tie]] | None = None, wide: np.ndarray | None = None,
     level: Callable[[Tie], int] | None = None, one_sided: bool = False,
@@ -92,12 +92,12 @@ def pack(
         system.structure.topology,
         system.structure.coordinates,
         mechanism.parameters,
-        {n: n in carried for n in system.structure.closures},
+        {n: n in explicit for n in system.structure.closures},
     )
     size, origin = characteristic_length(system) if length is None else length, origin_of(system)
     if origin.any():
         table = moved(table, -origin)
-    ties = _ties(system, table, carried, pins, one_sided) + (further(table) if further else [])
+    ties = _ties(system, table, explicit, pins, one_sided) + (further(table) if further else [])
     ties, first = [t for t in ties if t.rows or t.joint], system.structure.coordinates.first
     ties = _by_level(ties, table, level, first) if level else _in_order(ties, table, first)
     at = dict(table.at)
@@ -119,18 +119,18 @@ def pack(
 
 
 def held_ties(system: System, table: Table) -> list[Tie]:
-    """All that holds positions: joints that the tree left out, carried, declared constraints, one-sided ones too.
+    """All ties that hold positions: of joints that the tree left out, in explicit form, and of declared constraints.
 
-    `table` has the frames of these joints, led on through their motion.
+    One-sided constraints are among them. `table` has the frames of these joints, led on through their motion.
     """
     return _ties(system, table, frozenset(system.structure.closures), (), True)
 
 
 def _ties(
-    system: System, table: Table, carried: frozenset[str], pins: tuple[tuple[str, bool], ...], one_sided: bool
+    system: System, table: Table, explicit: frozenset[str], pins: tuple[tuple[str, bool], ...], one_sided: bool
 ) -> list[Tie]:  # fmt: skip
     mechanism = system.mechanism
-    ties = [_of_joint(system, table, mechanism.joints[n], n in carried) for n in system.structure.closures]
+    ties = [_of_joint(system, table, mechanism.joints[n], n in explicit) for n in system.structure.closures]
     ties += declared_ties(system, table, one_sided)
     ground = (-1, np.eye(4), False)
     for relation in system.structure.relations:
@@ -162,21 +162,21 @@ def _normal(end: tuple, table: Table) -> np.ndarray:
     return z
 
 
-def _of_joint(system: System, table: Table, joint: Joint, carried: bool) -> Tie:
+def _of_joint(system: System, table: Table, joint: Joint, explicit: bool) -> Tie:
     """The tie of a joint that the tree left out."""
     a, b = table.at[joint.name, "F"], table.at[joint.name, "M"]
     if slides_along_z(joint.type, system.dim, b[2]):
         a, b = _flat(a, b, table), _flat(b, b, table)
-    if carried:
+    if explicit:
         turns = "" if b[2] else "z" if system.dim == 2 else "xyz"
         return Tie(joint.name, a, b, _mask("xyz"[: system.dim]), TURNS[turns])
-    form = _reduced(system, joint)
-    assert form is not None, f"joint {joint.name!r} must be carried"
+    form = _implicit(system, joint)
+    assert form is not None, f"joint {joint.name!r} must be explicit"
     return Tie(joint.name, a, b, _mask(form.position), TURNS[form.turns], joint=joint)
 
 
-def _reduced(system: System, joint: Joint) -> Reduced | None:
-    return reduced(joint.type, system.dim, system.mechanism.bodies[joint.child].particle)
+def _implicit(system: System, joint: Joint) -> ImplicitForm | None:
+    return implicit_form(joint.type, system.dim, system.mechanism.bodies[joint.child].particle)
 
 
 def _mask(axes: str) -> int:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 NOTHING = 1e-12
-"""Lengths, in metres, that are nobody's link."""
+"""Lengths, in metres, that no link has."""
 SHORT = 1e-6
 """Links shorter than this part of the longest but one are offsets by which axes miss each other, and not typical."""
 FAR = 10.0

@@ -330,10 +330,10 @@ def returning(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
     for relation in c.relations:
         for name in (relation.of, *relation.sources):
             back[number[name]] = False
-    return back & ~told_apart(mechanism, c)
+    return back & ~distinct(mechanism, c)
 
 
-def told_apart(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
+def distinct(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
     """Velocity coordinates (nv,) that declared laws of positions read themselves: these may tell whole turns apart."""
     out, number = np.zeros(len(c.velocity_names), dtype=bool), {name: i for i, name in enumerate(c.velocity_names)}
     for declared in mechanism.constraints.values():

@@ -161,13 +161,16 @@ class _Rows:
 
 
 def lower(
-    mechanism: Mechanism, topology: Topology, coordinates: Coordinates, parameters: Mapping[str, Any],
-    carried: Mapping[str, bool] | None = None,
+    mechanism: Mechanism,
+    topology: Topology,
+    coordinates: Coordinates,
+    parameters: Mapping[str, Any],
+    explicit: Mapping[str, bool] | None = None,
 ) -> Table:
     """The table of a mechanism for these parameters, which may be arrays of one shape (a batch of designs).
 
-    For each joint in `carried` that the tree left out, `at` has its frames too: (name, "M") on the child, and
-    (name, "F") on the parent, led on through the joint's own motion where `carried[name]`.
+    For each joint in `explicit` that the tree left out, `at` has its frames too: (name, "M") on the child, and
+    (name, "F") on the parent, led on through the joint's own motion where `explicit[name]`.
     """
     rows = _Rows(coordinates)
     where: dict[str, tuple[int, np.ndarray]] = {topology.bodies[0]: (-1, _EYE)}
@@ -183,16 +186,16 @@ def lower(
         if steps not in inverses:  # many joints have the same one
             inverses[steps] = spatial.inverse(last)
         where[body] = (row, X @ inverses[steps])
-    ends = _ends(mechanism, rows, where, parameters, carried or {})
+    ends = _ends(mechanism, rows, where, parameters, explicit or {})
     return _finish(mechanism, rows, where, parameters, coordinates, ends)
 
 
 def _ends(
-    mechanism: Mechanism, rows: _Rows, where: dict, parameters: Mapping[str, Any], carried: Mapping[str, bool]
+    mechanism: Mechanism, rows: _Rows, where: dict, parameters: Mapping[str, Any], explicit: Mapping[str, bool]
 ) -> dict:
-    """Both frames of each joint in `carried`: F, led on through the joint where it is carried, and M."""
+    """Both frames of each joint in `explicit`: F, led on through the joint where it is explicit, and M."""
     at = {}
-    for name, through in carried.items():
+    for name, through in explicit.items():
         joint = mechanism.joints[name]
         row, X = where[joint.parent]
         here = row, X @ joint.X_PF.evaluate(parameters)

@@ -89,7 +89,7 @@ def look_further(
 
 
 def _task(question: Question) -> Task:
-    """What was asked, as numerical solvers read it."""
+    """The problem, as numerical solvers read it."""
     chain = chain_of(question.system, question.frame, question.axis)
     tolerance = (question.tolerance, question.angular)
     return Task(question.system, question.frame, question.targets, question.task, question.axis, tolerance, MOST, 0,

@@ -96,8 +96,8 @@ def ik_all(
     if lead == () and not np.isfinite(targets).all():
         raise InputError("target has entries that are not finite")
     known = held_by(fixed)
-    problem = Problem(system, "all", name, (task, direction), targets, lead, known, start, limits=limits,
-                      tolerance=tolerance, budget=budget)  # fmt: skip
+    problem = Problem(system, "all", known, start, None, limits, tolerance, budget, frame=name, task=(task, direction),
+                      targets=targets, lead=lead)  # fmt: skip
     solver, choice = chosen(system, name, problem.task, tuple(known))
     return chosen_by(solver.run(problem), choice)
 
@@ -193,7 +193,7 @@ class Bound:
         return bind, (self.system, self.frame)
 
     def question(self, target: Array) -> Question:
-        """What was asked."""
+        """The problem that was solved."""
         return Question(self.system, self.frame, "pose", Z_AXIS, target[None], None, TOLERANCE)
 
     def __call__(self, target: Array) -> Solutions | None:
@@ -262,11 +262,11 @@ def solve(
     start = np.array([plan.first]) if near is None and plan.first else chain_near
     first = _locked(question, plan, start, values) if plan.locked else chain_near
     out, counts = solve_held(question, plan, chain_near, first, threads)
-    settled = plan.locked == plan.fixed and not lines.span.wide
-    if question.lead is None and not settled:
+    decided = plan.locked == plan.fixed and not lines.span.wide
+    if question.lead is None and not decided:
         code = float(out[0, 0, -A.INFO + A.CODE])
-        settled = code >= 0.0 and code % 2.0 == 1.0  # the first of rows in order is inside the limits
-    if settled:
+        decided = code >= 0.0 and code % 2.0 == 1.0  # the first of rows in order is inside the limits
+    if decided:
         _outside(plan, out)
         return Solutions(question, plan, base, out, counts, question.lead, locked=first, first=first)
     from kempe.solvers.analytic.further import look_further
@@ -281,7 +281,7 @@ def solve(
 
 
 def _outside(plan: Plan, rows: Array) -> None:
-    """Rows (N, K, n + 2) say that they are outside the limits where a joint held by name is beyond its own."""
+    """Mark the rows (N, K, n + 2) as outside the limits where a joint held by name is beyond its own."""
     if not plan.fixed:
         return
     at, (low, high) = list(plan.fixed), plan.lines.limits

@@ -83,7 +83,7 @@ def _wrapped(x: Array) -> Array:
 
 
 def _write(plan: Plan, found: Array, error: Array, near: Array, out: Array, sort: bool) -> None:
-    """Rows of one target, of each angle the turn inside the limits that is nearest to `near`."""
+    """Write the rows of one target, of each angle the turn inside the limits that is nearest to `near`."""
     lines = plan.lines
     period = np.where(lines.kinds == SLIDE, np.inf, 2.0 * math.pi / np.abs(lines.multiplier))
     low, high = lines.limits

@@ -26,7 +26,9 @@ from kempe.kinematics.common.gauss_newton import gauss_newton
 from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import as_q
 from kempe.reals import plain
-from kempe.solvers.assembly.assembly import TOLERANCE, Assembly, assemble
+from kempe.solvers.assembly.assembled import Assembly
+from kempe.solvers.assembly.assembler import TOLERANCE
+from kempe.solvers.assembly.assembly import assemble
 from kempe.solvers.assembly.ideal import said, tolerant
 from kempe.solvers.assembly.idle import Spin, idle_part, spins_of
 from kempe.solvers.assembly.shaky import moving
@@ -44,7 +46,7 @@ MANY = 300
 TRIES, LONGEST = 60, 0.5
 """Steps of a search for rotation vectors, and the longest, in radians and characteristic lengths."""
 REACHED = 1e-9
-"""How far coordinates may be from what was asked for."""
+"""How far coordinates may be from what was requested."""
 FARTHEST = 3.0
 """Angle of a ball from the origin up to which its rotation vector is used."""
 WORST = 0.02
@@ -269,9 +271,9 @@ def _in_turn(
     nv, p = N.shape
     moved = np.any([s.moves for s in spins], axis=0) if spins else np.zeros(nv, dtype=bool)
     others = [v for v in range(nv) if v not in plain]
-    found, asked = list(rows), sum(bool(moved[v]) for v in rows)
+    found, requested = list(rows), sum(bool(moved[v]) for v in rows)
     for still in (True, False):
-        most = min(p, p - idle.shape[1] + asked) if still else p
+        most = min(p, p - idle.shape[1] + requested) if still else p
         own = [v for v in range(nv) if moved[v] != still]
         for stage in (plain, others):
             usable = [v for v in stage if moved[v] != still and v not in found]

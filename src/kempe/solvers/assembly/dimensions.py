@@ -99,7 +99,7 @@ class Valley:
         U, s, Vt = np.linalg.svd(J)
         return f, U, s, Vt
 
-    def settle(self, q: Array, rounds: int = 12) -> Array:
+    def converge(self, q: Array, rounds: int = 12) -> Array:
         """The configuration of the valley that Gauss-Newton steps lead to from q (nq,)."""
         r, system = self.rank, self.system
 
@@ -121,7 +121,7 @@ class Valley:
 
     def ahead(self, q: Array, direction: Array, length: float) -> tuple[Array, Array]:
         """The configuration one step ahead along the valley, and the direction (n,) in which it goes on."""
-        there = self.settle(self.system.structure.layout.integrate(q, self.scale * direction * length))
+        there = self.converge(self.system.structure.layout.integrate(q, self.scale * direction * length))
         kernel = self.at(there)[3][self.rank :]
         onward = kernel.T @ (kernel @ direction)
         return there, onward / max(float(np.linalg.norm(onward)), 1e-300)
@@ -192,7 +192,7 @@ def _fit(
     P, at, before = np.zeros((0, 0, 0)), np.full(shape.size, np.inf), [np.inf] * PATIENCE
     for k in range(ROUNDS):
         valley = Valley(shape.changed(p), rank)
-        q = np.array([valley.settle(x, 4) for x in q])
+        q = np.array([valley.converge(x, 4) for x in q])
         F, J = evaluate(valley.system, q, True, True)
         h, H = also(p) if also is not None else (np.zeros(0), np.zeros((0, shape.size)))
         left = float(max(np.linalg.norm(F, axis=-1).max(), np.abs(h).max(initial=0.0)))
@@ -226,5 +226,5 @@ def moves(valley: Valley, q: Array) -> bool:
 
 def moves_all_along(valley: Valley, q: Array) -> bool:
     """Whether loops close exactly along the valley near configurations q (N, nq), and between, with its freedoms."""
-    q = np.array([valley.settle(x) for x in q])
+    q = np.array([valley.converge(x) for x in q])
     return bool(valley.residual(np.array([*q, *valley.between(q)])).max() <= CLOSED) and moves(valley, q)

@@ -12,7 +12,7 @@ from kempe.kinematics import closure_rows
 from kempe.kinematics.configuration import random
 from kempe.model.immovable import immovable
 from kempe.solvers.assembly.assembled import Assembly
-from kempe.solvers.assembly.assembly import LOOSEST, Assembler, assembler, of_equations
+from kempe.solvers.assembly.assembler import LOOSEST, Assembler, assembler, of_equations
 from kempe.solvers.assembly.ideal import nearly
 from kempe.spatial import Array
 from kempe.status import Status
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 MOST = 1000
 """Equations up to which the freedoms that are left are counted: it takes a dense decomposition."""
 NEARLY = 0.05
-"""Residual up to which it is asked whether the loops close within a larger tolerance."""
+"""Residual up to which it is checked whether the loops close within a larger tolerance."""
 COINCIDE = 1e-6
 """Distance of joints, in characteristic lengths, below which they are at one place."""
 
@@ -43,7 +43,7 @@ def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
     if code == Status.OUTSIDE_LIMITS:
         return f"a known value is outside its limits: {_outside(bound, q)}"
     if code == Status.OTHER_BRANCH:
-        return "the branch asked for cannot be closed with these values; q is closed on another one"
+        return "the branch requested cannot be closed with these values; q is closed on another one"
     reason = _one_sided(bound, q) or _limits(bound, q) or _too_many(bound)
     reason = reason or "with these values no closed configuration was found"
     what = _open(bound, q, residual)

@@ -3,7 +3,7 @@
 Redundant constraints of an overconstrained mechanism agree only if its dimensions obey conditions, which rounded and
 measured numbers miss. *Within a tolerance* it closes, and has so many freedoms, if changes of the placements of its
 joints by at most this tolerance, in metres and radians, make it close exactly with them. That nearest mechanism, here
-the *ideal* one, has the same coordinates; what is asked of the given one is answered for it, and says so.
+the *ideal* one, has the same coordinates; what is required of the given one is answered for it, and says so.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 Function = TypeVar("Function", bound=Callable)
 
-UNASKED = 1e-5
+USUAL_TOLERANCE = 1e-5
 """The tolerance that nobody has to ask for, in characteristic lengths and radians: what is off by less is rounding."""
 WIDEST = 1e-2
 """The largest tolerance, in characteristic lengths and radians: above it, it would be another mechanism."""
@@ -86,13 +86,13 @@ class Idealised(Report):
     """The nearest mechanism found that closes exactly with `freedoms`, and how it differs from the `given` one.
 
     `system` is that mechanism, with the same coordinates. `tolerance` is the largest change of a placement, in metres
-    and radians; `asked` what was allowed. `residual` is how far the given loops stay open along its motion, in metres
-    and radians, `absorbed` the same by closing joint or constraint.
+    and radians; `requested` what was allowed. `residual` is how far the given loops stay open along its motion, in
+    metres and radians, `absorbed` the same by closing joint or constraint.
     """
 
     given: System = field(repr=False)
     system: System = field(repr=False)
-    asked: float
+    requested: float
     tolerance: float
     residual: float
     freedoms: int
@@ -101,7 +101,7 @@ class Idealised(Report):
 
     @property
     def within(self) -> Idealised:  # type: ignore[override]
-        """Itself."""
+        """The ideal mechanism itself."""
         return self
 
     @property
@@ -128,15 +128,22 @@ class Idealised(Report):
         return [self.exactly, f"absorbed is what misses in {said} (m, rad)", *map(str, self.changes)]
 
     def _data(self) -> dict[str, Any]:
-        return {"sentence": self.sentence, "asked": self.asked, "tolerance": self.tolerance, "residual": self.residual,
-                "freedoms": self.freedoms, "absorbed": self.absorbed, "changes": [vars(c) for c in self.changes]}
+        return {
+            "sentence": self.sentence,
+            "requested": self.requested,
+            "tolerance": self.tolerance,
+            "residual": self.residual,
+            "freedoms": self.freedoms,
+            "absorbed": self.absorbed,
+            "changes": [vars(c) for c in self.changes],
+        }
 
     def closed(self, q: Any) -> Array:
         """The configurations (..., nq) nearest to q that close the ideal mechanism, or q as it is where it is open.
 
         What is farther from closed than the tolerance explains is left as it is.
         """
-        from kempe.solvers.assembly.assembly import bare
+        from kempe.solvers.assembly.assembler import bare
 
         q = as_q(self.system, q)
         off = np.linalg.norm(evaluate(self.system, q, False, True)[0], axis=-1)
@@ -164,11 +171,11 @@ def one_number(tolerance: Any) -> Any:
 
 
 def tolerance_of(system: System, tolerance: Any) -> float:
-    """The tolerance that was asked for, in metres and radians. Errors: `InputError` with both bounds."""
+    """The tolerance that was requested, in metres and radians. Errors: `InputError` with both bounds."""
     size = characteristic_length(system)
     widest = WIDEST * min(size, 1.0)
     if tolerance is None:
-        return UNASKED * min(size, 1.0)
+        return USUAL_TOLERANCE * min(size, 1.0)
     if isinstance(tolerance, str) and tolerance == MEASURED:
         return widest
     finest = FINEST * max(size, float(np.linalg.norm(origin_of(system))))
@@ -246,7 +253,7 @@ def _searched(system: System, most: float, thorough: bool = True) -> Idealised |
 
 def _starts(system: System, scaled: float) -> tuple[Array, list[int]]:
     """Where to look for a motion, and the ranks that the equations may have there, the lowest first."""
-    from kempe.solvers.assembly.assembly import bare
+    from kempe.solvers.assembly.assembler import bare
 
     home = home_of(system)
     q = bare(system)(start=home, budget=Budget(starts=FEW)).q
@@ -272,7 +279,7 @@ def _with_rank(
     """The nearest mechanism whose equations have this rank along its motion near q; None if there is none."""
     shape, freedoms, limit = Shape(system), system.nv - rank, OPEN * scaled
     valley = Valley(shape.system, rank)
-    q = valley.settle(q)
+    q = valley.converge(q)
     if not valley.residual(q) <= limit:
         return None
     points = valley.walk(q, limit, np.random.default_rng(0)) if freedoms else q[None]
@@ -283,9 +290,9 @@ def _with_rank(
         return None
     nice = snapped(system, min(most, NEARLY * off))
     if nice is not None and moves_all_along(Valley(nice, rank), points):
-        return _told(system, shape, nice, points, most, freedoms)
+        return _changes(system, shape, nice, points, most, freedoms)
     found = _best(shape, rank, points, most) if thorough else fitted(shape, rank, points, most, tries=1)
-    return None if found is None else _told(system, shape, shape.changed(found[0], system), found[1], most, freedoms)
+    return None if found is None else _changes(system, shape, shape.changed(found[0], system), found[1], most, freedoms)
 
 
 def _best(shape: Shape, rank: int, q: Array, most: float) -> tuple[Array, Array] | None:
@@ -302,7 +309,7 @@ def _best(shape: Shape, rank: int, q: Array, most: float) -> tuple[Array, Array]
     return found if nicer is None else nicer
 
 
-def _told(system: System, shape: Shape, ideal: System, q: Array, most: float, freedoms: int) -> Idealised:
+def _changes(system: System, shape: Shape, ideal: System, q: Array, most: float, freedoms: int) -> Idealised:
     """What was found, with what differs."""
     m, changes, size = system.mechanism, [], 0.0
     for table, name, side in shape.places:
@@ -312,14 +319,14 @@ def _told(system: System, shape: Shape, ideal: System, q: Array, most: float, fr
         by = float(np.linalg.norm(slide)), float(np.linalg.norm(twist))
         size = max(size, float(np.abs(slide).max()), float(np.abs(twist).max()))
         changes.append((name, side, old, new, *by))
-    told = [Change(name, side, *_texts(old, new, m.dim, SHOWN * size), moved, turned)
+    reported = [Change(name, side, *_texts(old, new, m.dim, SHOWN * size), moved, turned)
             for name, side, old, new, moved, turned in changes if max(moved, turned) >= SHOWN * size]  # fmt: skip
-    told.sort(key=lambda c: -max(c.moved, c.turned))
+    reported.sort(key=lambda c: -max(c.moved, c.turned))
     off = np.abs(residual(system, q)).max(axis=0)
     absorbed: dict[str, float] = {}
     for (name, _), x in zip(row_names(system), off.tolist(), strict=True):
         absorbed[name] = max(x, absorbed.get(name, 0.0))
-    found = Idealised(system, ideal, most, size, float(off.max()), freedoms, tuple(told), absorbed)
+    found = Idealised(system, ideal, most, size, float(off.max()), freedoms, tuple(reported), absorbed)
     vars(ideal)["_ideal"] = found  # it is frozen, and known only now
     return found
 

@@ -21,10 +21,10 @@ from kempe.kinematics.closure_errors import coordinate_value
 from kempe.kinematics.closure_rows import evaluate, full, row_names
 from kempe.kinematics.configuration import as_start
 from kempe.kinematics.maximal import as_poses, coordinates_of_pose, maximal, maximal_q
-from kempe.model.closures.reduced import flat_frame, reduced, screw, slides_along_z
+from kempe.model.closures.implicit_form import flat_frame, implicit_form, screw, slides_along_z
 from kempe.placement import Placement, place
 from kempe.rigid import rotation_error
-from kempe.solvers.assembly.assembly import LOOSEST, TOLERANCE, assembler
+from kempe.solvers.assembly.assembler import LOOSEST, TOLERANCE, assembler
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ STARTS = 64
 LESS = 0.9
 """Part of the residual of the first of these starts, up to which what another one finds is better."""
 ANGLES_SINGULAR = 1e-9
-"""Cosine of ry below which the turns about z and x of three angles are not told apart."""
+"""Cosine of ry below which the turns about z and x of three angles are not distinguished."""
 TURNS = (0, 32, 6, 2, 1)
 """Full turns to each side that are tried of 0, 1, 2, ... coordinates where what depends on them tells their turns."""
 FULL_TURN = 2.0 * math.pi
@@ -131,7 +131,7 @@ def fit(
     if pitch:
         near = X[..., 2, 3, None] / pitch  # the slide tells the turns
     start = np.concatenate([*coordinates_of_pose(X, dim, particle), near], axis=-1).reshape(math.prod(lead), system.nq)
-    form, bound = reduced(kind, dim, particle), assembler(system, free)
+    form, bound = implicit_form(kind, dim, particle), assembler(system, free)
     tolerance = min(max(tolerance, TOLERANCE), LOOSEST)
     found, size, _ = bound.run(start, bound.no_pins, 1, tolerance=tolerance)
     far = size > tolerance
@@ -164,7 +164,7 @@ def _three_angles(R: Array, angles: Array, near: Array) -> Array:
     """Turns (N, 3) about z, y', x'': of the two ways to say a rotation the one that is nearest."""
     a, b, c = np.moveaxis(angles, -1, 0)
     locked = np.cos(b) < ANGLES_SINGULAR
-    a = np.where(locked, near[:, 0], a)  # only a combination of a and c is told
+    a = np.where(locked, near[:, 0], a)  # only a combination of a and c is determined
     rest = np.swapaxes(spatial.rot_z(a) @ spatial.rot_y(b), -1, -2) @ R
     c = np.where(locked, np.arctan2(rest[:, 2, 1], rest[:, 1, 1]), c)
     ways = np.stack([[a, b, c], [a + np.pi, np.pi - b, c + np.pi]]).swapaxes(1, 2)  # (2, N, 3)

@@ -1,4 +1,4 @@
-"""Velocities that lead to no motion where the equations touch along all of a motion, told from those that do."""
+"""Velocities that lead to no motion where the equations touch along all of a motion, and those that do."""
 
 from __future__ import annotations
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from kempe.solvers.assembly.ideal import Idealised
     from kempe.solvers.common.problem import Choice
 
+
 @explained_methods
 class Answer(Result, Tabular):
     """Configurations `q` (..., nq) of a `system`, with `success` (...) and, by `sentence`, why. Base of answers.
@@ -39,7 +40,7 @@ class Answer(Result, Tabular):
 
     @property
     def within(self) -> Idealised | None:  # type: ignore[override]
-        """The nearest mechanism that closes exactly, which was asked in place of the given one; None: it was itself."""
+        """The nearest mechanism that closes exactly, solved in place of the given one; None: that was solved."""
         return self.system._ideal
 
     def sentence(self, index: tuple[int, ...] | int = ()) -> str:
@@ -56,7 +57,7 @@ class Answer(Result, Tabular):
 
     @cached_property
     def status(self) -> Any:
-        """The sentence for a single answer; an array of sentences for a batch. Made when asked for."""
+        """The sentence for a single answer; an array of sentences for a batch. Made on demand."""
         more = "" if self.within is None else f"; {self.within.sentence}"
         if not self._shape:
             return self._sentence(()) + more
@@ -69,7 +70,7 @@ class Answer(Result, Tabular):
 
     @cached_property
     def residual(self) -> Any:
-        """How much (...) each of `q` misses what is declared and asked for: the largest norm of metres and radians.
+        """How much (...) each of `q` misses what is declared and requested: the largest norm of metres and radians.
 
         It is NaN for configurations that are no numbers.
         """
@@ -77,7 +78,7 @@ class Answer(Result, Tabular):
 
     @cached_property
     def judged(self) -> Judgement:
-        """How far `q` misses what is declared and asked for, by poses multiplied out in numpy, when first asked for.
+        """How far `q` misses what is declared and requested, by poses multiplied out in numpy, on demand.
 
         It shares nothing with the equations by which kernels say `success`.
         """
@@ -166,16 +167,10 @@ class Answer(Result, Tabular):
         return None if named and np.isnan(q).all() else named
 
 
-@explained_methods
-class Configurations(Answer):
-    """Configurations `q` (n, nq) that answer one question together: all that there are, or a way. Base of such answers.
+class Rows:
+    """Configurations `q` (n, ...) that are gone through like a list. Mixed into answers of which there may be many."""
 
-    Where the work was `interrupted` from the keyboard, or the time limit came (`late`), these are those found by then.
-    """
-
-    interrupted: bool
-    late: bool
-    reason: str
+    q: Array
 
     def __len__(self) -> int:
         return len(self.q)
@@ -185,6 +180,18 @@ class Configurations(Answer):
 
     def __getitem__(self, k: Any) -> Array:
         return self.q[k]
+
+
+@explained_methods
+class Configurations(Rows, Answer):
+    """Configurations `q` (n, nq) that answer one question together: all that there are, or a way. Base of such answers.
+
+    Where the work was `interrupted` from the keyboard, or the time limit came (`late`), these are those found by then.
+    """
+
+    interrupted: bool
+    late: bool
+    reason: str
 
     @property
     def code(self) -> Any:

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 
-
 def start_count(starts: object) -> int:
     """The number of starts. Errors: `InputError`."""
     if not is_whole(starts) or not 1 <= starts < 2**62:

@@ -89,6 +89,7 @@ class Local:
         The damping is the residual (Fan and Yuan, 2005): quadratic where the equations are independent, and by a part
         of the way each step where solutions merge.
         """
+
         def step(q: Array, r: Array, J: Array) -> Array:
             return damped_least_squares(J, -r, float(np.linalg.norm(r)))
 

@@ -1,4 +1,4 @@
-"""What is asked of a system, and who answers: rows of a table, each of which says what it is not for."""
+"""What is required of a system, and who answers: rows of a table, each of which says what it is not for."""
 
 from __future__ import annotations
 
@@ -18,33 +18,39 @@ TaskOf = tuple[str, tuple[float, float, float]]
 """What of a frame's target counts, and the axis of the tool that it points."""
 
 
-class Problem(NamedTuple):
-    """What is asked of a `system`, checked: what the solvers of `ik`, `ik_all` and `assembly_modes` get.
+NOTHING: Mapping[str, Any] = MappingProxyType({})
 
-    `asked` is "one" configuration or "all" of them. `targets` (N, 4, 4) are those of a `frame`, of which `task` names
-    what counts, with the axis of the tool that is pointed; `lead` is their leading shape. They are None where what is
-    `known` (coordinates, and places of frames, by name) is all that is asked. The search begins at `start`.
+
+class Problem(NamedTuple):
+    """What is required of a `system`, checked: what the solvers of the table get.
+
+    `requested` is "one" configuration, "all" of them, a "path" of them, or a "set" that is continuous. `known` are
+    coordinates, and places of frames, by name. `targets` (N, 4, 4) are those of a `frame`, of which `task` names what
+    counts, with the axis of the tool that is pointed; `lead` is their leading shape. `wanted` are tasks of any frames.
+    The search begins at `start`. `options` are what only this verb reads, by the names of its arguments.
     """
 
     system: System
-    asked: str
-    frame: str | None = None
-    task: TaskOf = ("", Z_AXIS)
-    targets: Any = None
-    lead: tuple[int, ...] = ()
-    known: Mapping[str, Any] = MappingProxyType({})
+    requested: str
+    known: Mapping[str, Any] = NOTHING
     start: Any = None
-    method: str = "numeric"
     prefer: Any = None
     limits: bool | str = True
     tolerance: Any = None
     budget: Budget | None = None
+    options: Mapping[str, Any] = NOTHING
+    frame: str | None = None
+    task: TaskOf = ("", Z_AXIS)
+    targets: Any = None
+    lead: tuple[int, ...] = ()
+    wanted: Any = None
+    method: str = "numeric"
 
 
 class Solver(NamedTuple):
     """A row of the table: its name, how it works, and two functions.
 
-    `refuses` says in a sentence why it is not for what is asked, None where it is; it looks at the structure only, not
+    `refuses` says in a sentence why it is not for a problem, None where it is; it looks at the structure only, not
     at numbers that differ from call to call. `run` answers.
     """
 

@@ -59,7 +59,7 @@ class Limits(NamedTuple):
 
 
 class LowRank(NamedTuple):
-    """What is asked for has more `equations` than what moves has `freedoms`: it holds by chance only."""
+    """What is requested has more `equations` than what moves has `freedoms`: it holds by chance only."""
 
     equations: int
     freedoms: int

@@ -1,4 +1,4 @@
-"""Targets of the inverse models: what is asked of a frame, checked."""
+"""Targets of the inverse models: what is required of a frame, checked."""
 
 from __future__ import annotations
 

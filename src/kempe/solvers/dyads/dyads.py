@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.calls import explained, explained_methods, listed
+from kempe.calls import brief, explained, explained_methods, listed
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.common.parallel import over_chunks
 from kempe.kinematics.common.result import Report
@@ -19,10 +19,11 @@ from kempe.kinematics.configuration import as_q, as_start
 from kempe.kinematics.forward import fk
 from kempe.model.kept import kept
 from kempe.reals import reals
+from kempe.solvers.common.answer import Answer
 from kempe.solvers.dyads.assur_groups import Decomposition
 from kempe.solvers.dyads.decompose import Dyad, End, parts_of
 from kempe.spatial import Array
-from kempe.status import Status
+from kempe.status import Status, member
 from kempe.words import counted
 
 if TYPE_CHECKING:
@@ -56,18 +57,58 @@ class Incomplete(Report):
         return {"bodies": self.bodies}
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
-class Closed:
-    """Configurations `q` (..., nq); which are `ok` (...), that is closed; their openings `gap` (...) in metres.
+class Closed(Answer):
+    """Configurations `q` (..., nq) of a `plan`; which are closed (`success` or `ok`); their openings `gap` in metres.
 
     `undetermined` (...) counts the parts of each that these inputs leave free: links without length, circles with one
     centre, parallel lines. They got one of their infinitely many positions.
     """
 
+    __repr__ = brief
+
+    what = "configurations closed"
+    also = ("gap", "undetermined")
+
     q: Array
-    ok: Any
+    success: Any
     gap: Any
     undetermined: Any
+    closing: tuple[Plan, Array] = field(repr=False)
+    """The plan, and the values (n, known) that it was to close."""
+
+    @property
+    def system(self) -> System:
+        """The system of the problem."""
+        return self.closing[0].system
+
+    @property
+    def ok(self) -> Any:
+        """Which (...) are closed: another name of `success`."""
+        return self.success
+
+    @property
+    def code(self) -> Any:
+        """The outcome (...): where this branch does not close, others may."""
+        sound = np.isfinite(self.closing[1]).all(axis=-1).reshape(np.shape(self.success))
+        left = np.where(sound, Status.NOT_FOUND, Status.BAD_INPUT)
+        return member(np.where(self.success, Status.SOLVED, left))
+
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        from kempe.solvers.dyads.held import held_at
+
+        plan, values = self.closing
+        columns = values.T.reshape(len(plan.known), *np.shape(self.success))
+        return held_at(self.system, dict(zip(plan.known, columns, strict=True)))
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
+        code, gap, free = (np.asarray(x)[index].item() for x in (self.code, self.gap, self.undetermined))
+        if code == Status.BAD_INPUT:
+            return "known values are not finite"
+        if code != Status.SOLVED:
+            return f"open by {gap:.6g} m on this branch; q is where it nearly touches"
+        return f"closed: open by {gap:.1e} m" + (f"; {counted(free, 'part')} left undetermined" if free else "")
 
 
 @explained_methods
@@ -137,8 +178,9 @@ class Plan(Report):
         gap = status[:, 0]
         ok = (gap <= self.tolerance) & np.isfinite(given).all(axis=-1)
         if not lead:
-            return Closed(q[0], bool(ok[0]), float(gap[0]), int(status[0, 1]))
-        return Closed(q.reshape(*lead, nq), ok.reshape(lead), gap.reshape(lead), status[:, 1].astype(int).reshape(lead))
+            return Closed(q[0], bool(ok[0]), float(gap[0]), int(status[0, 1]), (self, given))
+        ok, gap, free = (x.reshape(lead) for x in (ok, gap, status[:, 1].astype(int)))
+        return Closed(q.reshape(*lead, nq), ok, gap, free, (self, given))
 
     def all(self, values: ArrayLike, start: Any = None) -> tuple[Array, np.ndarray]:
         """Configurations q (..., 2**signs, nq) on all branches, and a mask (..., 2**signs) of those that close.

@@ -14,13 +14,14 @@ from kempe.errors import InputError
 from kempe.kinematics.common.result import Cells
 from kempe.kinematics.configuration import as_start, home_of
 from kempe.kinematics.one_sided import one_sided_rows
-from kempe.solvers.assembly.held import held_at
+from kempe.model.kept import kept
 from kempe.solvers.assembly.ideal import tolerant
 from kempe.solvers.common.answer import Configurations
 from kempe.solvers.common.arguments import start_count
 from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, partial
-from kempe.solvers.common.problem import Problem, Solver, choose, chosen_by, takes_all
+from kempe.solvers.common.problem import Choice, Problem, Solver, choose, chosen_by, takes_all
 from kempe.solvers.dyads.dyads import MOST_SIGNS, Incomplete, closed_form, source_values
+from kempe.solvers.dyads.held import held_at
 from kempe.solvers.modes.same_configuration import INSIDE, SAME, Clusters, metric_of
 from kempe.spatial import Array
 from kempe.status import Status
@@ -133,9 +134,15 @@ def assembly_modes(
     generator(spend.rng), start_count(spend.starts), TimeLimit(spend.time_limit)
     flag(limits, "limits")
     name = None if frame is None else system.structure.frame_name(frame)
-    problem = Problem(system, "all", name, known=dict(given), start=base, limits=bool(limits), budget=budget)
-    solver, choice = choose(SOLVERS, system, tuple(given))
+    problem = Problem(system, "all", dict(given), base, limits=bool(limits), budget=budget, frame=name)
+    solver, choice = chosen(system, tuple(given))
     return chosen_by(solver.run(problem), choice)
+
+
+@kept
+def chosen(system: System, known: tuple[str, ...]) -> tuple[Solver, Choice]:
+    """Who answers with these names known."""
+    return choose(SOLVERS, system, known)
 
 
 # ---- by structure

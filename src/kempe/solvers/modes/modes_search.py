@@ -25,7 +25,7 @@ from kempe.joints import P
 from kempe.kinematics.closure_rows import RANK_TOLERANCE, evaluate
 from kempe.kinematics.configuration import home_of, random
 from kempe.model.tree.own_tree import own_tree
-from kempe.solvers.assembly.assembly import Assembler, of_equations
+from kempe.solvers.assembly.assembler import Assembler, of_equations
 from kempe.solvers.common.clock import BROKEN_OFF, TimeLimit
 from kempe.solvers.modes.mirror_images import mirrored, mixed
 from kempe.solvers.modes.same_configuration import SAME, Clusters
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 ROUND = 128
-"""Starts in one batch; after each it is asked whether the search may end."""
+"""Starts in one batch; after each it is checked whether the search may end."""
 SEEN_OFTEN, LEAST = 6, 512
 """The search ends when each mode has been found this many times, and after so many starts: of a mode to which 1 % of
 them leads, fewer would miss more than one in a hundred."""
@@ -59,9 +59,9 @@ CONFIDENCE = 0.95
 class Search:
     """Modes found: `clusters`, `free` (k,) freedoms left at each, `twin` (k,) the first of those that are its images.
 
-    With a `frame`, modes are one that put it at the same pose. `spins` are the idle freedoms that do not count (`asked`
-    whether they were looked for), `odd` says that the number found must be even, and is not, `broken` what ended the
-    search early.
+    With a `frame`, modes are one that put it at the same pose. `spins` are the idle freedoms that do not count
+    (`requested` whether they were looked for), `odd` says that the number found must be even, and is not, `broken` what
+    ended the search early.
     """
 
     system: System
@@ -74,7 +74,7 @@ class Search:
     free: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     twin: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     spins: tuple[Any, ...] = ()
-    asked: bool = False
+    requested: bool = False
     tried: int = 0
     odd: bool = False
     broken: BaseException | None = None
@@ -103,13 +103,13 @@ class Search:
         tolerance = np.maximum(SAME, 10.0 * np.sqrt(np.asarray(answer.residual)[good]))
         where = self.clusters.add(found, tolerance, counted)
         self._look(len(self.free))
-        if counted and self.frame is None and not self.asked and self.free.any():
-            self.asked = True
+        if counted and self.frame is None and not self.requested and self.free.any():
+            self.requested = True
             self._leave_out_spins(found, tolerance)
         return good, where
 
     def _look(self, first: int) -> None:
-        """Freedoms of the clusters from the first new one on, each its own twin."""
+        """Find the freedoms of the clusters from the first new one on, each its own twin."""
         new = freedoms(self.system, self.bound, self.known, self.clusters, self.clusters.q[first:])
         self.free = np.concatenate([self.free[:first], new])
         self.twin = np.concatenate([self.twin[:first], np.arange(first, len(self.free))])
@@ -145,7 +145,7 @@ class Search:
                 self.twin[self.twin == self.twin[max(i, k)]] = self.twin[min(i, k)]
         return len(self.free) > before
 
-    def settled(self) -> bool:
+    def decided(self) -> bool:
         """Whether each mode was found often, others were looked for in vain, and their number is not against it."""
         if self.tried < LEAST or not len(self.free) or not np.all(self.hits >= SEEN_OFTEN) or self.complete():
             return False
@@ -195,7 +195,7 @@ def _one_round(s: Search, starts: int) -> bool:
         start[0] = home_of(system) if near is None else near
     s.tried += n
     s.take(start, True)
-    if s.settled():
+    if s.decided():
         return True
     hits = s.hits
     return bool(s.tried >= MANY and len(hits) and share_found(hits) < HOPELESS)

@@ -12,7 +12,7 @@ from kempe.spatial import Array
 AT_LIMIT = 1e-9
 """How near to a limit a coordinate is at it."""
 RANK_TOLERANCE = 1e-9
-"""Singular values below this fraction of the largest count as zero when it is asked whether limits take a freedom."""
+"""Singular values below this fraction of the largest count as zero when it is checked whether limits take a freedom."""
 
 
 def derivative(solution: Solution) -> Array:

@@ -43,7 +43,7 @@ ROUNDING = 1e-14
 """What rounding makes of a configuration that reaches a target, in parts of its size."""
 RANK_TOLERANCE, NEARLY = 1e-9, 1e-4
 """Singular values below this fraction of the largest count as zero when the freedoms of a chain are counted, and when
-it is asked whether a search ended at a singular configuration."""
+it is checked whether a search ended at a singular configuration."""
 
 
 def sentence(solution: Solution, index: tuple[int, ...]) -> str:

@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
 
 METHODS = ("numeric", "analytic", "auto")
+TASKS, CLOSED = "tasks are requested, not a target of one frame", "method='analytic' asks for a closed form"
 CHUNK, SERIAL_BELOW = 256, 1024
 LENGTH, ANGLE = TOLERANCE
 USUAL = Usual("ik", starts=MOST, iterations=ITERATIONS, time_limit=None, rng=0, threads=None)
@@ -75,9 +76,8 @@ def ik(
 
     The answer says by `success` and `status` whether it was reached and if not, why; ``answer.expect()`` raises
     `NoSolutionError` then. A NaN in a single target is an `InputError`, in a batch it gives a NaN row. A frame that
-    moves with closed loops, or with relations of several coordinates, is a case for
-    `kempe.solvers.tasks.ik_tasks.reach`, which holds these, and so is what one would `prefer` of many configurations,
-    as there: the answer then is `Reached`.
+    moves with closed loops, or with relations of several coordinates, is a case for `reach`, which holds these, and so
+    is what one would `prefer` of many configurations, as there: the answer then is `Reached`.
 
     `method`: "numeric" (the default), damped least squares with an active set of limits and restarts (Sugihara, 2011;
     Chan and Lawrence, 1988); "analytic", of all solutions that `ik_all` finds the one nearest to `start`; "auto", that
@@ -86,12 +86,12 @@ def ik(
     """
     if frame is not None:
         return _of_frame(system, target, frame, start, task, prefer, method or "numeric", tolerance, budget)
-    from kempe.solvers.tasks.ik_tasks import reach
-
     for name, value in (("task", task), ("method", method)):
         if value is not None:
             raise InputError(f"{name} is {value!r}; it belongs to a target of one frame, not to tasks")
-    return reach(system, target, start, prefer=prefer, tolerance=tolerance, budget=budget)
+    problem = Problem(system, "one", start=start, prefer=prefer, tolerance=tolerance, budget=budget, wanted=target)
+    solver, choice = chosen(system, None, problem.task, problem.method, prefer is not None)
+    return chosen_by(solver.run(problem), choice)
 
 
 def _of_frame(
@@ -101,15 +101,15 @@ def _of_frame(
     """The answer for targets of one frame."""
     name, target = system.structure.frame_name(frame), arrays(target, "target")
     said, axis = task_and_axis(task)
-    asked, targets, lead = _asked(system, name, target, said, axis)
+    requested, targets, lead = _checked(system, name, target, said, axis)
     if method not in METHODS:
         raise InputError(f"method is {method!r}; it must be one of {', '.join(map(repr, METHODS))}")
     if prefer is not None and method != "numeric":
         raise InputError(f"method is {method!r}, which prefers nothing; leave it out, or prefer")
-    solver, choice = chosen(system, name, asked, method, prefer is not None)
+    solver, choice = chosen(system, name, requested, method, prefer is not None)
     targets = targets.copy() if np.may_share_memory(targets, target) else targets  # the answer keeps them
-    problem = Problem(system, "one", name, asked, targets, lead, start=start, method=method, prefer=prefer,
-                      tolerance=tolerance, budget=budget)  # fmt: skip
+    problem = Problem(system, "one", start=start, prefer=prefer, tolerance=tolerance, budget=budget, frame=name,
+                      task=requested, targets=targets, lead=lead, method=method)  # fmt: skip
     answer = chosen_by(solver.run(problem), choice)
     if not lead and task is said and solver is not BY_TASKS:
         _bind(answer.task, said, np.shape(target))
@@ -119,9 +119,9 @@ def _of_frame(
 # ---- the solvers
 
 
-def _no_closed_form(system: System, frame: str, task: TaskOf, method: str, prefers: bool) -> str | None:
-    if method == "numeric":
-        return "method='analytic' or 'auto' asks for it"
+def _no_closed_form(system: System, frame: str | None, task: TaskOf, method: str, prefers: bool) -> str | None:
+    if frame is None or method == "numeric":
+        return TASKS if frame is None else "method='analytic' or 'auto' asks for it"
     bounds = one_sided_rows(system)
     if bounds.declared:
         return (f"method 'analytic' does not hold one-sided constraints, such as {bounds.names[0]!r}; leave it out, or "
@@ -132,9 +132,9 @@ def _no_closed_form(system: System, frame: str, task: TaskOf, method: str, prefe
     return plan if isinstance(plan, str) else None
 
 
-def _no_chain(system: System, frame: str, task: TaskOf, method: str, prefers: bool) -> str | None:
-    if method == "analytic":
-        return "method='analytic' asks for a closed form"
+def _no_chain(system: System, frame: str | None, task: TaskOf, method: str, prefers: bool) -> str | None:
+    if frame is None or method == "analytic":
+        return TASKS if frame is None else CLOSED
     if prefers:
         return "it prefers nothing"
     if one_sided_rows(system).declared:
@@ -142,8 +142,8 @@ def _no_chain(system: System, frame: str, task: TaskOf, method: str, prefers: bo
     return obstacle(system, frame)
 
 
-def _no_tasks(system: System, frame: str, task: TaskOf, method: str, prefers: bool) -> str | None:
-    return "method='analytic' asks for a closed form" if method == "analytic" else None
+def _no_tasks(system: System, frame: str | None, task: TaskOf, method: str, prefers: bool) -> str | None:
+    return CLOSED if method == "analytic" else None
 
 
 def _of_chain(problem: Problem) -> Solution:
@@ -170,9 +170,9 @@ def _of_tasks(problem: Problem) -> Solution:
     """The answer of `kempe.solvers.tasks.ik_tasks.reach`."""
     from kempe.solvers.tasks.ik_tasks import reach
 
-    wanted = of_target(str(problem.frame), *problem.task, problem.targets.reshape(*problem.lead, 4, 4))
-    return reach(problem.system, wanted, problem.start, prefer=problem.prefer, tolerance=problem.tolerance,
-                 budget=problem.budget)  # fmt: skip
+    frame, targets = problem.frame, problem.targets
+    held = problem.wanted if frame is None else of_target(frame, *problem.task, targets.reshape(*problem.lead, 4, 4))
+    return reach(problem._replace(wanted=held))
 
 
 BY_TASKS = Solver("levels", "least squares over all coordinates, with loops, limits and one-sided rows, by priorities",
@@ -182,12 +182,12 @@ SOLVERS = (
     Solver("chain", "damped least squares over the frame's own chain, with limits and restarts", _no_chain, _of_chain),
     BY_TASKS,
 )
-"""Who answers for targets of one frame."""
+"""Who answers for targets of one frame, and for tasks."""
 
 
 @kept
-def chosen(system: System, frame: str, task: TaskOf, method: str, prefers: bool) -> tuple[Solver, Choice]:
-    """Who answers for a frame and a task."""
+def chosen(system: System, frame: str | None, task: TaskOf, method: str, prefers: bool) -> tuple[Solver, Choice]:
+    """Who answers for a frame and a task of it, or, without a frame, for tasks."""
     return choose(SOLVERS, system, frame, task, method, prefers)
 
 
@@ -224,7 +224,7 @@ def _judged(
 ) -> Solution:  # fmt: skip
     """The answer, from the chain's configurations (N, n), residuals (N, 2) and status, steps and starts (N, 3).
 
-    Where `run` has postponed targets, their part of it is found when it is asked for.
+    Where `run` has postponed targets, their part of it is found on demand.
     """
     system, targets, code = question.system, question.targets, info[:, 0]
     if (code == Status.OUT_OF_REACH).any():
@@ -241,7 +241,7 @@ def _judged(
     return _answer(question, full, code, residual, info, lead)
 
 
-def _asked(
+def _checked(
     system: System, frame: str, target: Any, task: str | None, axis: ArrayLike
 ) -> tuple[tuple[str, tuple[float, float, float]], Array, tuple[int, ...]]:
     """(task, axis), targets (N, 4, 4) and their leading shape."""
@@ -284,7 +284,7 @@ def run(
 
 
 def _bind(question: Task, task: str | None, shape: tuple[int, ...]) -> None:
-    """Nothing; calls like this one go by a `Bound` from now on, if they are plain enough."""
+    """Let calls like this one go by a `Bound` from now on, if they are plain enough."""
     system, chain, key = question.system, question.chain, (question.frame, task, len(shape))
     point = question.name == "position" and (task is not None or shape != (4, 4))  # a turned particle is an error
     plain = shape in ((4, 4), (3,), (2,)) if point else (shape == (4, 4) and question.name != "position")
@@ -297,7 +297,7 @@ class Bound:
     """`ik` of single targets for one frame and task, with all looked up that can be: the way of plain calls."""
 
     def __init__(self, question: Task, shape: tuple[int, ...]):
-        self.asked, self.chain, self.rows = question, question.chain, multi_start.rows_of(question)
+        self.requested, self.chain, self.rows = question, question.chain, multi_start.rows_of(question)
         system, self.size = question.system, len(question.chain.q_index)
         self.nq = system.nq
         first = int(self.chain.q_index[0]) if self.size else 0
@@ -312,11 +312,11 @@ class Bound:
         self.reach, self.base, self.no_seed = schedule.reach, self.chain.base[0], self.chain.no_seed
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Bound, (self.asked, self.shape)
+        return Bound, (self.requested, self.shape)
 
     def task(self, X: Array) -> Task:
-        """What was asked, for poses (1, 4, 4)."""
-        return replace(self.asked, targets=X)
+        """The problem, for poses (1, 4, 4)."""
+        return replace(self.requested, targets=X)
 
     def _pose(self, target: Array) -> Array:
         """A position as (1, 4, 4)."""

@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 MOST = 1000
 """Starts before a target is given up. Most succeed with the first; one in a hundred thousand needs more than 100."""
 GLANCE = 16
-"""Starts after which the same is asked in a batch, where what is nearest to such targets can wait."""
+"""Starts after which a batch goes on, where what is nearest to such targets can wait."""
 HARD = 8
 """So few targets of a chunk that are not reached by then are more likely hard than out of reach: first they go on."""
 FEW = 64
-"""Starts after which it is asked whether lengths put a target out of reach: then it is given up."""
+"""Starts after which it is checked whether lengths put a target out of reach: then it is given up."""
 ITERATIONS = 40
 """Steps of one start; those that converge need 5 to 9, few as many as 40, and hopeless ones are given up before."""
 TOLERANCE = (1e-6, 1e-6)
@@ -45,7 +45,7 @@ SHARES = (1.0, 0.2, 5.0)
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What was asked of the solver: kept with the answer, so that it can say why it failed."""
+    """What was required of the solver: kept with the answer, so that it can say why it failed."""
 
     system: System
     frame: str
@@ -71,7 +71,7 @@ class Task:
 
 
 def rows_of(task: Task) -> np.ndarray:
-    """What the kernel is told of a task: six rows, whether an axis is pointed, circular coordinates."""
+    """What the kernel reads of a task: six rows, whether an axis is pointed, circular coordinates."""
     pointed = points_along(task.name)
     rows = (*task.mask[:5], 1, 1) if pointed else (*task.mask, 0)
     return np.concatenate([np.array(rows, dtype=np.int64), task.chain.circular])
@@ -173,7 +173,7 @@ def _more(task: Task, head: tuple[Any, ...], rows: np.ndarray, first: int, count
 
 
 def _end(task: Task, targets: Array, left: np.ndarray, out: Array) -> None:
-    """Nothing; the time is up for these rows: they are measured as they are."""
+    """Measure these rows as they are: the time is up."""
     n = out.shape[1] - ANSWER
     out[left, n + STATUS] = Status.OUT_OF_TIME
     out[left, n : n + STATUS] = misses(task, targets[left], out[left, :n])

@@ -40,7 +40,7 @@ class Solution(Answer):
     the work. All have the leading shape of the targets; for a single target they are plain Python numbers.
 
     In a batch, what is nearest to targets that lengths prove to be out of reach is searched for when `q`, an error,
-    `iterations`, `starts` or `status` is first asked for: `success`, `code` and `proven` need no search.
+    `iterations`, `starts` or `status` is first requested: `success`, `code` and `proven` need no search.
     """
 
     __repr__ = brief
@@ -55,26 +55,26 @@ class Solution(Answer):
     orientation_error: Any
     iterations: Any
     starts: Any
-    asked: Any = field(repr=False)
+    problem: Any = field(repr=False)
     """The `Task`, or a bound form and its target, which can tell it."""
 
     @classmethod
-    def reached(cls, asked: Any, q: Array, measured: Array) -> Solution:
+    def reached(cls, problem: Any, q: Array, measured: Array) -> Solution:
         """The answer for a single target that was reached, in a fraction of the time that a frozen class takes.
 
         `measured` ends with errors, status, steps and starts, as the kernels leave them: they become fields when one is
-        asked for.
+        requested.
         """
         out = object.__new__(cls)
         own = out.__dict__
-        own["q"], own["success"], own["asked"], own["_measured"] = q, True, asked, measured
+        own["q"], own["success"], own["problem"], own["_measured"] = q, True, problem, measured
         return out
 
     @classmethod
-    def postponed(cls, code: np.ndarray, asked: Any, later: tuple[Callable[..., Solution], Any]) -> Solution:
+    def postponed(cls, code: np.ndarray, problem: Any, later: tuple[Callable[..., Solution], Any]) -> Solution:
         """The answer for a batch of which only codes (...) are known: ``later[0](*later[1])`` gives the rest."""
         out = object.__new__(cls)
-        out.__dict__.update(success=code == Status.SOLVED, code=code, asked=asked, _later=later)
+        out.__dict__.update(success=code == Status.SOLVED, code=code, problem=problem, _later=later)
         return out
 
     if not TYPE_CHECKING:  # a type checker would take any name for a field
@@ -94,11 +94,11 @@ class Solution(Answer):
 
     @cached_property
     def task(self) -> Task:
-        """What was asked."""
-        if isinstance(self.asked, tuple):
-            bound, target = self.asked
+        """The problem that was solved."""
+        if isinstance(self.problem, tuple):
+            bound, target = self.problem
             return bound.task(target)
-        return self.asked
+        return self.problem
 
     def _chosen(self) -> Choice | None:
         from kempe.solvers.one_frame.inverse import chosen
@@ -137,12 +137,12 @@ class Solution(Answer):
 
     @property
     def system(self) -> System:
-        """The system that was asked."""
+        """The system of the problem."""
         return self.task.system
 
     @cached_property
     def _local(self) -> tuple[int, int, int, Array]:
-        """Equations of what was asked, freedoms, rank of the equations in these, basis of self-motions."""
+        """Equations of the problem, freedoms, rank of the equations in these, basis of self-motions."""
         if np.ndim(self.success):
             raise InputError("m, n, rank and self_motion are those of one answer: ask for one problem, not for a batch")
         return self._analysed()

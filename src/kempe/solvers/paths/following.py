@@ -21,13 +21,13 @@ from kempe.rigid import arrays, sound
 from kempe.solvers.assembly.ideal import ideal_of
 from kempe.solvers.common.answer import Configurations
 from kempe.solvers.common.clock import BROKEN_OFF, LONG, TimeLimit, partial
-from kempe.solvers.common.problem import Choice, Solver, takes_all
+from kempe.solvers.common.problem import NOTHING, Problem, Solver, choose, chosen_by, takes_all
 from kempe.solvers.common.serial_chain import of_loops
 from kempe.solvers.common.slip import rolls
 from kempe.solvers.common.targets import Z_AXIS, parse_targets
 from kempe.solvers.paths.path_steps import DEPTH, SINGULAR, STAYS, TOLERANCE, WEAK, Way
 from kempe.solvers.tasks.ik_tasks import STARTS, Demands, judge, pose_problem
-from kempe.solvers.tasks.reached import asked_of
+from kempe.solvers.tasks.reached import demands_of
 from kempe.solvers.tasks.uninvolved import apart
 from kempe.spatial import Array
 from kempe.status import Status
@@ -64,7 +64,7 @@ class IkPath(Configurations):
     success: np.ndarray
     jumps: tuple[int, ...]
     reason: str
-    asked: Demands = field(repr=False)
+    problem: Demands = field(repr=False)
     """The tasks, with a goal for each of the targets."""
     interrupted: bool = False
     late: bool = False
@@ -79,11 +79,8 @@ class IkPath(Configurations):
     def __bool__(self) -> bool:
         return bool(np.all(self.success)) and not self.jumps
 
-    def _chosen(self) -> Choice:
-        return SOLVERS[0].choice()
-
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
-        return asked_of(self.asked)
+        return demands_of(self.problem)
 
     def _data(self) -> dict[str, Any]:
         return {"success": bool(self), "followed": self.success} | super()._data()
@@ -118,36 +115,47 @@ def ik_path(
     With `branches`, paths from several start configurations are tried, those of `ik_all` among them where it applies:
     the answer is the one that gets farthest, then the one with fewest jumps, then the shortest.
     Of the `budget` are read: starts (60) and rng (0) of what is looked for, time_limit (600 s) of the whole call, after
-    which what was done by then is the answer, and progress, which is told how many targets are done.
+    which what was done by then is the answer, and progress, which receives how many targets are done.
     Errors: `InputError`, `UnknownNameError`.
     """
     if not 0.0 < max_step < math.inf:
         raise InputError(f"max_step is {max_step!r}; it must be a positive number")
     system = ideal_of(system)
+    options = {"max_step": max_step, "restart": restart, "branches": branches}
     wanted = targets if frame is None else _held(system, targets, frame)
-    spend, tolerance = USUAL.of(budget), TOLERANCE if tolerance is None else tolerance
-    problem, first = pose_problem(system, wanted, start, tolerance, spend.starts, spend.rng)
+    name = None if frame is None else system.structure.frame_name(frame)
+    problem = Problem(system, "path", NOTHING, start, None, True, tolerance, budget, options, name, targets=targets,
+                      wanted=wanted)  # fmt: skip
+    solver, choice = choose(SOLVERS, system)
+    return chosen_by(solver.run(problem), choice)
+
+
+def by_steps(problem: Problem) -> IkPath:
+    """The path, gone step by step."""
+    system, start, options, spend = problem.system, problem.start, problem.options, USUAL.of(problem.budget)
+    tolerance, restart = TOLERANCE if problem.tolerance is None else problem.tolerance, options["restart"]
+    demands, first = pose_problem(system, problem.wanted, start, tolerance, spend.starts, spend.rng)
     if not np.isfinite(first).all():
         raise InputError("start has entries that are not finite")
-    if len(problem.lead) != 1 or not problem.lead[0] or len(first) > 1:
-        raise InputError(f"targets have the leading shape {problem.lead}, the start {first.shape}; needed are (n,) "
+    if len(demands.lead) != 1 or not demands.lead[0] or len(first) > 1:
+        raise InputError(f"targets have the leading shape {demands.lead}, the start {first.shape}; needed are (n,) "
                          f"targets and one start ({system.nq},)")  # fmt: skip
-    for task, goals in zip(problem.tasks, problem.goals, strict=True):
+    for task, goals in zip(demands.tasks, demands.goals, strict=True):
         refuse(goals, task.label)
     time = TimeLimit(spend.time_limit)
     time.put_in_order()  # there is nothing to do afterwards
-    way = _Path(problem, max_step, time, spend.progress)
+    way = _Path(demands, options["max_step"], time, spend.progress)
     q0, info = way.rows[0].run(first)
-    begin, n = 0, problem.lead[0]
+    begin, n = 0, demands.lead[0]
     while restart and info[0, 0] != SOLVED and begin + 1 < n:
         begin += 1
         q0, info = way.rows[begin].run(first)
     if info[0, 0] != SOLVED:
         status = f"the path does not begin: target {begin} is {judge(way.rows[begin], q0, info).status}"
-        return IkPath(system, np.full((n, system.nq), np.nan), np.zeros(n, dtype=bool), (), status, problem)
-    if not branches:
+        return IkPath(system, np.full((n, system.nq), np.nan), np.zeros(n, dtype=bool), (), status, demands)
+    if not options["branches"]:
         return way.rolled(way.path(q0[0], restart, begin), begin)
-    further = _all(system, targets, frame, way.rows[begin], begin, q0[0])
+    further = _all(problem, way.rows[begin], begin, q0[0])
     begins = _distinct([q0[0], *way.elsewhere(begin, q0[0]), *further])
     paths = []
     for q in begins:
@@ -199,8 +207,8 @@ class _Path(Way):
         """Configurations found that hold target i, from many starts, the nearest to q first."""
         row = self.rows[i]
         seeds = np.concatenate([q[None], self.system.random(row.rng, TRIED - 1)])
-        unasked = apart(row.packed, row.pins)
-        seeds[:, unasked] = q[unasked]
+        untouched = apart(row.packed, row.pins)
+        seeds[:, untouched] = q[untouched]
         found, info = replace(row, lead=(TRIED,), starts=max(1, row.starts // TRIED)).run(seeds)
         good = found[info[:, 0] == SOLVED]
         return sorted(
@@ -219,8 +227,8 @@ class _Path(Way):
         except BROKEN_OFF as error:
             interrupted, late = (isinstance(error, kind) for kind in BROKEN_OFF)
             said.append(partial(interrupted, late).strip(" ()"))
-        unasked = apart(self.problem.packed, self.problem.pins)
-        out[:, unasked] = q[unasked]  # to the last bit
+        untouched = apart(self.problem.packed, self.problem.pins)
+        out[:, untouched] = q[untouched]  # to the last bit
         success = self._checked(out)
         status = f"{success.sum()} of {n} targets followed"
         jumped = f" with {len(jumps)} jump{'s' if len(jumps) > 1 else ''}" if jumps and restart else ""
@@ -295,18 +303,16 @@ def _sentence(system: System, i: int, why: str, q: Array, others: list[Array], r
     return f"{where}; target {i} is reached by a jump of {change[far]:.3g} in {system.structure.velocity_names[far]!r}"
 
 
-def _all(
-    system: System, targets: Any, frame: FrameLike | None, row: Demands, begin: int, q: Array
-) -> list[Array]:  # fmt: skip
+def _all(problem: Problem, row: Demands, begin: int, q: Array) -> list[Array]:
     """What `ik_all` finds for target `begin`, inside the limits; what the target does not ask for is as in q (nq,)."""
-    if frame is None or of_loops(system, system.structure.frame_name(frame)):
+    if problem.frame is None or of_loops(problem.system, problem.frame):
         return []
     try:
-        found = system.ik_all(reals(targets, "targets")[begin], frame)
+        found = problem.system.ik_all(reals(problem.targets, "targets")[begin], problem.frame)
     except UnsupportedError:
         return []
-    starts, unasked = found.q[found.inside], apart(row.packed, row.pins)
-    starts[:, unasked] = q[unasked]
+    starts, untouched = found.q[found.inside], apart(row.packed, row.pins)
+    starts[:, untouched] = q[untouched]
     answers = [row.run(x[None]) for x in starts]
     return [x[0] for x, info in answers if info[0, 0] == SOLVED]
 
@@ -332,6 +338,6 @@ def _length(path: IkPath) -> float:
 
 SOLVERS = (
     Solver("steps", "each step from its first order on, halved where it is not much longer than that",
-           takes_all, ik_path),
+           takes_all, by_steps),
 )  # fmt: skip
 """Who answers for a path."""

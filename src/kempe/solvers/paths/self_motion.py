@@ -21,11 +21,12 @@ from kempe.reals import is_whole
 from kempe.solvers.common.answer import Configurations
 from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit
 from kempe.solvers.common.freedoms import Local, freedoms_text, null
+from kempe.solvers.common.problem import NOTHING, Problem, Solver, choose, chosen_by, takes_all
 from kempe.solvers.common.slip import slip_of
 from kempe.solvers.common.targets import axis_of, points_along, task_and_axis, task_of
 from kempe.solvers.common.tracing import NONE, Node, walk
 from kempe.solvers.tasks.ik_tasks import judge, pose_problem
-from kempe.solvers.tasks.reached import asked_of
+from kempe.solvers.tasks.reached import demands_of
 from kempe.spatial import Array, ArrayLike
 from kempe.words import counted
 
@@ -71,7 +72,7 @@ class SelfMotion(Configurations):
     start: int
     closed: bool
     ends: tuple[str, str]
-    asked: Demands = field(repr=False)
+    problem: Demands = field(repr=False)
     """The tasks that hold all along."""
     interrupted: bool = False
     late: bool = False
@@ -82,7 +83,7 @@ class SelfMotion(Configurations):
         return self.freedoms > 0 and self._broken_off() is None
 
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
-        return [(task, goals, HOLDS) for task, goals, _ in asked_of(self.asked)]
+        return [(task, goals, HOLDS) for task, goals, _ in demands_of(self.problem)]
 
     def _headline(self) -> str:
         return self.status
@@ -115,32 +116,42 @@ def self_motion(
     if q.ndim != 1:
         raise InputError(f"q has shape {q.shape}; needed is one configuration ({system.nq},)")
     spend = USUAL.of(budget)
-    steps, step, time = spend.points, spend.step, TimeLimit(spend.time_limit)
+    steps, step, _ = spend.points, spend.step, TimeLimit(spend.time_limit)
     if not is_whole(steps) or steps < 1 or not isinstance(step, (int, float, np.floating)) or not 0.0 < step <= 0.5:
         raise InputError(f"points is {steps!r}, step {step!r}; needed are a whole number from 1, and 0 < step <= 0.5")
+    wanted = _wanted(system, q, tasks, *task_and_axis(task))
+    problem = Problem(system, "set", NOTHING, q, budget=budget, options={"direction": direction}, wanted=wanted)
+    solver, choice = choose(SOLVERS, system)
+    return chosen_by(solver.run(problem), choice)
+
+
+def by_tangents(problem: Problem) -> SelfMotion:
+    """The configurations, each a step along the tangent of the one before, led back."""
+    system, direction, spend = problem.system, problem.options["direction"], USUAL.of(problem.budget)
+    steps, step, time = spend.points, spend.step, TimeLimit(spend.time_limit)
     time.put_in_order()  # there is nothing to do afterwards
-    problem, q0 = _begin(system, q, _wanted(system, q, tasks, *task_and_axis(task)))
-    local = Local(problem, q0)
+    demands, q0 = _begin(system, problem.start, problem.wanted)
+    local = Local(demands, q0)
     if not local.left.shape[1]:
         raise InputError("the tasks leave no freedom at q: there is no self-motion")
     if not local.finite:
         text = freedoms_text(local)
-        return SelfMotion(system, local.q[None], 0, 0, False, (text, text), problem)
-    wish = _wish(system, direction, local, problem)
+        return SelfMotion(system, local.q[None], 0, 0, False, (text, text), demands)
+    wish = _wish(system, direction, local, demands)
     if local.finite == 1:  # of curves that meet here, the one nearest to the direction
         found = np.concatenate([local.motions, -local.motions])
         wish = found[np.argmax(found @ wish)]
     way = _Way(local, wish, local.finite > 1, step, time, spend.progress)
     forth = way.follow(q0, 1.0, steps)
     if forth.closed:
-        return SelfMotion(system, _rolling(system, [q0, *forth.q]), local.finite, 0, True, ("", ""), problem)
+        return SelfMotion(system, _rolling(system, [q0, *forth.q]), local.finite, 0, True, ("", ""), demands)
     back = _Half([], False, "the start", -forth.t)
     if way.broken is None:
         back = way.follow(q0, -1.0, steps, (forth.q[-1], -forth.t) if forth.q and forth.last else None)
     q = _rolling(system, [*back.q[::-1], q0, *forth.q])
     ends = ("", "") if back.closed else (back.end, forth.end)
     interrupted, late = (isinstance(way.broken, kind) for kind in BROKEN_OFF)
-    return SelfMotion(system, q, local.finite, len(back.q), back.closed, ends, problem, interrupted, late)
+    return SelfMotion(system, q, local.finite, len(back.q), back.closed, ends, demands, interrupted, late)
 
 
 def _rolling(system: System, q: list[Array]) -> Array:
@@ -329,3 +340,10 @@ def _at_limits(system: System, q: Array, t: Array, ahead: Array | float = 0.0) -
     low = (x <= system.lower[v] + near) & (t[v] < 0.0)
     high = (x >= system.upper[v] - near) & (t[v] > 0.0)
     return [system.structure.velocity_names[v[i]] for i in np.flatnonzero(low | high)]
+
+
+SOLVERS = (
+    Solver("tangents", "steps along the directions in which the tasks hold to first order, led back, both ways",
+           takes_all, by_tangents),
+)  # fmt: skip
+"""Who answers for a self-motion."""

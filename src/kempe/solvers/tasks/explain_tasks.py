@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from kempe.solvers.tasks.ik_tasks import Demands
 
 MOST_PAIRS = 45
-"""Pairs of tasks that are tried before they are no longer asked for."""
+"""Pairs of tasks that are tried before they are no longer requested."""
 
 
 def sentence(answer: Reached, index: tuple[int, ...]) -> str:
@@ -40,7 +40,7 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
     if code == Status.BAD_INPUT:
         return "goals or seed are not finite, or no poses"
     row = int(np.ravel_multi_index(index, np.shape(answer.code))) if index else 0
-    problem, q = answer.asked.of(row), answer.q[index]
+    problem, q = answer.problem.of(row), answer.q[index]
     misses = {t.label: answer.errors[t.label][index] for t in problem.tasks}
     soft = [f"{t.label!r} stays off by {_amount(t, misses[t.label])}" for t in problem.tasks if t.weight is not None]
     more = "; " + ", ".join(soft) if soft else ""
@@ -144,7 +144,7 @@ def _reason(problem: Demands, q: Array) -> str:
 def proofs(answer: Reached, index: tuple[int, ...]) -> tuple[Any, ...]:
     """What proves that the tasks of one problem of an answer do not hold together."""
     row = int(np.ravel_multi_index(index, np.shape(answer.code))) if index else 0
-    code, problem = np.asarray(answer.code)[index], answer.asked.of(row)
+    code, problem = np.asarray(answer.code)[index], answer.problem.of(row)
     if code == Status.CONTRADICTORY:
         return tuple(_contradicting(problem))
     hard = [i for i, t in enumerate(problem.tasks) if t.weight is None] if code == Status.OUT_OF_REACH else []
@@ -156,8 +156,8 @@ def _contradicting(problem: Demands) -> list[Contradiction]:
     out: dict[tuple[int, int], Contradiction] = {}
     for found in contradictions(problem):
         if (off := float(np.ravel(found.off)[0])) > 0.0:
-            told = found._replace(off=off, text=found.text.format(off=f"{off:.6g}"))
-            out.setdefault((found.first, found.second), told)
+            reported = found._replace(off=off, text=found.text.format(off=f"{off:.6g}"))
+            out.setdefault((found.first, found.second), reported)
     return list(out.values())
 
 

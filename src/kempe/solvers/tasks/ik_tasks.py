@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.budget import Budget, Usual
-from kempe.calls import explained
+from kempe.budget import Usual
 from kempe.constraints.base import Constraint
 from kempe.errors import InputError, shown
 from kempe.kernels.base import search_layout as S
@@ -24,11 +23,12 @@ from kempe.kinematics.tasks.task_classes import task_of
 from kempe.model.closures.callback import Callback
 from kempe.model.kept import keep, kept
 from kempe.reals import is_whole
-from kempe.solvers.assembly.assembly import TOLERANCE as CLOSED
-from kempe.solvers.assembly.assembly import limitless
+from kempe.solvers.assembly.assembler import TOLERANCE as CLOSED
+from kempe.solvers.assembly.assembler import limitless
 from kempe.solvers.assembly.ideal import ideal_of
 from kempe.solvers.common.arguments import deadline, seed_number, start_count, step_count, tolerances
 from kempe.solvers.common.clock import Clock
+from kempe.solvers.common.problem import Problem
 from kempe.solvers.common.serial_chain import inside
 from kempe.solvers.tasks import effort
 from kempe.solvers.tasks.contradictions import contradictory
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 TOLERANCE = (1e-6, 1e-6)
 """Largest error in metres and radians of a hard task that has no tolerance of its own."""
 STARTS = effort.FIRST
-"""Starts before tasks are given up that are asked for beside something else, as along a path."""
+"""Starts before tasks are given up that are requested beside something else, as along a path."""
 STEPS = 60
 """Steps of one start; those that succeed need 5 to 20."""
 CHUNK, SERIAL_BELOW = 16, 32
@@ -59,7 +59,7 @@ USUAL = Usual("ik", starts=None, iterations=STEPS, time_limit=None, rng=0, threa
 
 @dataclass(frozen=True, eq=False)
 class Demands:
-    """What was asked: kept with the answer, so that it can say why it failed.
+    """The tasks of a `Problem`, packed: kept with the answer, so that it can say why it failed.
 
     `pins` (N or 1, k) are the goals, `use` (tasks,) says which count, `limits` whether limits do.
     """
@@ -144,11 +144,11 @@ class Demands:
         """The configurations (N, nq), what no task depends on as in the starts (N or 1, nq), in place."""
         if self.mode != S.NOTHING:
             return q
-        unasked = apart(self.packed, self.pins)
-        if unasked.size and not (q[:, unasked] == starts[:, unasked]).all():
+        untouched = apart(self.packed, self.pins)
+        if untouched.size and not (q[:, untouched] == starts[:, untouched]).all():
             own = inside(self.system, starts.copy()) if self.limits else starts
             sound = ~np.isnan(q).any(axis=1)
-            q[np.ix_(sound, unasked)] = (own if len(own) == 1 else own[sound])[:, unasked]
+            q[np.ix_(sound, untouched)] = (own if len(own) == 1 else own[sound])[:, untouched]
         return q
 
     @cached_property
@@ -161,12 +161,12 @@ class Demands:
     def levels(self) -> tuple[np.ndarray, Array, list[int], Array]:
         """For kernels the stage of each tie and whether it is hard (2 ties,), and weight and tolerances (ties, 3); the
         tasks that are hard, and their tolerances (hard, 2)."""
-        asked = (self.use, self.one_sided, self.tolerance, *((t.priority, t.weight, t.tolerance) for t in self.tasks))
-        found = self.packed.stages.get(asked)
+        key = (self.use, self.one_sided, self.tolerance, *((t.priority, t.weight, t.tolerance) for t in self.tasks))
+        found = self.packed.stages.get(key)
         if found is None:
             hard = [i for i, used in enumerate(self.use) if used and self.tasks[i].weight is None]
             allowed = np.array([self.tolerance_of(self.tasks[i]) for i in hard]).reshape(-1, 2)
-            found = keep(self.packed.stages, asked, (*self._staged(), hard, allowed), KEPT)
+            found = keep(self.packed.stages, key, (*self._staged(), hard, allowed), KEPT)
         return found
 
     def _staged(self) -> tuple[np.ndarray, Array]:
@@ -187,12 +187,7 @@ class Demands:
         return stages.ravel(), strengths
 
 
-@explained
-def reach(
-    system: System, wanted: Constraint | Sequence[Constraint], start: Any = None, *,
-    prefer: str | Callable[[Array], Any] | None = None,
-    tolerance: float | tuple[float, float] | None = None, budget: Budget | None = None,
-) -> Reached:  # fmt: skip
+def reach(problem: Problem) -> Reached:
     """A configuration that holds several tasks at once (the inverse geometric model of any system).
 
     `wanted` are tasks of `kempe.tasks`, hard or soft and in strict priorities; goals with leading axes make a batch.
@@ -216,24 +211,25 @@ def reach(
     restarts (Levenberg, 1944; Sugihara, 2011), then the lower levels in the null space of the higher ones (Siciliano
     and Slotine, 1991). Errors: `InputError`, `UnknownNameError`.
     """
-    spend, tolerance = USUAL.of(budget), TOLERANCE if tolerance is None else tolerance
+    system, prefer, spend = problem.system, problem.prefer, USUAL.of(problem.budget)
+    tolerance = TOLERANCE if problem.tolerance is None else problem.tolerance
     starts, threads = spend.starts, spend.threads
     turns = prefer is None or prefer == "nearest"
-    problem, base = pose_problem(system, wanted, start, tolerance, starts, spend.rng, turns)
+    demands, base = pose_problem(system, problem.wanted, problem.start, tolerance, starts, spend.rng, turns)
     search = Demands.run if starts is not None else effort.search
     if spend.iterations != STEPS or spend.time_limit is not None:
         limit = spend.time_limit
-        problem = replace(problem, iterations=step_count(spend.iterations), time_limit=limit, end=deadline(limit))
-    if prefer == "manipulability" and problem.lead:  # it depends on the goal, of which each row has its own
-        rows = [_preferring(problem.of(i), prefer, base) for i in range(math.prod(problem.lead))]
+        demands = replace(demands, iterations=step_count(spend.iterations), time_limit=limit, end=deadline(limit))
+    if prefer == "manipulability" and demands.lead:  # it depends on the goal, of which each row has its own
+        rows = [_preferring(demands.of(i), prefer, base) for i in range(math.prod(demands.lead))]
         each = [solve(row, base[i : i + 1] if len(base) > 1 else base, search) for i, row in enumerate(rows)]
         q, info = (np.concatenate([x[k] for x in each] or [np.empty((0, n))]) for k, n in ((0, system.nq), (1, 3)))
     else:
-        problem = problem if prefer is None else _preferring(problem, prefer, base)
-        q, info = solve(problem, base, search, threads)
-    answer = judge(problem, q, info)
-    if not problem.lead and answer.code == Status.BAD_INPUT:
-        for each, goals in zip(problem.tasks, problem.goals, strict=True):
+        demands = demands if prefer is None else _preferring(demands, prefer, base)
+        q, info = solve(demands, base, search, threads)
+    answer = judge(demands, q, info)
+    if not demands.lead and answer.code == Status.BAD_INPUT:
+        for each, goals in zip(demands.tasks, demands.goals, strict=True):
             refuse(goals, each.label)
         raise InputError("the start has entries that are not finite or too large, or a quaternion that is zero")
     return answer
@@ -362,4 +358,4 @@ def judge(problem: Demands, q: Array, info: np.ndarray) -> Reached:
     success, code, *fields, cut_off = fields
     q = q.reshape(*lead, system.nq)
     code = code if lead else MEMBERS[int(code)]
-    return Reached(q, success, code, *fields, asked=problem, errors=errors, late=cut_off)
+    return Reached(q, success, code, *fields, problem=problem, errors=errors, late=cut_off)

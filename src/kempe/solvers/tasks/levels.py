@@ -132,11 +132,11 @@ def _lead_on(problem: Demands, rows: np.ndarray, q: Array, threads: int | None, 
 def _cut(problem: Demands, where: Callable[[Demands, Level], bool]) -> Level | None:
     """The last level that says so, before the last one."""
     levels = tuple([level_of(t) for t in problem.tasks])
-    asked = where, levels
-    ends = problem.packed.stages.get(asked)
+    requested = where, levels
+    ends = problem.packed.stages.get(requested)
     if ends is None:
         order = sorted(set(levels))
-        ends = keep(problem.packed.stages, asked, [end for end in order[:-1] if where(problem, end)][-1:], KEPT)
+        ends = keep(problem.packed.stages, requested, [end for end in order[:-1] if where(problem, end)][-1:], KEPT)
     return ends[0] if ends else None
 
 
@@ -162,12 +162,12 @@ def _may_differ(problem: Demands, end: Level) -> bool:
 def _part(problem: Demands, end: Level) -> Demands:
     """The problem up to a level, nothing preferred."""
     levels = tuple([level_of(t) for t in problem.tasks])
-    asked = _part, levels, end
-    chosen, packed = problem.packed.stages.get(asked) or ((), None)
+    requested = _part, levels, end
+    chosen, packed = problem.packed.stages.get(requested) or ((), None)
     if packed is None:
         chosen = tuple(i for i, level in enumerate(levels) if level <= end)
         packed = packed_for(problem.system, tuple(problem.tasks[i] for i in chosen), problem.packed.turns)
-        keep(problem.packed.stages, asked, (chosen, packed), KEPT)
+        keep(problem.packed.stages, requested, (chosen, packed), KEPT)
     tasks, goals = tuple([problem.tasks[i] for i in chosen]), tuple([problem.goals[i] for i in chosen])
     pins = packed.pins(goals, problem.lead if lead_of(goals) else ())
     use = (True,) * len(tasks)

@@ -35,15 +35,17 @@ class Reached(Solution):
     late: Any
 
     def _chosen(self) -> Choice:
-        from kempe.solvers.one_frame.inverse import BY_TASKS
+        from kempe.solvers.common.problem import Problem
+        from kempe.solvers.one_frame.inverse import chosen
 
-        return BY_TASKS.choice()
+        usual = Problem(self.problem.system, "one")
+        return chosen(usual.system, usual.frame, usual.task, usual.method, False)[1]
 
     def _analysed(self) -> tuple[int, int, int, Array]:
-        return analyse(self.asked, self.q)
+        return analyse(self.problem, self.q)
 
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
-        return asked_of(self.asked)
+        return demands_of(self.problem)
 
     def _proofs(self, index: tuple[int, ...]) -> tuple[Any, ...]:
         from kempe.solvers.tasks.explain_tasks import proofs
@@ -64,7 +66,7 @@ class Reached(Solution):
         return sentence(self, index) + self._way_there(index)
 
 
-def asked_of(problem: Demands) -> list[tuple[Any, Any, Any]]:
+def demands_of(problem: Demands) -> list[tuple[Any, Any, Any]]:
     """The hard tasks of a problem, with their goals and tolerances."""
     every = zip(problem.tasks, problem.goals, problem.use, strict=True)
     return [(task, goals, problem.tolerance_of(task)) for task, goals, used in every if used and task.weight is None]

@@ -26,19 +26,19 @@ def apart(packed: Packed, pins: Array) -> np.ndarray:
         if not (np.isfinite(tasks).all() and np.isfinite(loops).all()):
             return NONE
         sided = packed.one_sided.rates(q, declared=True)[1]
-        tasks = np.concatenate([tasks, sided], axis=1)  # as if they were asked for
-        told = any(tie.function is not None for tie in packed.loops.ties)  # and may be flat there
-        found = packed.stages[apart] = NONE if told else _left_alone(packed, tasks, loops)
+        tasks = np.concatenate([tasks, sided], axis=1)  # as if they were requested
+        opaque = any(tie.function is not None for tie in packed.loops.ties)  # and may be flat there
+        found = packed.stages[apart] = NONE if opaque else _left_alone(packed, tasks, loops)
     return found
 
 
 def _left_alone(packed: Packed, tasks: Array, loops: Array) -> np.ndarray:
     """Places in q that Jacobians (N, m, nv) of tasks and loops leave alone."""
     layout = packed.system.structure.layout
-    asked: np.ndarray = np.any(np.abs(tasks) > NOTHING, axis=(0, 1))
+    requested: np.ndarray = np.any(np.abs(tasks) > NOTHING, axis=(0, 1))
     bound: np.ndarray = np.any(np.abs(loops) > NOTHING, axis=0)
     for _ in range(len(bound)):  # what moves a loop moves all of it
-        asked = asked | bound[(bound & asked).any(axis=1)].any(axis=0)
-    balls = ~(asked[layout.quaternion_v[:, None] + np.arange(3)].any(axis=1))
-    angles = layout.vector_q[~asked[layout.vector_v]]
+        requested = requested | bound[(bound & requested).any(axis=1)].any(axis=0)
+    balls = ~(requested[layout.quaternion_v[:, None] + np.arange(3)].any(axis=1))
+    angles = layout.vector_q[~requested[layout.vector_v]]
     return np.concatenate([angles, (layout.quaternion_q[balls][:, None] + np.arange(4)).ravel()]).astype(np.int64)

@@ -47,7 +47,7 @@ def derivative(answer: Reached) -> dict[str, Array]:
     goals, and second ones, are central differences. Errors: `InputError` where a single problem was not solved,
     `UnsupportedError` for soft tasks of several priorities and functions that are preferred.
     """
-    problem, good = answer.asked, np.asarray(answer.success)
+    problem, good = answer.problem, np.asarray(answer.success)
     if not good.ndim and not good:
         raise InputError(f"the tasks do not hold, so q does not follow their goals: {answer.status}")
     soft = {t.priority for t in problem.tasks if t.weight is not None}

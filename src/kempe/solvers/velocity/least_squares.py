@@ -22,7 +22,7 @@ HAD = 1e-9
 NO_PART = 1e-6
 """Part of what is wished up to which none of it is had: what the weights bend it by."""
 INWARD = 1e-14
-"""Gradients below this fraction of what is asked release no bound: rounding."""
+"""Gradients below this fraction of what is required release no bound: rounding."""
 SLACK = 1e-13
 """By how much a row that no step moves may seem to be beyond its bound: rounding."""
 

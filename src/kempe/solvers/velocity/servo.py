@@ -224,7 +224,7 @@ def _held_step(
     if not np.isfinite(q).all():
         refuse_bad(system, q)
     closed = _closed(system)
-    at, J = _asked(system, closed, q, wanted, frame, dt, np.ones(6) if weights is None else weights)
+    at, J = _wanted(system, closed, q, wanted, frame, dt, np.ones(6) if weights is None else weights)
     low, high = closed.box(q, dt, speed)
     stages = at(q)
     if frame is not None and np.ndim(wanted) == 1:
@@ -235,17 +235,17 @@ def _held_step(
     velocity = u * closed.scale
     near = BESIDE * np.maximum(1.0, np.abs(u))
     at = ((u <= low + near) | (u >= high - near)).nonzero()[0]
-    asked = np.concatenate([NONE, *(s.b for s in stages if s.hard)])
+    requested = np.concatenate([NONE, *(s.b for s in stages if s.hard)])
     had = np.concatenate([NONE, *(s.A @ u for s in stages if s.hard)])
     twist = had if frame is None else J @ velocity
     names = tuple(system.structure.velocity_names[i] for i in at)
-    return IkStep(after, velocity, twist, _part(had, asked), names, system)
+    return IkStep(after, velocity, twist, _part(had, requested), names, system)
 
 
-def _asked(
+def _wanted(
     system: System, closed: Closed, q: Array, wanted: Any, frame: str | None, dt: float, weights: Array
 ) -> tuple[Callable[[Array], list[Stage]], Array]:  # fmt: skip
-    """What is asked at a configuration (nq,), as a function of it, and the Jacobian (6, nv) of the frame, if any."""
+    """What is required at a configuration (nq,), as a function of it, and the Jacobian (6, nv) of the frame, if any."""
     from kempe.solvers.velocity.servo_closed import posed, stages_of
 
     if frame is None:
@@ -267,10 +267,10 @@ def _closed(system: System) -> Any:
     return Closed(system)
 
 
-def _part(had: Array, asked: Array) -> float:
-    """Which part of what is asked is had."""
-    square = float(asked @ asked)
-    return float(asked @ had) / square if square else 1.0
+def _part(had: Array, requested: Array) -> float:
+    """Which part of what is required is had."""
+    square = float(requested @ requested)
+    return float(requested @ had) / square if square else 1.0
 
 
 def _motion(wanted: Any) -> Array:

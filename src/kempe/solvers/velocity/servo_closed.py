@@ -37,7 +37,7 @@ CLOSED = 1e-12
 CORRECTIONS, HALVINGS = 8, 12
 """Steps that close the loops again, and how often a step is halved after which that fails."""
 HALF, ENOUGH, BUSY = 0.5, 1e-13, 2.0
-"""Part of what is asked that a step of first order may leave; what may be left in any case; and what earlier stages
+"""Part of what is required that a step of first order may leave; what may be left in any case; and what earlier stages
 miss, as a multiple of the square of the step, to count as not arrived."""
 DIFFERENCE = 1e-5
 """Step of the differences of Jacobians, in radians and characteristic lengths."""
@@ -50,7 +50,7 @@ BEYOND = 1e-12
 
 
 class Stage(NamedTuple):
-    """What is asked at one level: A u = b as nearly as can be, and low <= I u <= high; u are scaled velocities."""
+    """What is required at one level: A u = b as nearly as can be, and low <= I u <= high; u are scaled velocities."""
 
     A: Array
     b: Array
@@ -60,14 +60,14 @@ class Stage(NamedTuple):
     hard: bool = True
 
     def beside(self, rest: Array) -> Stage:
-        """What is asked of the velocities beside some that are there at rest (nv,)."""
+        """What is required of the velocities beside some that are there at rest (nv,)."""
         if not rest.any():
             return self
         have = self.inequalities @ rest
         return self._replace(b=self.b - self.A @ rest, low=self.low - have, high=self.high - have)
 
     def missed(self, u: Array | None = None) -> float:
-        """The length of what velocities u (nv,) leave of what is asked, or of all of it."""
+        """The length of what velocities u (nv,) leave of what is required, or of all of it."""
         left = self.b if u is None else self.b - self.A @ u
         square = float(left @ left)
         if len(self.low):
@@ -178,18 +178,18 @@ class Closed:
         """
         free = self.free(q, dt)
         u = self.velocity(free, stages, low, high, damping, direction)
-        size, asked = dt * float(u @ u), [s.missed() for s in stages]
+        size, requested = dt * float(u @ u), [s.missed() for s in stages]
         if size * dt <= ENOUGH**2:
             return self.after(q, np.minimum(np.maximum(0.0, low), high), dt, low, high)
         left = [s.missed(u) for s in stages]
-        k = next((k for k, had in enumerate(asked) if left[k] > max(HALF * had, ENOUGH / dt)), None)
+        k = next((k for k, had in enumerate(requested) if left[k] > max(HALF * had, ENOUGH / dt)), None)
         if (
             k is None
-            or (k and max(asked[:k]) > BUSY * size)
-            or (k and asked[k] ** 2 - left[k] ** 2 > 2.0 * BUSY * size * left[k])
+            or (k and max(requested[:k]) > BUSY * size)
+            or (k and requested[k] ** 2 - left[k] ** 2 > 2.0 * BUSY * size * left[k])
         ):  # earlier ones move it, by more than it disturbs them; or curvature is little beside what is gained
             return self.after(q, u, dt, low, high)
-        first, own, before = stages[:k], stages[: k + 1], asked[k]
+        first, own, before = stages[:k], stages[: k + 1], requested[k]
         model = None if direction else self.curvature(q, free.basis, own, u, low, high, dt, at)
         more = 0.0
         for _ in range(TRIALS):
@@ -214,12 +214,12 @@ class Closed:
         """The Hessian (k, k), in the free velocities, of half the square of what the last stage misses, where loops and
         earlier stages stay as they are: that of the Lagrangian, by differences."""
 
-        def push(x: Array, asked: list[Stage]) -> tuple[Array, Array]:
+        def push(x: Array, requested: list[Stage]) -> tuple[Array, Array]:
             """What the last stage pulls at (nv,), and the rows (m, nv) that stay, at a configuration."""
             C = evaluate(self.system, x, True, True)[1]
-            s = asked[-1]
+            s = requested[-1]
             out = np.maximum(s.low, 0.0) + np.minimum(s.high, 0.0)
-            return dt * (s.b @ s.A + out @ s.inequalities), np.concatenate([C, *(t.A for t in asked[:-1])])
+            return dt * (s.b @ s.A + out @ s.inequalities), np.concatenate([C, *(t.A for t in requested[:-1])])
 
         pull, rows = push(q, stages)
         at_bound = np.eye(len(u))[(u <= low) | (u >= high)]
@@ -271,9 +271,7 @@ class Closed:
 
     def bent(self, q: Array, u: Array, dt: float) -> Array:
         """Scaled velocities (nv,) over dt for those at q: without slip in the middle of the way, to second order."""
-        A, b = hard_rows(
-            self.system, self.system.structure.layout.integrate(q, 0.5 * dt * u * self.scale), self.scale
-        )
+        A, b = hard_rows(self.system, self.system.structure.layout.integrate(q, 0.5 * dt * u * self.scale), self.scale)
         return u - np.linalg.pinv(A, rcond=1e-8) @ (A @ u - b)
 
     def _inside(self, q: Array, x: Array) -> Array:

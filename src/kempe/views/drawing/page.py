@@ -93,7 +93,7 @@ def _metres_a_point(ax: Axes) -> float:
 
 
 def light_axes(ax: Axes) -> None:
-    """Left and bottom axis in grey, no box."""
+    """Draw the left and the bottom axis in grey, and no box."""
     for side, spine in ax.spines.items():
         spine.set_visible(side in ("left", "bottom"))
         spine.set_color(FAINT)
@@ -114,7 +114,7 @@ def length_text(length: float) -> str:
 
 
 def _scale_bar(sheet: Sheet) -> None:
-    """A bar of a round length below the drawing, at its left end; in axes coordinates vertically."""
+    """Draw a bar of a round length below the drawing, at its left end; in axes coordinates vertically."""
     ax: Any = sheet.ax
     x0, x1 = ax.get_xlim()
     length = nice(0.22 * (x1 - x0))

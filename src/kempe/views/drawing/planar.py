@@ -88,7 +88,7 @@ def draw(sheet: Sheet, labels: bool = True) -> None:
 
 
 def _slides(sheet: Sheet, joint: SeenJoint) -> None:
-    """Strokes along the axes of F that a joint slides along."""
+    """Draw strokes along the axes of F that a joint slides along."""
     c, along = flat(joint.M), [joint.F[:2, "xyz".index(p.axis)] for p in joint.motions if p.kind == P]
     if along:
         ends = [(c - 2.6 * sheet.r * d, c + 2.6 * sheet.r * d) for d in along]
@@ -145,7 +145,7 @@ def _link(sheet: Sheet, link: SeenLink) -> None:
 
 
 def _cross(sheet: Sheet, X: Array, gid: str, colour: str) -> None:
-    """A body without extent: its axes x and y."""
+    """Draw a body without extent: its axes x and y."""
     c, arms = flat(X), X[:2, :2].T * 3.2 * sheet.r
     for name, arm, part in (("x", arms[0], 0.0), ("y", arms[1], 0.45)):
         line = np.array([c, c + arm])
@@ -157,7 +157,7 @@ def _cross(sheet: Sheet, X: Array, gid: str, colour: str) -> None:
 
 
 def _rods(sheet: Sheet) -> None:
-    """Rods between two points, and the pins that run in slots."""
+    """Draw rods between two points, and the pins that run in slots."""
     r = sheet.r
     for name, _, ends, wrong in sheet.scene.rods:
         p, colour = flat(ends), OPEN if abs(wrong) > WRONG * sheet.scene.size else INK
@@ -267,7 +267,7 @@ def _prismatic(sheet: Sheet, joint: SeenJoint) -> None:
 
 
 def _ground_rail(sheet: Sheet, joint: SeenJoint, a: Array, b: Array) -> None:
-    """The rail from a to b, moved to the side of the block that is down, or away from the mechanism."""
+    """Draw the rail from a to b, moved to the side of the block that is down, or away from the mechanism."""
     along = (b - a) / np.linalg.norm(b - a)
     side = np.array([-along[1], along[0]])
     if abs(side[1]) > 0.3:
@@ -282,7 +282,7 @@ def _ground_rail(sheet: Sheet, joint: SeenJoint, a: Array, b: Array) -> None:
 
 
 def _telescope(sheet: Sheet, joint: SeenJoint) -> None:
-    """A cylinder on the parent, a rod of the child that goes into it."""
+    """Draw a cylinder on the parent, and a rod of the child that goes into it."""
     r, p, m = sheet.r, flat(joint.F), flat(joint.M)
     along = m - p
     for (a, b, half), link, part in (
@@ -300,7 +300,7 @@ def _telescope(sheet: Sheet, joint: SeenJoint) -> None:
 
 
 def _open(sheet: Sheet, joint: SeenJoint) -> None:
-    """A dashed line where a joint does not hold together at this configuration."""
+    """Draw a dashed line where a joint does not hold together at this configuration."""
     a, b = flat(joint.F), flat(joint.M)
     if joint.kind == "prismatic":
         b = b - joint.axis[:2] * float(joint.axis[:2] @ (b - a))
@@ -314,7 +314,7 @@ def _open(sheet: Sheet, joint: SeenJoint) -> None:
 
 
 def _driver(sheet: Sheet, joint: SeenJoint) -> None:
-    """A curved arrow round a driven pin, a straight one beside a driven slider."""
+    """Draw a curved arrow round a driven pin, a straight one beside a driven slider."""
     r, c = sheet.r, flat(joint.M)
     gid = f"driver:{joint.name}"
     look = {"fc": DRIVER, "ec": "none"}

@@ -47,7 +47,7 @@ class Solids:
         self, name: str, a: Array, b: Array, radius: float, colour: str, pieces: int = 0, caps: bool = True,
         edge: str = "", sides: int = SIDES, end_radius: float | None = None,
     ) -> None:  # fmt: skip
-        """A tube from a to b (3,), cut into `pieces` (default by its slimness); a cone with `end_radius`."""
+        """Add a tube from a to b (3,), cut into `pieces` (default by its slimness); a cone with `end_radius`."""
         length = float(np.linalg.norm(b - a))
         if length < 1e-12:
             return
@@ -72,7 +72,7 @@ class Solids:
                 self.tube(name, b - ring, b, 1.02 * radius, edge, 1, caps=False)
 
     def ball(self, name: str, centre: Array, radius: float, colour: str) -> None:
-        """A sphere of 8 by 12 faces."""
+        """Add a sphere of 8 by 12 faces."""
         lat = np.linspace(-np.pi / 2, np.pi / 2, 9)
         lon = np.arange(13) * (2 * np.pi / 12)
         p = np.stack([np.outer(np.cos(lat), np.cos(lon)), np.outer(np.cos(lat), np.sin(lon)),
@@ -84,7 +84,7 @@ class Solids:
                 self.face(name, centre + radius * corners, normal / np.linalg.norm(normal), colour)
 
     def box(self, name: str, X: Array, half: Array, colour: str, edge: str = "") -> None:
-        """A box about the origin of the pose X (4, 4), with half-lengths (3,) along its axes."""
+        """Add a box about the origin of the pose X (4, 4), with half-lengths (3,) along its axes."""
         for axis in range(3):
             for sign in (-1.0, 1.0):
                 u, v = (axis + 1) % 3, (axis + 2) % 3
@@ -94,12 +94,12 @@ class Solids:
                 self.face(name, X[:3, 3] + (corners * half) @ X[:3, :3].T, sign * X[:3, axis], colour, edge=edge)
 
     def plate(self, name: str, corners: Array, colour: str, alpha: float, edge: str = "") -> None:
-        """A flat polygon without thickness, corners (n, 3) in order."""
+        """Add a flat polygon without thickness, corners (n, 3) in order."""
         normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
         self.face(name, corners, normal / max(float(np.linalg.norm(normal)), 1e-300), colour, alpha, edge)
 
     def arrow(self, name: str, line: Array, radius: float, colour: str) -> None:
-        """A bent arrow along points (n, 3), its head at the last."""
+        """Add a bent arrow along points (n, 3), its head at the last."""
         for a, b in zip(line[:-2], line[1:-1], strict=True):
             self.tube(name, a, b, radius, colour, pieces=1, caps=False, sides=6)
         tip = line[-1] - line[-2]

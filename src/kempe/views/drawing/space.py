@@ -110,7 +110,7 @@ def _view(scene: Scene) -> tuple[float, float]:
 
 
 def _frame(ax: Any, points: Array, elev: float, azim: float) -> None:
-    """Limits with equal scales, light axes in metres, the view."""
+    """Set limits with equal scales, light axes in metres, and the view."""
     lower, upper = points.min(axis=0), points.max(axis=0)
     room = 0.03 * float((upper - lower).max()) or 0.5  # a lone point has no extent
     lower, upper = lower - room, upper + room
@@ -172,7 +172,7 @@ def _locator(count: int) -> Any:
 def _labels(
     ax: Any, scene: Scene, marks: dict[str, Array], skeleton: list[Array], radius: float, eye: Array, own: bool
 ) -> None:
-    """Names of joints and frames, and of what is marked, placed in the plane of the picture."""
+    """Write names of joints and frames, and of what is marked, placed in the plane of the picture."""
     from matplotlib.patheffects import withStroke
 
     obstacles = Obstacles()

@@ -59,7 +59,7 @@ def build(solids: Solids, scene: Scene, r: float, configurations: Array | None) 
 
 
 def _constraint(solids: Solids, mark: SeenMark, r: float) -> None:
-    """An axle with wheels, a wheel or ball on the plane that it touches, or a point."""
+    """Draw an axle with wheels, a wheel or ball on the plane that it touches, or a point."""
     name, c, axle, colour = f"mark:{mark.name}", mark.point, mark.B[:3, 1], style.link_colour(mark.link)
     if mark.plane is not None:
         X = np.eye(4)
@@ -214,7 +214,7 @@ def _ground(solids: Solids, scene: Scene, r: float, skeleton: list[Array]) -> No
 
 
 def _mark(solids: Solids, name: str, p: Array, r: float) -> None:
-    """A pyramid on a hatched plate, below p."""
+    """Draw a pyramid on a hatched plate, below p."""
     base = p - np.array([0.0, 0.0, 3.0 * r])
     square = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     foot, fill = base + 1.5 * r * square, style.mix(GROUND, style.PAPER, 0.55)
@@ -246,7 +246,7 @@ def _rail(scene: Scene, j: SeenJoint, r: float, configurations: Array | None) ->
 
 
 def _split_rail(solids: Solids, j: SeenJoint, a: Array, b: Array, half: float, thick: float, colour: str) -> None:
-    """The rail from a to b without what is inside the symbol, which sorting by depth would show through it."""
+    """Draw the rail from a to b without what is inside the symbol, which sorting by depth would show through it."""
     for end, sign in ((a, -1.0), (b, 1.0)):
         solids.tube(f"rail:{j.name}", j.centre + sign * half * j.axis, end, thick, colour)
 
@@ -295,7 +295,7 @@ def _spherical(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str
 
 
 def _universal(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None) -> None:
-    """A cross: one arm along x of F, the other along y of M."""
+    """Draw a cross: one arm along x of F, the other along y of M."""
     for arm, fork in ((j.F[:3, 0], j.parent), (j.M[:3, 1], j.child)):
         a, b = j.centre - 1.8 * r * arm, j.centre + 1.8 * r * arm
         solids.tube(f"joint:{j.name}", a, b, 0.5 * r, colour, 2, edge=INK)
@@ -326,11 +326,11 @@ def _translation(
 
 
 def _nothing(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None) -> None:
-    """A free joint holds nothing: there is nothing to draw."""
+    """Draw nothing: a free joint holds nothing."""
 
 
 def _other(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None) -> None:
-    """A barrel about each axis of F that the joint turns about, a bar along each that it slides along."""
+    """Draw a barrel about each axis of F that the joint turns about, a bar along each that it slides along."""
     for p in j.motions:
         axis = j.F[:3, "xyz".index(p.axis)]
         if p.kind == Q:
@@ -358,7 +358,7 @@ def _turning_arrow(solids: Solids, j: SeenJoint, r: float) -> None:
 
 
 def _open(solids: Solids, j: SeenJoint, r: float) -> None:
-    """A red line where a joint does not hold together at this configuration."""
+    """Draw a red line where a joint does not hold together at this configuration."""
     gap = j.centre - j.F[:3, 3]
     if j.kind not in SYMBOLS:
         gap = np.zeros(3) if j.gap is None else j.gap

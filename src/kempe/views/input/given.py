@@ -16,7 +16,7 @@ from kempe.views import facts, report, rows
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-    from kempe.solvers.assembly.assembly import Assembly
+    from kempe.solvers.assembly.assembled import Assembly
 
 SPECIAL = ("neutral", "mid")
 """Names that every system has besides its postures."""

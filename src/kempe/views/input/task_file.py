@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def types() -> dict[str, type[Constraint]]:
-    """The kinds that can be asked for, by name: 'pose', 'look_at', ... Functions of the user are for Python."""
+    """The kinds that can be requested, by name: 'pose', 'look_at', ... Functions of the user are for Python."""
     return {name: k for name, k in KINDS.items() if not any("Callable" in str(f.type) for f in fields(k))}
 
 
@@ -43,7 +43,7 @@ class _Row:
 
 
 @dataclass(frozen=True)
-class Asked:
+class FileTasks:
     """The tasks of a file, for `count` problems, None where it asks one."""
 
     rows: tuple[_Row, ...]
@@ -54,7 +54,7 @@ class Asked:
         return [r.kind(**{k: v[start:stop] if k in r.many else v for k, v in r.given.items()}) for r in self.rows]
 
 
-def read(system: System, path: Path, degrees: bool = False) -> Asked:
+def read(system: System, path: Path, degrees: bool = False) -> FileTasks:
     """The tasks of a TOML file, each checked with the system.
 
     A value that names a .csv or .npy file, seen from the folder of this one, has an entry in each of its rows: these
@@ -79,8 +79,8 @@ class _Reader:
         self.system, self.document, self.folder, self.degrees = system, document, folder, degrees
         self.angle = DEGREE if degrees else 1.0
 
-    def all(self) -> Asked:
-        """All tasks."""
+    def all(self) -> FileTasks:
+        """All tasks of the file."""
         findings, where = self.document.findings, self.document.where
         for key in self.document.data:
             if key != "task":
@@ -93,7 +93,7 @@ class _Reader:
         if len(counts) > 1:
             said = ", ".join(map(str, sorted(counts)))
             findings.add(f"the files that values name have {said} rows", "", where("task"), "they need as many each")
-        return Asked(made, counts.pop() if len(counts) == 1 else None)
+        return FileTasks(made, counts.pop() if len(counts) == 1 else None)
 
     def task(self, table: dict[str, Any], index: int) -> _Row | None:
         """A task, or None after recording what is wrong."""

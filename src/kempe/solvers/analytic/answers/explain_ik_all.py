@@ -148,7 +148,7 @@ def _merged(code: np.ndarray) -> str:
 
 def _families(families: list[Family]) -> str:
     """The families, those of one description together."""
-    texts = [(in_words(f.dimension, 'freedom'), family_motion(f)) for f in families]
+    texts = [(in_words(f.dimension, "freedom"), family_motion(f)) for f in families]
     out = []
     for freedoms, moves in dict.fromkeys(texts):
         k = texts.count((freedoms, moves))

@@ -194,7 +194,7 @@ def families_of(solutions: Solutions, index: int) -> tuple[list[Family], np.ndar
     """The families of target number `index`, and for each row (K,) of its answer the number of its family, or -1.
 
     A row belongs to a family if the Jacobian of the task is singular there and the chain can move away from it without
-    leaving the target: exactly, or within the tolerance that was asked, all the way round or, where rounding leaves the
+    leaving the target: exactly, or within the tolerance, all the way round or, where rounding leaves the
     solution itself undetermined, for a part of it. Joints that were locked only because the chain has more than it
     needs may move. The Jacobian's kernel says where to start; then each curve is followed (predictor and corrector:
     Allgower and Georg, 1990).

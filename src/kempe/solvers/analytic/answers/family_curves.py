@@ -272,6 +272,7 @@ class Motion(Points, Curve):
 
     def projected(self, theta: Array, dimension: int) -> Array:
         """The configuration on target next to theta (n,), by shortest steps."""
+
         def step(_: Array, e: Array, J: Array) -> Array:
             free = self.kernel(J, dimension)
             return least_squares(J - (J @ free.T) @ free, e)

@@ -18,8 +18,8 @@ SINGULAR = 1e-5
 remains is decided by moving."""
 
 UNDETERMINED = 5e-9
-"""Singular values below this leave a solution undetermined by more than rounding of its target times 1e8: then the part
-of a curve that is on target within the tolerance counts as a family, though it is not all of it."""
+"""Smallest singular value below which a solution is not determined: rounding of its target moves it by 1e8 times as
+much. Then the part of the curve that is on target within the tolerance counts as a family; the curve may be longer."""
 
 CORRECTIONS, FURTHEST, EXACT = 12, 1.0, 3e-14
 """Corrections of a step at most; one that is longer leads elsewhere, and is not taken; an error that is rounding."""
@@ -95,6 +95,7 @@ class Points:
 
     def led(self, theta: Array, free: Array) -> Found:
         """Variables (n,) moved across directions `free` (d, n) until the error is least; error and Jacobian there."""
+
         def step(theta: Array, e: Array, J: Array) -> Array:
             y = least_squares(J - (J @ free.T) @ free, e)
             return y if np.abs(y).max(initial=0.0) <= FURTHEST else np.full(len(y), math.inf)
@@ -140,6 +141,7 @@ class Points:
 
     def at_distance(self, centre: Array, starts: Array, far: float) -> Array:
         """Configurations (N, n) on target so far from `centre` (n,), from starts (N, n); NaN where none is found."""
+
         def both(theta: Array, _: np.ndarray) -> tuple[Array, Array]:
             r = theta - centre
             size = np.linalg.norm(r, axis=1)

@@ -118,7 +118,7 @@ def aim_of(solutions: Solutions, index: int, spare: bool = False) -> Aim:
 
 
 def fixed_joints(plan: Plan) -> tuple[int, ...]:
-    """Joints that whoever asked wants held; others may be locked because the chain has more than the task needs."""
+    """Joints that the caller wants held; others may be locked because the chain has more than the task needs."""
     return tuple(getattr(plan, "fixed", ()))
 
 

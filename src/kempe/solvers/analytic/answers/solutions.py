@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,7 @@ from kempe.kinematics.common.result import Cells, by_code
 from kempe.solvers.analytic.plans.branch_names import Kind, branch_names, kind_of, named
 from kempe.solvers.analytic.plans.outcome import codes, goals
 from kempe.solvers.analytic.plans.plan import TASKS
-from kempe.solvers.common.answer import Answer
+from kempe.solvers.common.answer import Answer, Rows
 from kempe.solvers.common.targets import Z_AXIS, frame_of
 from kempe.spatial import Array
 from kempe.status import member
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 @explained_methods
-class Solutions(Answer):
+class Solutions(Rows, Answer):
     """All configurations that reach a target, or each of a batch of targets.
 
     For one target: `q` (k, nq), those inside the limits first, each group sorted by nearness to `start`. For a batch:
@@ -56,7 +56,7 @@ class Solutions(Answer):
 
     @cached_property
     def question(self) -> Question:
-        """What was asked."""
+        """The problem that was solved."""
         if isinstance(self._question, tuple):
             bound, target = self._question
             return bound.question(target)
@@ -64,15 +64,15 @@ class Solutions(Answer):
 
     @property
     def system(self) -> System:
-        """The system that was asked."""
+        """The system of the problem."""
         return self._question[0].system if isinstance(self._question, tuple) else self._question.system
 
     def _chosen(self) -> Choice | None:
         from kempe.solvers.analytic.ik_all import chosen
 
-        asked, names = self.question, self.plan.lines.names
+        question, names = self.question, self.plan.lines.names
         fixed = tuple(names[i] for i in self.plan.fixed)
-        return chosen(asked.system, asked.frame, (asked.task, asked.axis), fixed)[1]
+        return chosen(question.system, question.frame, (question.task, question.axis), fixed)[1]
 
     @property
     def single(self) -> bool:
@@ -163,7 +163,7 @@ class Solutions(Answer):
 
     @property
     def spare(self) -> tuple[str, ...]:
-        """Names of the joints that are held since the chain has more than the task needs, not by who asked."""
+        """Names of the joints that are held since the chain has more than the task needs, not by the caller."""
         plan = self.plan
         return tuple(plan.lines.names[i] for i in plan.locked if i not in plan.fixed)
 
@@ -179,7 +179,7 @@ class Solutions(Answer):
 
     @property
     def tried(self) -> Any:
-        """At how many values of the `spare` joints solutions were asked for: an int, or an array (...) of a batch."""
+        """At how many values of the `spare` joints solutions were requested: an int, or an array (...) of a batch."""
         tried = np.ones(len(self._rows), dtype=np.int64) if self._tried is None else self._tried
         return int(tried[0]) if self._lead is None else tried.reshape(self._lead)
 
@@ -210,7 +210,7 @@ class Solutions(Answer):
         """
         return named(self._kind, self.names, words)
 
-    # ---- what is found out when it is asked for
+    # ---- what is found out on demand
 
     @cached_property
     def jacobian(self) -> Array:
@@ -361,17 +361,6 @@ class Solutions(Answer):
         out = Solutions(self._question, self.plan, self._base, rows, self._counts, self._lead, None, *self._where)
         out._whole, out._left_out = whole, left_out
         return out
-
-    # ---- as a sequence
-
-    def __len__(self) -> int:
-        return len(self.q)
-
-    def __iter__(self) -> Iterator[Array]:
-        return iter(self.q)
-
-    def __getitem__(self, k: Any) -> Array:
-        return self.q[k]
 
     def __repr__(self) -> str:
         what = f"{len(self)} solutions" if self.single else f"{int(self._used.sum())} solutions of {len(self._rows)}"

@@ -21,7 +21,7 @@ AS_IT_IS = "solved as what they are"
 def relations(lines: Lines) -> tuple[str, ...]:
     """Facts about consecutive axes of a chain, in its order; they hold in every configuration.
 
-    Structures are those that `structure.EXACT` accepts; what misses one by less than `NEAR` is told with its size.
+    Structures are those that `structure.EXACT` accepts; what misses one by less than `NEAR` is reported with its size.
     """
     axes = Axes(lines.kinds, lines.h, lines.o)
     n, out, i = len(lines), [], 0

@@ -82,7 +82,7 @@ def branch_names(kind: Kind, lines: Lines, theta: Array, merged: np.ndarray | No
     for sign, (above, below, on) in zip(signs, kind.words, strict=True):
         side = np.where(sign > 0.0, above, below)
         columns.append(np.where(np.isnan(sign), "", np.where(np.abs(sign) > border, side, on)))
-    if len(kind.words) > 1:  # with the wrist neither ahead nor behind, up and down cannot be told apart
+    if len(kind.words) > 1:  # with the wrist neither ahead nor behind, up and down cannot be distinguished
         unclear = (np.abs(signs[0]) <= border) & (np.abs(bend) > border)
         columns[1] = np.where(unclear, np.where(bend < 0.0, *NEITHER), columns[1])
     return np.array([", ".join(row) for row in zip(*columns, strict=True)], dtype=object)

@@ -1,4 +1,4 @@
-"""What is asked of the analytical inverse model: targets, task, joints that are held, checked."""
+"""What is required of the analytical inverse model: targets, task, joints that are held, checked."""
 
 from __future__ import annotations
 
@@ -24,7 +24,6 @@ ANGULAR = 1e-6
 """Largest tolerance of angles that rounding of positions makes."""
 
 
-
 @dataclass(frozen=True, eq=False)
 class Question:
     """Targets (N, 4, 4) for a frame, with `lead` their leading shape (None for one target), and the task."""
@@ -36,13 +35,13 @@ class Question:
     targets: Array = field(repr=False)
     lead: tuple[int, ...] | None
     tolerance: float
-    asked: float = 0.0
-    """The tolerance that was asked for, which far away is below rounding."""
+    requested: float = 0.0
+    """The tolerance that was requested, which far away is below rounding."""
 
     @property
     def angular(self) -> float:
         """The tolerance of angles [rad], which rounding of positions leaves mostly alone."""
-        return max(self.asked, min(self.tolerance, ANGULAR))
+        return max(self.requested, min(self.tolerance, ANGULAR))
 
 
 def within(tolerance: object) -> float:

@@ -144,9 +144,14 @@ def required_arm(system: System, frame: str, reference: ArrayLike | None = None)
     """The arm that moves a frame. Errors: `UnsupportedError` for other chains, with the reason."""
     arm = find_arm(system, frame, reference)
     if isinstance(arm, str):
-        names = ", ".join(chain_lines(system, frame, Z_AXIS).names)
-        raise UnsupportedError(f"the chain of {frame!r} has no arm angle: {arm}; name one of its joints: {names}")
+        raise UnsupportedError(no_arm(system, frame, arm))
     return arm
+
+
+def no_arm(system: System, frame: str, why: str) -> str:
+    """The sentence that a frame's chain has no arm angle."""
+    names = ", ".join(chain_lines(system, frame, Z_AXIS).names)
+    return f"the chain of {frame!r} has no arm angle: {why}; name one of its joints: {names}"
 
 
 @explained

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,10 +20,11 @@ from kempe.solvers.analytic.ik_all import chain_lines, ik_all, plan_for
 from kempe.solvers.analytic.plans.chain_lines import Lines
 from kempe.solvers.analytic.plans.choice import domains
 from kempe.solvers.analytic.plans.question import held, near_of
-from kempe.solvers.analytic.redundant.arm_angle import BRANCHES, ELBOW, Arm, Posed, find_arm, required_arm
+from kempe.solvers.analytic.redundant.arm_angle import BRANCHES, ELBOW, Arm, Posed, find_arm, no_arm, required_arm
 from kempe.solvers.analytic.redundant.sweep import Sweep
 from kempe.solvers.analytic.redundant.sweep_curves import Arc, Motion
 from kempe.solvers.analytic.redundant.sweep_net import arcs_through
+from kempe.solvers.common.problem import Problem, Solver, choose, chosen_by
 from kempe.solvers.common.targets import Z_AXIS, axis_for, targets_of, task_and_axis, task_of
 from kempe.spatial import Array, log_so3
 
@@ -32,7 +34,7 @@ if TYPE_CHECKING:
 ARM_ANGLE = "arm_angle"
 
 SAMPLES = 256
-"""Values of a joint at which all solutions are asked for, as starts of the curves between them."""
+"""Values of a joint at which all solutions are requested, as starts of the curves between them."""
 USUAL = Usual("ik_sweep", points=SAMPLES)
 
 
@@ -52,7 +54,7 @@ def ik_sweep(
     asks for samples at so many values; the points of the `budget` (256) are the values of a joint at which curves are
     looked for.
 
-    Errors: `UnsupportedError` for chains without a freedom to spare, or without an arm angle where that is asked for,
+    Errors: `UnsupportedError` for chains without a freedom to spare, or without an arm angle where that is requested,
     `InputError`, `UnknownNameError`.
 
     >>> import kempe
@@ -67,7 +69,7 @@ def ik_sweep(
     name = system.structure.frame_name(frame)
     said, axis = task_and_axis(task)
     parameter, reference = parameter if isinstance(parameter, (tuple, list)) else (parameter, None)
-    points = _count(USUAL.of(budget).points)
+    _count(USUAL.of(budget).points)
     direction = axis_for(axis, said)
     targets, lead, is_position = targets_of(system, arrays(target, "target"), said, direction)
     if lead != () or not np.isfinite(targets).all():
@@ -81,16 +83,61 @@ def ik_sweep(
     given = held(name, lines.names, fixed)
     if any(v.ndim for v in given.values()):
         raise InputError("a sweep holds joints at single numbers")
-    arm = find_arm(system, name, reference) if task == "pose" and not given and parameter in (None, ARM_ANGLE) else ""
-    if parameter == ARM_ANGLE and not isinstance(arm, Arm):
-        if task != "pose" or given:
-            joints = ", ".join(lines.names)
-            raise UnsupportedError(f"the arm angle is for poses, with no joint held; name a joint: {joints}")
-        required_arm(system, name, reference)
-    question = Asked(system, name, lines, task, direction, targets[0], reals(target, "target"), base, given,
-                     given_near is None)  # fmt: skip
-    curves = ArmCurves(question, arm) if isinstance(arm, Arm) else _joint_curves(question, parameter, points)
-    return _sweep(question, curves, None if n is None else _count(n))
+    options = {"parameter": parameter, "reference": reference, "base": base,
+               "n": None if n is None else _count(n), "given": reals(target, "target")}  # fmt: skip
+    problem = Problem(system, "set", given, start, budget=budget, options=options, frame=name, task=(task, direction),
+                      targets=targets)  # fmt: skip
+    solver, choice = choose(SOLVERS, system, name, task, tuple(given), parameter, reference)
+    return chosen_by(solver.run(problem), choice)
+
+
+# ---- the solvers
+
+
+def _no_arm(
+    system: System, frame: str, task: str, fixed: tuple[str, ...], parameter: Any, reference: Any
+) -> str | None:  # fmt: skip
+    joints = ", ".join(chain_lines(system, frame, Z_AXIS).names)
+    if parameter not in (None, ARM_ANGLE):
+        return f"joint {parameter!r} is named as the parameter"
+    if task != "pose" or fixed:
+        return f"the arm angle is for poses, with no joint held; name a joint: {joints}"
+    arm = find_arm(system, frame, reference)
+    return no_arm(system, frame, arm) if isinstance(arm, str) else None
+
+
+def _no_joint(
+    system: System, frame: str, task: str, fixed: tuple[str, ...], parameter: Any, reference: Any
+) -> str | None:  # fmt: skip
+    return "the arm angle is requested" if parameter == ARM_ANGLE else None
+
+
+def by_arm_angle(problem: Problem) -> Sweep:
+    """The branches of an arm over its arm angle, in closed form."""
+    over = _sweep_problem(problem)
+    arm = required_arm(problem.system, over.frame, problem.options["reference"])
+    return _sweep(over, ArmCurves(over, arm), problem.options["n"])
+
+
+def by_joint(problem: Problem) -> Sweep:
+    """The branches over a joint, from solutions at many of its values."""
+    over, points = _sweep_problem(problem), _count(USUAL.of(problem.budget).points)
+    return _sweep(over, _joint_curves(over, problem.options["parameter"], points), problem.options["n"])
+
+
+SOLVERS = (
+    Solver("arm angle", "both sides of shoulder, elbow and wrist over the angle of the arm's plane", _no_arm,
+           by_arm_angle),
+    Solver("joint", "all solutions at many values of a joint, and the curves through them", _no_joint, by_joint),
+)  # fmt: skip
+"""Who answers for the solutions over a parameter."""
+
+
+def _sweep_problem(problem: Problem) -> SweepProblem:
+    (task, axis), given = problem.task, problem.options["given"]
+    lines = chain_lines(problem.system, str(problem.frame), Z_AXIS)
+    return SweepProblem(problem.system, str(problem.frame), lines, task, axis, problem.targets[0], given,
+                 problem.options["base"], dict(problem.known), problem.start is None)  # fmt: skip
 
 
 def _refuse_no_rotation(R: Array) -> None:
@@ -105,8 +152,8 @@ def _count(n: object) -> int:
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
-    """What a sweep was asked for."""
+class SweepProblem:
+    """What a sweep is of."""
 
     system: System
     frame: str
@@ -143,14 +190,14 @@ class Asked:
                       fixed={**fixed, name: values})  # fmt: skip
 
 
-def _sweep(asked: Asked, curves: ArmCurves | JointCurves, n: int | None) -> Sweep:
+def _sweep(over: SweepProblem, curves: ArmCurves | JointCurves, n: int | None) -> Sweep:
     """The answer, with samples."""
     rows, spans = (tuple(tuple(r) for r in curves.intervals(limited)) for limited in (True, False))
     none = np.zeros((0, len(curves.labels)), dtype=bool)
     sweep = Sweep(
-        asked.system, asked.frame, curves.parameter, asked.task, asked.target, curves.held, curves.domain,
-        curves.labels, rows, spans, curves.exact, np.zeros(0), np.zeros((*none.shape, asked.system.nq)), none, none,
-        curves, curves.base, None if curves.exact else lambda v: asked.all_at(curves.parameter, v, curves.held),
+        over.system, over.frame, curves.parameter, over.task, over.target, curves.held, curves.domain,
+        curves.labels, rows, spans, curves.exact, np.zeros(0), np.zeros((*none.shape, over.system.nq)), none, none,
+        curves, curves.base, None if curves.exact else partial(over.all_at, curves.parameter, fixed=curves.held),
     )  # fmt: skip
     if n is None:
         return sweep
@@ -167,8 +214,8 @@ class ArmCurves:
     parameter, exact, circular = ARM_ANGLE, True, True
     domain = (-math.pi, math.pi)
 
-    def __init__(self, asked: Asked, arm: Arm):
-        self.asked, self.posed, self.lines, self.base = asked, Posed(arm, asked.target), arm.lines, asked.near
+    def __init__(self, over: SweepProblem, arm: Arm):
+        self.over, self.posed, self.lines, self.base = over, Posed(arm, over.target), arm.lines, over.near
         self.held: dict[str, float] = {}
         names = (arm.lines.names[1], arm.lines.names[ELBOW], arm.lines.names[5])
         self.labels = tuple(
@@ -182,9 +229,9 @@ class ArmCurves:
 
     def residual(self, q: Array) -> Array:
         """Norm (...) of position error [m] and orientation error [rad] of configurations (..., nq)."""
-        X = self.asked.system.fk(q, self.asked.frame)
-        turn = log_so3(np.swapaxes(X[..., :3, :3], -1, -2) @ self.asked.target[:3, :3])
-        return np.linalg.norm(np.concatenate([X[..., :3, 3] - self.asked.target[:3, 3], turn], axis=-1), axis=-1)
+        X = self.over.system.fk(q, self.over.frame)
+        turn = log_so3(np.swapaxes(X[..., :3, :3], -1, -2) @ self.over.target[:3, :3])
+        return np.linalg.norm(np.concatenate([X[..., :3, 3] - self.over.target[:3, 3], turn], axis=-1), axis=-1)
 
     def rows(self, values: Array, branch: int | None = None) -> tuple[Array, np.ndarray]:
         """Coordinates (m, 8, 7), and which branches are there (m, 8); (m, 1, 7) and (m, 1) of one branch."""
@@ -227,22 +274,22 @@ class JointCurves:
         return q, mask
 
 
-def _joint_curves(asked: Asked, parameter: str | None, samples: int) -> JointCurves:
+def _joint_curves(over: SweepProblem, parameter: str | None, samples: int) -> JointCurves:
     """The branches over a joint. Errors: `UnsupportedError` where the chain has no freedom to spare."""
-    lines = asked.lines
+    lines = over.lines
     if parameter is not None and parameter not in lines.names:
-        raise UnknownNameError("joint", str(parameter), (*lines.names, ARM_ANGLE), f"the chain of {asked.frame!r}")
-    if parameter in asked.fixed:
+        raise UnknownNameError("joint", str(parameter), (*lines.names, ARM_ANGLE), f"the chain of {over.frame!r}")
+    if parameter in over.fixed:
         raise InputError(f"{parameter} is fixed; the parameter must be free")
-    locked = _locked(asked, parameter)
+    locked = _locked(over, parameter)
     if not locked:
         raise UnsupportedError(
-            f"the chain of {asked.frame!r} has no freedom to spare for {_article(asked.task)}: ask `ik_all`"
+            f"the chain of {over.frame!r} has no freedom to spare for {_article(over.task)}: ask `ik_all`"
         )
     name = locked[0] if parameter is None else parameter
-    others = {n: float(asked.fixed[n]) for n in locked if n in asked.fixed}
+    others = {n: float(over.fixed[n]) for n in locked if n in over.fixed}
     if len(others) + 1 < len(locked):
-        q = asked.place()
+        q = over.place()
         others |= {n: float(q[lines.q_index[lines.names.index(n)]]) for n in locked if n not in (name, *others)}
     i = lines.names.index(name)
     first, last = domains(lines)[:, i].tolist()
@@ -250,12 +297,12 @@ def _joint_curves(asked: Asked, parameter: str | None, samples: int) -> JointCur
     shift = (domain[1] - domain[0]) * 0.381966 / samples  # arms tend to be singular at round values
     inner = np.linspace(*domain, samples)[:-1] + shift
     values = np.concatenate([[domain[0]], inner, [domain[1]]])
-    found = asked.all_at(name, values, others)
+    found = over.all_at(name, values, others)
     free = tuple(j for j, n in enumerate(lines.names) if n not in others)
-    base = asked.near.copy()
+    base = over.near.copy()
     for other, value in others.items():
         base[lines.q_index[lines.names.index(other)]] = value
-    motion = Motion(asked.system, asked.frame, lines, asked.task, asked.axis, asked.target, base, free, free.index(i))
+    motion = Motion(over.system, over.frame, lines, over.task, over.axis, over.target, base, free, free.index(i))
     level, row = np.nonzero(found.mask & (found.multiplicity > 0))
     arcs = arcs_through(motion, values / motion.unit[motion.p], motion.x(found.q[level, row]), level)
     return JointCurves(motion, arcs, name, domain, others, samples)
@@ -265,14 +312,14 @@ def _article(task: str) -> str:
     return f"a{'n' if task[0] in 'aeiou' else ''} {task.replace('_axis', ' with an axis')}"
 
 
-def _locked(asked: Asked, parameter: str | None) -> list[str]:
+def _locked(over: SweepProblem, parameter: str | None) -> list[str]:
     """Joints that `ik_all` holds for this task, the parameter first; none where the chain has no freedom to spare."""
-    fixed = dict(asked.fixed)
+    fixed = dict(over.fixed)
     if parameter is not None:
         fixed[parameter] = np.zeros(())
-    names = asked.lines.names
-    chosen = [names[i] for i in asked.locked(fixed) if names[i] not in fixed]
+    names = over.lines.names
+    chosen = [names[i] for i in over.locked(fixed) if names[i] not in fixed]
     if parameter is None:
         return [*chosen, *fixed] if chosen else []
-    spare = [i for i in asked.locked(asked.fixed) if names[i] not in asked.fixed]
-    return [parameter, *chosen, *asked.fixed] if spare else []
+    spare = [i for i in over.locked(over.fixed) if names[i] not in over.fixed]
+    return [parameter, *chosen, *over.fixed] if spare else []

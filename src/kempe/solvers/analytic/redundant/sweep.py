@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.calls import explained_methods
+from kempe.calls import brief, explained_methods
 from kempe.constraints.frame_targets import AXIS_TASKS, of_target
 from kempe.errors import InputError
 from kempe.kernels.forward.table_layout import SLIDE
-from kempe.kinematics.common.result import Cells
+from kempe.kinematics.common.result import Cells, by_code
 from kempe.kinematics.tasks.task_classes import task_of
 from kempe.reals import reals
 from kempe.solvers.analytic.plans.chain_lines import Lines
 from kempe.solvers.analytic.redundant.intervals import Intervals, spelled, union
-from kempe.solvers.common.answer import Answer
+from kempe.solvers.common.answer import Answer, Rows
 from kempe.solvers.common.targets import Z_AXIS
 from kempe.spatial import Array
-from kempe.status import Status
+from kempe.status import Status, member
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -75,37 +76,52 @@ class Best(NamedTuple):
     score: float
 
 
+@explained_methods
 @dataclass(frozen=True, eq=False)
-class Slice:
-    """All solutions at one value of the parameter, or at each of many.
+class Slice(Rows, Answer):
+    """All solutions at one value of the parameter of a `sweep`, or at each of many.
 
     For one: `q` (k, nq), those inside the limits first, and `inside`, `residual` (norm of position error [m] and
     orientation error [rad] by the forward model) and `branch` (k,). For values (m,): `q` (m, K, nq) with a row for each
     branch, NaN where `mask` (m, K) is False, the others (m, K).
     """
 
+    __repr__ = brief
+
+    what = "values with a solution inside the limits"
+    also = ("value", "inside", "branch")
+
+    sweep: Sweep = field(repr=False)
     value: Any
     q: Array
     mask: np.ndarray
     inside: np.ndarray
-    residual: Array
+    residual: Array = field()
     branch: np.ndarray
-    status: str = ""
 
-    def __len__(self) -> int:
-        return len(self.q)
+    success = by_code
 
-    def __bool__(self) -> bool:
-        return bool(self.inside.any())
+    @property
+    def system(self) -> System:
+        """The system of the problem."""
+        return self.sweep.system
 
-    def __iter__(self) -> Iterator[Array]:
-        return iter(self.q)
+    @property
+    def code(self) -> Any:
+        """The outcome (...): the sweep is in closed form, so that there is no solution is proven."""
+        there = np.where(self.mask.any(axis=-1), Status.OUTSIDE_LIMITS, Status.NONE_EXISTS)
+        return member(np.where(self.inside.any(axis=-1), Status.SOLVED, there))
 
-    def __getitem__(self, k: Any) -> Array:
-        return self.q[k]
+    def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
+        return self.sweep._goals()
 
-    def __str__(self) -> str:
-        return self.status
+    def _claimed(self) -> np.ndarray:
+        return self.mask
+
+    def _sentence(self, index: tuple[int, ...]) -> str:
+        count, good = int(self.mask[index].sum()), int(self.inside[index].sum())
+        value = float(np.asarray(self.value)[index])
+        return f"{counted(count, 'solution')} at {self.sweep.parameter} = {value:.9g}, {good} inside limits"
 
 
 @explained_methods
@@ -119,7 +135,7 @@ class Sweep(Answer):
     complete; else they are found from solutions at many values, their ends to 1e-10, and pieces between two of these
     values may be missing. `labels` name the branches, by the sides to which shoulder, elbow and wrist bend.
 
-    `values` (n,), `q` (n, K, nq), `mask` and `inside` (n, K) are samples, if any were asked for: each row is one
+    `values` (n,), `q` (n, K, nq), `mask` and `inside` (n, K) are samples, if any were requested: each row is one
     branch, continuous inside its intervals, NaN where `mask` is False. `at` gives all solutions at any value, `best`
     the best.
     """
@@ -172,13 +188,11 @@ class Sweep(Answer):
         error = np.where(mask, self.curves.residual(np.where(mask[..., None], q, self.near)), np.nan)
         branch = np.where(mask, np.arange(mask.shape[1]), -1)
         if x.ndim:
-            return Slice(x, q, mask, fits, error, branch)
+            return Slice(self, x, q, mask, fits, error, branch)
         keep = distinct(self.curves.lines, self.system, q[0], mask[0])
         score = np.linalg.norm((q[0] - self.near)[keep], axis=-1)
         keep = keep[np.lexsort((score, ~fits[0, keep]))]
-        count, good = len(keep), int(fits[0, keep].sum())
-        said = f"{count} solution{'' if count == 1 else 's'} at {self.parameter} = {float(x):.9g}, {good} inside limits"
-        return Slice(float(x), q[0, keep], mask[0, keep], fits[0, keep], error[0, keep], branch[0, keep], said)
+        return Slice(self, float(x), q[0, keep], mask[0, keep], fits[0, keep], error[0, keep], branch[0, keep])
 
     def _sampled(self, values: Array, along: bool, branch: int | None = None) -> tuple[Array, np.ndarray, np.ndarray]:
         """Configurations (m, K, nq), which are there, which are inside the limits (m, K); of one branch K = 1."""

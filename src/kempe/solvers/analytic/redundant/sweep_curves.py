@@ -147,7 +147,7 @@ class Motion(Curve):
             return np.where(np.isfinite(period), d - period * np.round(d / period), d)
 
     def inside(self, x: Array) -> np.ndarray:
-        """Whether x (..., nf) is inside the limits (...), by any turn; the parameter is not asked."""
+        """Whether x (..., nf) is inside the limits (...), by any turn; the parameter is not looked at."""
         (low, high), period = self.limits, self.period
         with np.errstate(invalid="ignore"):
             up = np.where(np.isfinite(period) & np.isfinite(low), low + np.mod(x - low, period), x)

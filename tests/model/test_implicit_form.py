@@ -1,4 +1,4 @@
-"""The reduced form of each joint is the carried one: the same closed configurations, freedoms and coordinates."""
+"""The implicit form of each joint is the explicit one: the same closed configurations, freedoms and coordinates."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from kempe import System
 from kempe.joints import TYPES, Free, Helical, JointType, P, Primitive, Q, R, Revolute, Spherical
 from kempe.kernels.compiled import closure_batch
 from kempe.kinematics import closure_rows as full
-from kempe.model.closures.packed_loops import Loops, loops_of, must_carry
-from kempe.model.closures.reduced import reduced, screw, slides_along_z
-from kempe.solvers.assembly.assembly import Assembler
+from kempe.model.closures.implicit_form import implicit_form, screw, slides_along_z
+from kempe.model.closures.packed_loops import Loops, loops_of, must_be_explicit
+from kempe.solvers.assembly.assembler import Assembler
 
 TABLE = [kind(**options) for kind in TYPES.values() for options in variants(kind, 0.3)]
 EVERY = [*TABLE, *(t() for t in OWN)]
@@ -26,12 +26,12 @@ FORMS = {
     "ball_in_tube": ("xy", ""), "ball_on_stick": None, "geared": None, "rail": ("yz", "xyz"), "telescope": None,
     "diagonal": None,
 }  # fmt: skip
-"""What types hold in space: positions and rotations; None for those that are carried."""
+"""What types hold in space: positions and rotations; None for those that are explicit."""
 
 
 @pytest.mark.parametrize("kind", EVERY, ids=str)
 def test_what_is_held(kind):
-    form = reduced(kind)
+    form = implicit_form(kind)
     expected = FORMS.get(kind.type_name, "not in the list: add what it holds")
     assert expected == (None if form is None else (form.position, form.turns))
     if form is not None:
@@ -39,7 +39,7 @@ def test_what_is_held(kind):
         assert held == kind.constraints()
 
 
-def test_screws_are_told_by_their_primitives():
+def test_screws_are_recognised_by_their_primitives():
     turn, slide = Primitive(R, "z", 0), Primitive(P, "z", 0, 0.3)
     assert screw(Helical(0.3)) == screw(declared("s", [slide, turn])) == 0.3
     for steps in ([turn], [turn, slide._replace(coordinate=1)], [turn, slide._replace(axis="x")], [turn, turn],
@@ -70,8 +70,8 @@ def nullity(J: np.ndarray) -> int:
 
 def compare(system: System, q: np.ndarray, rng: np.random.Generator) -> None:
     """Both forms of the only loop: closed at q, as many freedoms, and each closes where the other does."""
-    carried = frozenset(system.structure.closures)
-    small, large = loops_of(system, frozenset()), loops_of(system, carried)
+    explicit = frozenset(system.structure.closures)
+    small, large = loops_of(system, frozenset()), loops_of(system, explicit)
     at = q[None]
     (r, J), (R_, K) = evaluated(system, small, at), evaluated(system, large, at)
     assert np.abs(r).max(initial=0.0) < 1e-12 and np.abs(R_).max(initial=0.0) < 1e-12
@@ -89,36 +89,36 @@ def compare(system: System, q: np.ndarray, rng: np.random.Generator) -> None:
         assert np.abs(evaluated(system, small, answer.q[None])[0]).max(initial=0.0) < 1e-9
 
 
-@pytest.mark.parametrize(("kind", "dim"), [c for c in CASES if reduced(*c) is not None], ids=str)
-def test_the_reduced_form_is_the_carried_one(kind, dim):
+@pytest.mark.parametrize(("kind", "dim"), [c for c in CASES if implicit_form(*c) is not None], ids=str)
+def test_the_implicit_form_is_the_explicit_one(kind, dim):
     rng = np.random.default_rng(11)
     for _ in range(4):
         system, q = loop(rng, kind, dim)
-        assert must_carry(system) == frozenset()
+        assert must_be_explicit(system) == frozenset()
         compare(system, q, rng)
 
 
-@pytest.mark.parametrize(("kind", "dim"), [c for c in CASES if reduced(*c) is None], ids=str)
-def test_what_has_no_reduced_form_is_carried(kind, dim):
+@pytest.mark.parametrize(("kind", "dim"), [c for c in CASES if implicit_form(*c) is None], ids=str)
+def test_what_has_no_implicit_form_is_explicit(kind, dim):
     system, _ = loop(np.random.default_rng(12), kind, dim)
-    assert must_carry(system) == {"j2"}
+    assert must_be_explicit(system) == {"j2"}
 
 
 def test_random_types(hunt):
-    """Reduced forms of random types, most of which have none."""
+    """Implicit forms of random types, most of which have none."""
     rng, found = hunt.rng(), 0
     for k in range(hunt.cases(150)):
         dim = int(rng.choice([2, 3]))
         steps = list(reordered(rng, dim))
         kind = declared(f"t{k}", steps) if k % 2 else random_type(rng, f"t{k}", dim)
-        if reduced(kind, dim) is not None:
+        if implicit_form(kind, dim) is not None:
             found += 1
             compare(*loop(rng, kind, dim), rng)
     assert found > 0.3 * hunt.cases(150)
 
 
 def reordered(rng: np.random.Generator, dim: int) -> list[Primitive]:
-    """Slides along some axes in any order, then turns that are likely to have a reduced form, coordinates shuffled."""
+    """Slides along some axes in any order, then turns that are likely to have a implicit form, coordinates shuffled."""
     axes = list(rng.permutation(list("xyz"[:dim]))[: int(rng.integers(0, dim + 1))])
     turns = ["z", ""] if dim == 2 else ["z", "xy", "zyx", "", "yx", "Q"]
     about = str(rng.choice(turns))
@@ -132,9 +132,9 @@ def reordered(rng: np.random.Generator, dim: int) -> list[Primitive]:
 def test_planes_and_particles():
     rail = declared("rail", [Primitive(P, "z", 0)])
     assert slides_along_z(rail, 2, False) and not slides_along_z(rail, 3, False)
-    form = reduced(rail, 2)
+    form = implicit_form(rail, 2)
     assert form is not None and (form.position, form.turns, form.readings) == ("y", "z", ((0, "x"),))
-    free = reduced(Free(), 3, particle=True)
+    free = implicit_form(Free(), 3, particle=True)
     assert free is not None and (free.position, free.turns) == ("", "")
     both = declared("both", [Primitive(P, "z", 0), Primitive(R, "z", 1)])
-    assert reduced(Coaxial()) is None and reduced(both, 2) is None
+    assert implicit_form(Coaxial()) is None and implicit_form(both, 2) is None

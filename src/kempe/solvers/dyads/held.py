@@ -1,4 +1,4 @@
-"""What is held at given values, coordinates and frames, as a judge is asked about it."""
+"""What is held at given values, coordinates and frames, as judges measure it."""
 
 from __future__ import annotations
 

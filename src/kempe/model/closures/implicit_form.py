@@ -1,7 +1,7 @@
-"""The reduced form of a joint that closes a loop: what it holds of its frame M in its frame F, without coordinates.
+"""The form of an implicit loop joint: what it holds of its frame M in its frame F, without coordinates.
 
 It follows from the primitives alone, so nothing is to be declared. A joint whose hold has no fixed axes in F, or whose
-coordinates cannot be read off one by one, has none: it is carried (see `kempe.model.closures.packed_loops`), which is
+coordinates cannot be read off one by one, has none: it is explicit (see `kempe.model.closures.packed_loops`), which is
 always right.
 """
 
@@ -21,7 +21,7 @@ TURNS = {
 """For the axes of a joint's turns, in their order: the rotations that it holds, and how each turn is read."""
 
 
-class Reduced(NamedTuple):
+class ImplicitForm(NamedTuple):
     """What a joint holds of M in F, in axes of F, and how its coordinates follow from the pose.
 
     `position`: the axes along which M stays at the origin of F. `turns`: "xyz" all, "xy" z of M stays parallel to z of
@@ -34,8 +34,8 @@ class Reduced(NamedTuple):
     readings: tuple[tuple[int, str], ...]
 
 
-def reduced(kind: JointType, dim: int = 3, particle: bool = False) -> Reduced | None:
-    """The reduced form of a joint type; None where it has none. In the plane a slide along z is one along x there.
+def implicit_form(kind: JointType, dim: int = 3, particle: bool = False) -> ImplicitForm | None:
+    """The implicit form of a joint type; None where it has none. In the plane a slide along z is one along x there.
 
     Such a form needs a coordinate of its own for each primitive, in its unit; slides along different axes before all
     turns (or along z, where it turns about z only); and turns about z, about x and y, about z, y and x, or a ball.
@@ -60,7 +60,7 @@ def reduced(kind: JointType, dim: int = 3, particle: bool = False) -> Reduced | 
     if dim == 2:
         held = "z" if held == "xyz" else ""
     position = "".join(a for a in "xyz"[:dim] if a not in along)
-    return Reduced(position, "" if particle else held, tuple(sorted(readings)))
+    return ImplicitForm(position, "" if particle else held, tuple(sorted(readings)))
 
 
 def plain(primitives: tuple[Primitive, ...]) -> bool:

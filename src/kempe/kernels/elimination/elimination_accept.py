@@ -25,7 +25,7 @@ APART = 1e-6
 
 
 @routine
-def settle(kinds, lines, goal, found, count, work):
+def accept(kinds, lines, goal, found, count, work):
     """Candidate `count` becomes a new posture (1), one of those before (0), or none (-1)."""
     theta = beyond(found, FOUND * count)
     for j in range(6):
@@ -50,7 +50,7 @@ def settle(kinds, lines, goal, found, count, work):
 
 @routine
 def twin(kinds, lines, goal, found, source, count, work):
-    """What `settle` says of candidate `count`, begun at the mirror image of candidate `source` about its own start.
+    """What `accept` says of candidate `count`, begun at the mirror image of candidate `source` about its own start.
 
     Two postures that are about to merge lie on both sides of where their common root, or two close ones, point.
     """
@@ -58,7 +58,7 @@ def twin(kinds, lines, goal, found, source, count, work):
     for j in range(6):
         d = one[j] - one[START + j]
         other[j] = one[START + j] - (d if kinds[j] == SLIDE else wrapped(d))
-    return settle(kinds, lines, goal, found, count, work)
+    return accept(kinds, lines, goal, found, count, work)
 
 
 @device

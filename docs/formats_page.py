@@ -1,0 +1,98 @@
+"""Writes docs/formats.md from the table of formats: `python docs/formats_page.py`. A test fails where it is stale."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from kempe.description.formats import DEFAULT, FORMATS, Format, endings_written, named, read_by
+
+HEAD = """\
+---
+file_format: mystnb
+kernelspec: {name: python3}
+---
+
+# File formats
+
+<!-- Written by docs/formats_page.py from kempe.description.formats.FORMATS; do not edit. -->
+
+{py:func}`kempe.load` and {py:func}`kempe.read` find out the format of a file by its ending and its first lines;
+`format="..."` names it. A text may be given in place of a path. `mechanism.save(path)` and `kempe convert` write the
+format that the ending names.
+
+"""
+
+CANNOT = """
+## What a format does not have
+
+What a format does not have is refused with the name of the joint, body or constraint, and no file is
+written. <!-- hunted: tests/description/test_formats.py::test_what_cannot_be_said_is_refused
+tests/description/test_formats.py::test_models_of_the_library_come_back_or_are_refused_by_name -->
+
+"""
+
+LOSES = """
+## What is left out
+
+Some things are left out, or replaced by what means the same, without a refusal.
+
+"""
+
+OPTIONS = """
+## Options of readers
+
+"""
+
+EXAMPLE = """
+## From one to another
+
+```{code-cell} python
+import kempe
+
+arm = kempe.read("puma560")
+print(kempe.load(arm.save("puma560.urdf")) == arm.build(), kempe.load(arm.save("again.toml")) == arm.build())
+try:
+    kempe.read("four_bar").save("four_bar.urdf")
+except kempe.KempeError as error:
+    print(error)
+```
+
+xacro is a program that writes URDF: `kempe.load("robot.urdf.xacro", xacro=True)` runs it, if you trust it.
+Denavit-Hartenberg tables and screw axes are given [in Python](howto_describe.md#from-tables), or in
+[TOML](toml.md). A format of your own is [one row more](add/format.md).
+"""
+
+
+def page() -> str:
+    """The page as Markdown."""
+    rows = FORMATS.values()
+    formats = table(("format", "`format=`", "endings", "read", "written"), map(format_row, FORMATS, rows))
+    general = (
+        f"\nA text of which neither tells the format is read as {DEFAULT.title}. Files in a format that is not read\n"
+        f"are refused, and the message names those that are: {named(read_by(), 'and')}. What is written ends in"
+        f" {endings_written()}.\n"
+    )
+    cannot = table(("format", "what it lacks", "instead"),
+                   ((f.title, what, instead) for f in rows for what, instead in f.cannot.items()))  # fmt: skip
+    loses = table(("format", "left out or replaced"), ((f.title, what) for f in rows for what in f.loses))
+    options = dict.fromkeys(option for f in rows for option in f.options if option != "beside")
+    taken = table(("option", "read with it"), ((f"`{o}`", named(read_by(o), "and")) for o in options))
+    return f"{HEAD}{formats}{general}{EXAMPLE}{CANNOT}{cannot}{LOSES}{loses}{OPTIONS}{taken}"
+
+
+def format_row(name: str, f: Format) -> list[str]:
+    """Names and endings of a format, and whether it is read and written."""
+    endings = ", ".join(f"`{ending}`" for ending in f.endings)
+    return [f.title, f"`{name}`" if f.read else "–", endings, *("yes" if x else "–" for x in (f.read, f.write))]
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """A Markdown table."""
+    lines = [list(head), *map(list, rows)]
+    lines.insert(1, ["---"] * len(lines[0]))
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+if __name__ == "__main__":
+    Path(__file__).with_name("formats.md").write_text(page(), encoding="utf-8")

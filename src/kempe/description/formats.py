@@ -1,0 +1,151 @@
+"""The table of file formats: which are read and written, how they are known, and what they cannot say.
+
+Reading, writing, messages, the command line and the page of formats follow from it. A format of your own is a row:
+``FORMATS["x"] = Format(...)``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from kempe.description.mechanism import Mechanism
+
+_ROOT = re.compile(r"(?>[^<]*(?:<!--.*?-->|<\?.*?\?>|<![^->][^>]*>))*+[^<]*<([A-Za-z_][\w.:-]*)", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Format:
+    """A file format.
+
+    A reader is called as ``read(text, source, **options)`` with text or bytes (`kempe.description.source.decode` gives
+    text), the name of their source for messages, and those of `options` that were given. A writer takes the mechanism
+    and gives text. Both raise `DescriptionError` with all that is wrong.
+    """
+
+    title: str
+    """Its name in messages."""
+    endings: tuple[str, ...]
+    """Endings of file names, with their dots, in lower case."""
+    read: Callable[..., Mechanism] | None = None
+    """Text -> mechanism; None where the format is only known by name."""
+    write: Callable[[Mechanism], str] | None = None
+    """Mechanism -> text; None where it is not written."""
+    recognises: Callable[[str], bool] = lambda start: False
+    """Whether a text that begins so, blanks left out, is in this format whatever its file is called."""
+    options: tuple[str, ...] = ()
+    """Options of `kempe.load` that the reader takes; `beside` are the names of files in the same folder."""
+    cannot: Mapping[str, str] = field(default_factory=dict)
+    """What the format cannot say, and so the writer refuses, with what is allowed instead."""
+    loses: tuple[str, ...] = ()
+    """What the writer leaves out or replaces without refusing it; with nothing here a file gives an equal mechanism."""
+
+
+def root_element(text: str) -> str:
+    """Name of the outermost element of a text that is XML, else empty."""
+    found = _ROOT.match(text, 0, 65536) if text.startswith("<") else None
+    return found[1] if found else ""
+
+
+def _read_urdf(text: str | bytes, source: str, **options: Any) -> Mechanism:
+    from kempe.description.urdf.urdf import read_urdf
+
+    return read_urdf(text, source, **options)
+
+
+def _write_urdf(mechanism: Mechanism) -> str:
+    from kempe.description.urdf.urdf_writer import write_urdf
+
+    return write_urdf(mechanism)
+
+
+def _read_toml(text: str | bytes, source: str, **options: Any) -> Mechanism:
+    from kempe.description.toml.toml import read_toml
+
+    return read_toml(text, source, **options)
+
+
+def _write_toml(mechanism: Mechanism) -> str:
+    from kempe.description.toml.toml_writer import write_toml
+
+    return write_toml(mechanism)
+
+
+URDF = Format(
+    "URDF", (".urdf",), _read_urdf, _write_urdf, recognises=lambda start: start.startswith("<"),
+    options=("base", "root", "lenient_limits", "package_dirs", "beside"),
+    cannot={
+        "loops, joints from child to parent": "in URDF one joint leads to each body, and none to the ground",
+        "bodies that no joint carries": "join them to the ground, by joints from parent to child",
+        "joints of other types": "URDF has revolute, prismatic, fixed, planar, and free and spherical by quaternion",
+        "limits of joints with several coordinates": "remove them",
+        "locks of a part of a joint": "lock all of them, or none",
+        "locks of coordinates that follow others": "lock what it follows",
+        "couplings with several sources": "a mimic follows one",
+        "couplings of a part of a joint": "revolute and prismatic joints can mimic each other",
+        "particles": "URDF has rigid bodies only",
+        "constraints that are not joints": "URDF has joints only; a .toml file can hold it",
+        "control characters in names": "rename it",
+    },
+    loses=(
+        "parameters (their values stay)", "the plane (bodies stay in it)", "locks (the joints become fixed)",
+        "frames (they become links)", "postures", "notes", "which joints are actuated or cut", "the tolerance",
+    ),
+)  # fmt: skip
+"""The format of ROS; its links and joints form a tree."""
+
+TOML = Format(
+    "TOML", (".toml",), _read_toml, _write_toml, recognises=lambda start: bool(re.match(r"format\s*=", start)),
+    options=("package_dirs",),
+    cannot={
+        "joints of types that are not in the table of joints": "add the type to the table",
+        "Python functions that are no expression": "write it as text",
+        "expressions that are too long": "split it into several",
+    },
+)  # fmt: skip
+"""The format of our own, which holds any mechanism."""
+
+SDF = Format("SDF", (".sdf", ".world"), recognises=lambda start: root_element(start) == "sdf")
+MJCF = Format("MJCF (MuJoCo)", (".mjcf",), recognises=lambda start: root_element(start) in ("mujoco", "mjcf"))
+
+FORMATS: dict[str, Format] = {"urdf": URDF, "toml": TOML, "sdf": SDF, "mjcf": MJCF}
+"""The formats by name. Where several rows fit a file, the last counts: special rows stand after general ones."""
+
+DEFAULT = TOML
+"""Format of a text that no row recognises, in a file whose ending no row has."""
+
+
+def by_ending(name: str) -> Format | None:
+    """The format that the name of a file tells, or None."""
+    name = name.lower()
+    return next((f for f in reversed(FORMATS.values()) if name.endswith(f.endings)), None)
+
+
+def by_contents(start: str) -> Format | None:
+    """The format that the beginning of a text tells, or None."""
+    start = start.removeprefix("\ufeff").lstrip()
+    return next((f for f in reversed(FORMATS.values()) if f.recognises(start)), None)
+
+
+def named(kinds: Iterable[Format], last: str = "or") -> str:
+    """Titles of formats in a sentence: 'URDF or TOML'."""
+    return joined([f.title for f in kinds], last)
+
+
+def joined(words: Iterable[str], last: str = "or") -> str:
+    """Words in a sentence: 'a, b or c'."""
+    *before, end = words
+    return f"{', '.join(before)} {last} {end}" if before else end
+
+
+def read_by(option: str = "") -> list[Format]:
+    """The formats that are read, or those of them whose reader takes an option."""
+    return [f for f in FORMATS.values() if f.read and (not option or option in f.options)]
+
+
+def endings_written() -> str:
+    """Endings of the files that can be written, in a sentence: '.urdf or .toml'."""
+    return joined([ending for f in FORMATS.values() if f.write for ending in f.endings])

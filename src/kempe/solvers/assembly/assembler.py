@@ -1,0 +1,349 @@
+"""The bound form of `assemble`: names of what is known looked up, and the loops packed, once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.budget import Budget, Usual
+from kempe.calls import explained, flag, listed
+from kempe.errors import InputError, UnknownNameError
+from kempe.kernels.base.search_layout import BAD_INPUT, SOLVED
+from kempe.kernels.compiled import loop_closing as kernel
+from kempe.kernels.constraints import loop_layout as L
+from kempe.kinematics.closure_rows import freedoms_left
+from kempe.kinematics.common.parallel import over_chunks
+from kempe.kinematics.configuration import as_start, home_of
+from kempe.kinematics.one_sided import one_sided_rows
+from kempe.model.closures.packed_loops import Loops, loops_of, must_be_explicit
+from kempe.model.kept import kept
+from kempe.model.tree.own_tree import own_tree
+from kempe.reals import reals
+from kempe.solvers.assembly.assembled import Assembly
+from kempe.solvers.assembly.ideal import ideal_of
+from kempe.solvers.common.arguments import place_of, seed_number, start_count, with_places
+from kempe.solvers.common.problem import Problem
+from kempe.spatial import Array
+from kempe.status import MEMBERS, Status
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+STARTS = 20
+"""Starts before an assembly is given up; from a guess 1 rad off 95 to 100 % of the first ones close."""
+STEPS = 60
+"""Steps of a start; 3 to 6 are usual, at singular positions up to 50."""
+TOLERANCE = 1e-10
+"""Largest norm of the closure equations of a success, in radians and characteristic lengths; 1e-15 is usual."""
+LOOSEST = 1e-3
+"""The largest tolerance that can be requested: above it, an open loop would be called closed."""
+NEAREST_STEPS = 50
+"""Steps at most towards the closed configuration nearest to the start."""
+PREFER = (None, "nearest", "continuous")
+USUAL = Usual("assemble", starts=STARTS, rng=0, threads=None)
+CHUNK, SERIAL_BELOW = 64, 2048
+PLAIN_NUMBERS = {float, int, np.float64}
+FEW = 300
+"""Equations up to which the freedoms that are left are counted: it takes a dense decomposition."""
+
+
+def _spent(budget: Budget | None) -> tuple[int, int, int | None]:
+    """Starts, the number that random starts are drawn by, and threads: what a budget asks for, checked."""
+    spend = USUAL.of(budget)
+    return start_count(spend.starts), seed_number(spend.rng), spend.threads
+
+
+SPENT = _spent(None)
+"""The same for calls without a budget, found once."""
+
+
+class Assembler:
+    """Assembly with the names of what is known looked up and the loops packed, once.
+
+    `known` are names of coordinates and of frames, in the order in which values are given. Without `one_sided` declared
+    constraints count only as far as they are equations.
+    """
+
+    def __init__(self, system: System, known: Iterable[str] = (), one_sided: bool = True):
+        self.system, self.known, self.tree = system, tuple(known), own_tree(system)
+        self.one_sided = one_sided_rows(system) if one_sided and one_sided_rows(system).declared else None
+        self.names = set(self.known)
+        coordinates = [k for k in self.known if k not in system.frame_names or k in system.coordinate_names]
+        self.frames = tuple(k for k in self.known if k not in coordinates)
+        self._places(coordinates)
+        self.explicit = must_be_explicit(self.tree, self.sources)
+        self.loops = self._loops((False,) * len(self.frames))
+        self.no_pins = np.zeros((1, 12 * len(self.frames)))
+
+    def _places(self, names: list[str]) -> None:
+        """Find where known coordinates are in q, and how those that follow others lead to their source."""
+        system = self.system
+        index = {n: i for i, n in enumerate(system.coordinate_names)}
+        places, factors, offsets = [], [], []
+        for name in names:
+            follower = system.structure.couplings.get(name)
+            if follower is not None and follower.source is None:
+                raise InputError(f"coordinate {name!r} is held at {follower.offset:g}: it cannot be given")
+            if follower is None and name not in index:
+                allowed = (*system.coordinate_names, *system.structure.couplings, *system.structure.frames)
+                raise UnknownNameError("coordinate or frame", name, allowed, system.name)
+            places.append(index[name if follower is None or follower.source is None else follower.source])
+            factors.append(1.0 if follower is None else 1.0 / follower.multiplier)
+            offsets.append(0.0 if follower is None else follower.offset)
+        if len(set(places)) < len(places):
+            raise InputError("two of the known coordinates move together: give one of them")
+        self.coordinates = tuple(names)
+        self.places, self.place_list, self.shape = np.array(places, dtype=np.int64), places, (system.nq,)
+        self.factors, self.offsets = np.array(factors), np.array(offsets)
+        self.plain = bool(np.all(self.factors == 1.0) and not np.any(self.offsets))
+        layout = system.structure.layout
+        self.sources = [system.coordinate_names[i] for i in places]
+        velocity = dict(zip(layout.vector_q.tolist(), layout.vector_v.tolist(), strict=True))
+        held = [velocity[i] for i in places if i in velocity]
+        for iq, iv in zip(layout.quaternion_q.tolist(), layout.quaternion_v.tolist(), strict=True):
+            given = set(range(iq, iq + 4)) & set(places)
+            if given and len(given) < 4:
+                missing = [system.coordinate_names[i] for i in range(iq, iq + 4) if i not in given]
+                raise InputError(f"a quaternion is given as a whole; missing are {', '.join(missing)}")
+            held += [iv, iv + 1, iv + 2] if given else []
+        self.held = frozenset(system.structure.velocity_names[v] for v in held)
+        limits = np.full((2, len(places)), np.inf) * [[-1.0], [1.0]]
+        for k, i in enumerate(places):
+            if i in velocity:
+                limits[:, k] = (
+                    system.structure.coordinates.lower[velocity[i]],
+                    system.structure.coordinates.upper[velocity[i]],
+                )
+        slack = 1e-9 * (1.0 + np.abs(np.where(np.isfinite(limits), limits, 0.0)))
+        self.low, self.high = limits[0] - slack[0], limits[1] + slack[1]
+        self.bounds = list(zip(self.low.tolist(), self.high.tolist(), strict=True))
+        self.limited = bool(np.isfinite(limits).any())
+
+    def _loops(self, turned: tuple[bool, ...], whole: bool = False) -> Loops:
+        """The packed loops, with the known frames held in place, and in orientation where `turned`.
+
+        `whole`: the coordinates of all joints are unknowns, also of those that the tree left out, so that what is
+        nearest does not depend on where the loops are cut.
+        """
+        bounded = self.one_sided is not None
+        explicit = frozenset(self.tree.structure.closures) if whole or bounded else self.explicit
+        pins = tuple(zip(self.frames, turned, strict=True))
+        return loops_of(self.tree, explicit, self.held, pins, one_sided=bounded)
+
+    @cached_property
+    def freedoms(self) -> int:
+        """Freedoms left when the known ones are given, at a closed configuration near home; -1: not counted."""
+        if self.frames or len(self.loops.names) > FEW:
+            return -1
+        home = home_of(self.system)[None]
+        q, _, info = self.run(home, self.no_pins)
+        if info[0, 0] != SOLVED:
+            return -1
+        return freedoms_left(self.system, q[0], self.held)
+
+    def run(
+        self, starts: Array, pins: Array, tries: int = STARTS, nearest: int = 0, rng: int = 0,
+        threads: int | None = 1, limits: bool = True, tolerance: float = TOLERANCE, follow: bool = False,
+        loops: Loops | None = None,
+    ) -> tuple[Array, Array, np.ndarray]:  # fmt: skip
+        """Configurations (N, nq), residuals (N,) and (status, steps, starts) (N, 3) from starts (N, nq)."""
+        loops, n = loops or self.loops, len(starts)
+        q, residual, info = np.empty((n, self.system.nq)), np.empty(n), np.empty((n, 3), dtype=np.int64)
+        weights = loops.weights if limits else limitless(self.system, loops)
+
+        def work(i: int, j: int) -> int:
+            return kernel.assemble(
+                loops.ints, loops.floats, loops.plan, weights, starts[i:j], pins[i:j] if len(pins) > 1 else pins,
+                tries, STEPS, tolerance, nearest, rng, i, follow, q[i:j], residual[i:j], info[i:j],
+            )  # fmt: skip
+
+        if follow:
+            sound = np.isfinite(starts).all(axis=-1) & np.isfinite(pins).all(axis=-1)
+            if not sound.all():  # the others follow as if these rows were not there
+                q[:], residual[:], info[:] = np.nan, np.nan, (BAD_INPUT, 0, 0)
+                inner = self.run(starts[sound], pins[sound] if len(pins) > 1 else pins, tries, nearest, rng, threads,
+                                 limits, tolerance, True, loops)  # fmt: skip
+                q[sound], residual[sound], info[sound] = inner
+                return q, residual, info
+        if self.one_sided is not None:
+            from kempe.solvers.assembly.assembly_bounded import Bounded
+
+            bounded = Bounded(self.system, loops, weights, STEPS, tolerance, rng, threads)
+            return (bounded.follow if follow else bounded.assemble)(starts, pins, tries)
+        if n <= CHUNK or follow:
+            work(0, n)
+        else:
+            over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
+        loops.check()
+        return q, residual, info
+
+    def _ask(
+        self, values: Any = (), start: Any = None, *, prefer: str | None = None, limits: bool = True,
+        tolerance: float = TOLERANCE, budget: Budget | None = None,
+    ) -> Assembly:  # fmt: skip
+        """As `assemble`, with `values` (..., k) of the known coordinates in their order, or a dict with all of them."""
+        named = values.__class__ is dict or isinstance(values, Mapping)
+        given = values if named else self._by_name(values)
+        return self._solve(Problem(self.system, "one", given, start, prefer, limits, tolerance, budget))
+
+    __call__ = explained(_ask)
+
+    def _solve(self, problem: Problem) -> Assembly:
+        """The answer for a problem with these names known."""
+        _, _, given, start, prefer, limits, tolerance, budget, *_ = problem
+        if self.frames:
+            given = with_places(given, self.frames)
+        if given.keys() != self.names:
+            said = ", ".join(map(repr, given)) or "nothing"
+            raise InputError(f"values are given for {said}; needed are {self.known}")
+        if not (isinstance(tolerance, (int, float)) and 0.0 < tolerance <= LOOSEST):
+            raise InputError(f"tolerance is {tolerance!r}; it must be above 0 and at most {LOOSEST}")
+        if limits.__class__ is not bool:
+            flag(limits, "limits")
+        if prefer not in PREFER:
+            raise InputError(f"prefer is {prefer!r}; it must be one of {', '.join(map(repr, PREFER))}")
+        tries, number, threads = SPENT if budget is None else _spent(budget)
+        base, lead = self._single(given, start), ()
+        if base is None:
+            base, lead = self._starts(given, start)
+        turned = self._turned(given) if self.frames else ()
+        pins = self._pins(given, turned, lead) if turned else self.no_pins
+        steps = NEAREST_STEPS if prefer == "nearest" and self.freedoms != 0 else 0
+        follow = prefer == "continuous" and len(base) > 1
+        q, residual, info = self.run(
+            base, pins, tries, steps, number, threads, limits, tolerance, follow,
+            self._loops(turned, steps > 0) if turned or steps else None,
+        )  # fmt: skip
+        return self._answer(base, lead, q, residual, info, limits)
+
+    def _answer(
+        self, base: Array, lead: tuple[int, ...], q: Array, residual: Array, info: np.ndarray, limits: bool
+    ) -> Assembly:  # fmt: skip
+        if not lead:
+            code = int(info[0, 0])
+            if code == BAD_INPUT:
+                raise InputError("known values, places or start are not finite, or a quaternion is zero")
+            if self.limited and limits:  # in Python: for a few numbers an array costs as much as the assembly
+                known = base[0, self.places].tolist()
+                if any(x < low or x > high for x, (low, high) in zip(known, self.bounds, strict=True)):
+                    code = Status.OUTSIDE_LIMITS
+            _, steps, starts = info[0].tolist()
+            return Assembly.single(q[0], code == SOLVED, MEMBERS[code], float(residual[0]), steps, starts, self)
+        code = info[:, 0]
+        if self.limited and limits:
+            code = np.where(self._outside(base) & (code != BAD_INPUT), Status.OUTSIDE_LIMITS, code)
+        good, code, residual, steps, starts = (
+            x.reshape(lead) for x in (code == SOLVED, code, residual, info[:, 1], info[:, 2])
+        )
+        return Assembly(q.reshape(*lead, self.system.nq), good, code, residual, steps, starts, self)
+
+    def _by_name(self, values: Any) -> dict[str, Any]:
+        if self.frames:
+            raise InputError("give the places of frames by name: a dict")
+        array = reals(values, "values")
+        if array.ndim == 1 and len(array) == len(self.known):
+            return dict(zip(self.known, array.tolist(), strict=True))
+        if array.ndim == 0 or array.shape[-1] != len(self.known):
+            raise InputError(f"values have shape {array.shape}; needed are (..., {len(self.known)}): {self.known}")
+        return {k: array[..., i] for i, k in enumerate(self.known)}
+
+    def _single(self, given: Mapping[str, Any], start: Any) -> Array | None:
+        """The start (1, nq) of the usual call, an array and plain numbers, in a fraction of the time; else None."""
+        if start.__class__ is not np.ndarray or start.shape != self.shape or start.dtype != np.float64 or self.frames:
+            return None
+        numbers = [given[k] for k in self.coordinates]
+        if not self.plain or any(x.__class__ not in PLAIN_NUMBERS for x in numbers):
+            return None
+        start = start[None].copy()
+        for place, x in zip(self.place_list, numbers, strict=True):
+            start[0, place] = x
+        return start
+
+    def _starts(self, given: Mapping[str, Any], start: Any) -> tuple[Array, tuple[int, ...]]:
+        """Starts (N, nq) with the known values written in, and the leading shape of the answer."""
+        system = self.system
+        base = home_of(system) if start is None else as_start(system, start)
+        columns = [reals(given[k], f"the known value of {k!r}", "a number, or an array") for k in self.coordinates]
+        shapes = [c.shape for c in columns] + [base.shape[:-1]]
+        shapes += [np.shape(given[f])[: -2 if t else -1] for f, t in zip(self.frames, self._turned(given), strict=True)]
+        try:
+            lead = np.broadcast_shapes(*shapes) if any(shapes) else ()
+        except ValueError:
+            raise InputError(f"known values and near have shapes that do not fit together: {shapes}") from None
+        starts = np.empty((*lead, system.nq))
+        starts[:] = base
+        for k, column in enumerate(columns):
+            starts[..., self.places[k]] = column if self.plain else (column - self.offsets[k]) * self.factors[k]
+        return starts.reshape(math.prod(lead), system.nq), lead
+
+    def _turned(self, given: Mapping[str, Any]) -> tuple[bool, ...]:
+        """For each known frame whether its orientation is given too."""
+        size = self.system.dim
+        out = []
+        for frame in self.frames:
+            shape = np.shape(given[frame])
+            if len(shape) >= 2 and shape[-2:] == (4, 4):
+                out.append(True)
+            elif len(shape) >= 1 and shape[-1] in (size, 3):
+                out.append(False)
+            else:
+                allowed = f"a position (..., {size}) or a pose (..., 4, 4)"
+                raise InputError(f"the place of frame {frame!r} has shape {shape}; it must be {allowed}")
+        return tuple(out)
+
+    def _pins(self, given: Mapping[str, Any], turned: tuple[bool, ...], lead: tuple[int, ...]) -> Array:
+        """Poses (N, 12 k) of the known frames."""
+        n = math.prod(lead)
+        pins = np.zeros((n, len(self.frames), 3, 4))
+        pins[..., :3, :3] = np.eye(3)
+        for k, (frame, whole) in enumerate(zip(self.frames, turned, strict=True)):
+            place = place_of(self.system, frame, given[frame], whole)
+            if whole:
+                pins[:, k] = np.broadcast_to(place, (*lead, 4, 4)).reshape(n, 4, 4)[:, :3]
+            else:
+                size = place.shape[-1]
+                pins[:, k, :size, 3] = np.broadcast_to(place, (*lead, size)).reshape(n, size)
+        pins[..., 3] -= self.loops.origin
+        return pins.reshape(n, 12 * len(self.frames))
+
+    def _outside(self, starts: Array) -> np.ndarray:
+        x = starts[:, self.places]
+        return np.any((x < self.low) | (x > self.high), axis=-1)
+
+
+def limitless(system: System, loops: Loops) -> Array:
+    """The weights of loops without limits."""
+    weights, nv = loops.weights.copy(), system.nv
+    weights[L.SCALES + nv : L.SCALES + 2 * nv], weights[L.SCALES + 2 * nv : L.SCALES + 3 * nv] = -np.inf, np.inf
+    return weights
+
+
+@explained
+def assembler(system: System, known: Iterable[str] = ()) -> Assembler:
+    """The bound form of `assemble` for these known names. Errors: `UnknownNameError`, `InputError`."""
+    return bound(system, listed(known, "known"))
+
+
+@kept
+def bound(system: System, known: tuple[str, ...]) -> Assembler:
+    """Bound to the mechanism that answers for this one."""
+    return bare(ideal_of(system), known)
+
+
+def bare(system: System, known: Iterable[str] = ()) -> Assembler:
+    """As `assembler`, of the mechanism as it is given, without any tolerance."""
+    return _assembler(system, tuple(known), True)
+
+
+@kept
+def _assembler(system: System, known: tuple[str, ...], one_sided: bool) -> Assembler:
+    return Assembler(system, listed(known, "known"), one_sided=one_sided)
+
+
+def of_equations(system: System, known: Iterable[str] = ()) -> Assembler:
+    """As `assembler`, but one-sided constraints do not count: what they leave out is looked at elsewhere."""
+    return _assembler(system, listed(known, "known"), not one_sided_rows(system).declared)
