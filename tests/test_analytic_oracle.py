@@ -33,20 +33,20 @@ def test_systems_and_models_are_the_same_chain(name):
     np.testing.assert_allclose(arm.system.fk(q, arm.frame), arm.model.fk(q), rtol=0, atol=2e-14)
 
 
-def test_pinocchio_agrees_with_the_model():
+@pytest.mark.parametrize("arm", ARMS.values(), ids=list(ARMS))
+def test_pinocchio_agrees_with_the_model(arm):
     pin = pytest.importorskip("pinocchio")
-    for arm in ARMS.values():
-        m = arm.model
-        frames, tip = arms.frames_of(m)
-        robot, at = pin.Model(), 0
-        for i, (X, kind) in enumerate(zip(frames, m.kinds, strict=True)):
-            joint = pin.JointModelRZ() if kind == oracle.TURN else pin.JointModelPZ()
-            at = robot.addJoint(at, joint, pin.SE3(X[:3, :3], X[:3, 3]), f"j{i}")
-        data = robot.createData()
-        for q in arm.random(2, 3):
-            theta = m.theta(q)
-            pin.forwardKinematics(robot, data, theta)
-            np.testing.assert_allclose(data.oMi[at].homogeneous @ tip, m.fk(q), rtol=0, atol=2e-14, err_msg=arm.name)
+    m = arm.model
+    frames, tip = arms.frames_of(m)
+    robot, at = pin.Model(), 0
+    for i, (X, kind) in enumerate(zip(frames, m.kinds, strict=True)):
+        joint = pin.JointModelRZ() if kind == oracle.TURN else pin.JointModelPZ()
+        at = robot.addJoint(at, joint, pin.SE3(X[:3, :3], X[:3, 3]), f"j{i}")
+    data = robot.createData()
+    for q in arm.random(2, 3):
+        theta = m.theta(q)
+        pin.forwardKinematics(robot, data, theta)
+        np.testing.assert_allclose(data.oMi[at].homogeneous @ tip, m.fk(q), rtol=0, atol=2e-14, err_msg=arm.name)
 
 
 @pytest.mark.parametrize("name", ["puma560", "randomRRPRRR_2", "so101", "gen3", "sleeve"])

@@ -470,12 +470,12 @@ def test_library():
     assert Result("library", "no such model").code == 2
 
 
-def test_commands_take_shipped_models():
-    for name in library_models():
-        data = Result("info", name, "--json").json()
-        assert data["nq"] == kempe.load(name).nq
-        assert Result("check", name).code == 0
-        assert len(Result("fk", name, "--json").json()["bodies"]) == len(data["bodies"])
+@pytest.mark.parametrize("name", library_models())
+def test_commands_take_shipped_models(name):
+    data = Result("info", name, "--json").json()
+    assert data["nq"] == kempe.load(name).nq
+    assert Result("check", name).code == 0
+    assert len(Result("fk", name, "--json").json()["bodies"]) == len(data["bodies"])
 
 
 # ---- the page of the documentation

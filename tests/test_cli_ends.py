@@ -203,7 +203,8 @@ def test_commands_refuse_a_fifo_at_once(tmp_path, words):
 # ---- xacro
 
 
-def test_an_expansion_ends_when_its_message_says(tmp_path, monkeypatch):
+@pytest.mark.parametrize("text", ["time.sleep(600)", "9**9**9**9"])
+def test_an_expansion_ends_when_its_message_says(text, tmp_path, monkeypatch):
     """It waits for something else than the processor; and what asks for ever larger numbers."""
     (tmp_path / "xacrodoc.py").write_text(
         "import time\nfrom unittest.mock import MagicMock\npackages = MagicMock()\n"
@@ -212,18 +213,17 @@ def test_an_expansion_ends_when_its_message_says(tmp_path, monkeypatch):
     )
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    for text in ("time.sleep(600)", "9**9**9**9"):
-        path = tmp_path / "bomb.xacro"
-        path.write_text(text, encoding="utf-8")
-        waited: list[float] = []
-        wait = subprocess.Popen.wait
+    path = tmp_path / "bomb.xacro"
+    path.write_text(text, encoding="utf-8")
+    waited: list[float] = []
+    wait = subprocess.Popen.wait
 
-        def waits(process, timeout=None, waited=waited, wait=wait):
-            waited.append(timeout)
-            return wait(process, timeout)
+    def waits(process, timeout=None, waited=waited, wait=wait):
+        waited.append(timeout)
+        return wait(process, timeout)
 
-        monkeypatch.setattr(subprocess.Popen, "wait", waits)
-        with pytest.raises(DescriptionError, match=r"did not finish in 1\.5 s"):
-            expand_xacro(path, seconds=1.5)
-        assert max(t for t in waited if t is not None) == 1.5
-        monkeypatch.setattr(subprocess.Popen, "wait", wait)
+    monkeypatch.setattr(subprocess.Popen, "wait", waits)
+    with pytest.raises(DescriptionError, match=r"did not finish in 1\.5 s"):
+        expand_xacro(path, seconds=1.5)
+    assert max(t for t in waited if t is not None) == 1.5
+    monkeypatch.setattr(subprocess.Popen, "wait", wait)

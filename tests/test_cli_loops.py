@@ -236,12 +236,12 @@ def test_narrow_terminals_get_all_digits(monkeypatch):
     assert copy in out.getvalue(), "the line to copy has no breaks in it"
 
 
-def test_names_cannot_reach_the_terminal(tmp_path):
+@pytest.mark.parametrize("command", [["dof"], ["assemble"], ["trace"], ["assemble", "A=0.3", "--modes"]], ids=str)
+def test_names_cannot_reach_the_terminal(command, tmp_path):
     path = tmp_path / "evil.toml"
     path.write_text(CRANK_SLIDER.replace('"B"', '"B\\u001b[31m"').replace("B = 0", '"B\\u001b[31m" = 0'))
-    for command in (["dof"], ["assemble"], ["trace"], ["assemble", "A=0.3", "--modes"]):
-        result = Result(command[0], path, *command[1:])
-        assert result.code == 0 and "\x1b" not in result.out and "B\\x1b[31m" in result.out, result.out + result.err
+    result = Result(command[0], path, *command[1:])
+    assert result.code == 0 and "\x1b" not in result.out and "B\\x1b[31m" in result.out, result.out + result.err
 
 
 # ---- info and fk

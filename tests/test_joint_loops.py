@@ -103,22 +103,22 @@ def test_each_type_as_each_cut(kind, dim, backwards):
 
 
 @pytest.mark.parametrize(("kind", "dim"), CASES, ids=str)
-def test_closures_in_numpy(kind, dim):
+@pytest.mark.parametrize("own", [False, True])
+def test_closures_in_numpy(own, kind, dim):
     """Rows of the loop, also where it is open, by differences; where it is closed they hold what the judge's do."""
     shape = closed(np.random.default_rng(6), dim, 2, [BALL if dim == 3 else Revolute(), Free(), kind])
     s = shape.system(frozenset({"j2"}))
     steps = 1e-6 * np.eye(s.nv)
-    for own in (False, True):
-        judge = closures.closure_of(s, "j2", own or implicit_form(kind, dim) is None)
-        for closure in [c for c in closure_rows.of_system(s, own) if c.name == "j2"]:
-            q = s.random(3)
-            ends = [[closure.residual(s, s.configuration_space.integrate(q, x * e)) for x in (1, -1)] for e in steps]
-            by_differences = np.stack([(a - b) / 2e-6 for a, b in ends], axis=-1)
-            np.testing.assert_allclose(closure.jacobian(s, q), by_differences, rtol=0, atol=1e-6)
-            q = shape.values(s)
-            J, K = closure.jacobian(s, q), judge.jacobian(s, q)
-            assert [np.linalg.matrix_rank(M, tol=1e-7) for M in (J, K, np.vstack([J, K]))] == 3 * [len(J)]
-            assert not own or closure.size == (6 if dim == 3 else 3) == len(closure_rows.row_names(s))
+    judge = closures.closure_of(s, "j2", own or implicit_form(kind, dim) is None)
+    for closure in [c for c in closure_rows.of_system(s, own) if c.name == "j2"]:
+        q = s.random(3)
+        ends = [[closure.residual(s, s.configuration_space.integrate(q, x * e)) for x in (1, -1)] for e in steps]
+        by_differences = np.stack([(a - b) / 2e-6 for a, b in ends], axis=-1)
+        np.testing.assert_allclose(closure.jacobian(s, q), by_differences, rtol=0, atol=1e-6)
+        q = shape.values(s)
+        J, K = closure.jacobian(s, q), judge.jacobian(s, q)
+        assert [np.linalg.matrix_rank(M, tol=1e-7) for M in (J, K, np.vstack([J, K]))] == 3 * [len(J)]
+        assert not own or closure.size == (6 if dim == 3 else 3) == len(closure_rows.row_names(s))
 
 
 @pytest.mark.parametrize(("kind", "dim"), CASES, ids=str)
@@ -300,19 +300,25 @@ def test_a_geared_hinge_returns_after_its_own_period():
     assert len(s.assembly_modes({"A.motor": 0.5}).q) == 2
 
 
-def test_redundant_constraints_of_own_types():
+@pytest.mark.parametrize(("kind", "number"), [
+    (Rail(), 5),
+    (PinSlot(), 4),
+    (SlotFirst(), 4),
+    (Crooked(), None),
+    (BallInTube(), None),
+])  # fmt: skip
+def test_redundant_constraints_of_own_types(kind, number):
     """Two rails in parallel, of which one is a pin in a slot: the slot's pin holds what the rail holds already."""
-    for kind, number in ((Rail(), 5), (PinSlot(), 4), (SlotFirst(), 4), (Crooked(), None), (BallInTube(), None)):
-        m = Mechanism("parallel")
-        body = m.body("b")
-        m.joint("first", Rail(), m.ground, body)
-        m.joint("second", kind, m.ground, body, at=(0, 1, 0), child_at=(0, 1, 0), cut=True)
-        s = m.build()
-        found = s.mobility(s.neutral).redundancy
-        assert found is not None
-        if number is not None:
-            assert found.number == number, kind
-        assert "redundant" in str(found)
+    m = Mechanism("parallel")
+    body = m.body("b")
+    m.joint("first", Rail(), m.ground, body)
+    m.joint("second", kind, m.ground, body, at=(0, 1, 0), child_at=(0, 1, 0), cut=True)
+    s = m.build()
+    found = s.mobility(s.neutral).redundancy
+    assert found is not None
+    if number is not None:
+        assert found.number == number, kind
+    assert "redundant" in str(found)
 
 
 # ------------------------------------------------------------------ files, drawings, declarations

@@ -409,13 +409,13 @@ def test_a_screw_is_between_a_hinge_and_a_slider():
     np.testing.assert_allclose(steep.jacobian([0.7], "M")[:, 0], [0, 0, 1, 0, 0, 1], atol=1e-16)
 
 
-def test_planar_systems_stay_in_the_plane():
-    for case in (c for c in CASES if c.dim == 2):
-        system = one_joint(case, placed=True)
-        X = system.fk(system.random(0, 50), "M")
-        assert np.all(X[..., 2, :3] == [0, 0, 1]) and np.all(X[..., :3, 2] == [0, 0, 1]) and np.all(X[..., 2, 3] == 0)
-        J = system.jacobian(system.random(0, 50), "M")
-        assert np.all(J[..., 2:5, :] == 0.0), case
+@pytest.mark.parametrize("case", [c for c in CASES if c.dim == 2])
+def test_planar_systems_stay_in_the_plane(case):
+    system = one_joint(case, placed=True)
+    X = system.fk(system.random(0, 50), "M")
+    assert np.all(X[..., 2, :3] == [0, 0, 1]) and np.all(X[..., :3, 2] == [0, 0, 1]) and np.all(X[..., 2, 3] == 0)
+    J = system.jacobian(system.random(0, 50), "M")
+    assert np.all(J[..., 2:5, :] == 0.0), case
 
 
 # ------------------------------------------------------------------ records

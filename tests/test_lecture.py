@@ -226,20 +226,20 @@ def test_the_additional_considerations_are_arguments():
     assert found and apart(found.q, tuple(modes.q[1])) < 1e-9
 
 
-def test_two_parametrizations_of_a_closed_loop_and_the_ways_between_them():
+@pytest.mark.parametrize("u", [0.0, 0.4, 0.8])
+def test_two_parametrizations_of_a_closed_loop_and_the_ways_between_them(u):
     """The lecture's pairs (r, R) with constraints; generalized positions, as many as DoF, without any."""
     system = kempe.load("jansen")
     chart = system.independent()
     n_b = len(system.parent)
-    for u in (0.0, 0.4, 0.8):
-        q = chart.q([u]).q
-        pairs = kempe.convert.to_maximal(system, q)
-        assert pairs.shape == (n_b, 4, 4) and chart.dim <= n_b, "n <= n_b"
-        at = maximal_q(system, q)
-        assert np.abs(kempe.convert.maximal(system).loops.closure_error(at)).max() < 1e-12
-        m = kempe.convert.maximal(system).mobility(at)
-        assert (m.counting.free, m.counting.taken) == (21, 20) and m.rank_dof == m.dof == chart.dim == 1
-        assert chart.u(kempe.convert.from_maximal(system, pairs, start=q)) == pytest.approx([u], abs=1e-12)
+    q = chart.q([u]).q
+    pairs = kempe.convert.to_maximal(system, q)
+    assert pairs.shape == (n_b, 4, 4) and chart.dim <= n_b, "n <= n_b"
+    at = maximal_q(system, q)
+    assert np.abs(kempe.convert.maximal(system).loops.closure_error(at)).max() < 1e-12
+    m = kempe.convert.maximal(system).mobility(at)
+    assert (m.counting.free, m.counting.taken) == (21, 20) and m.rank_dof == m.dof == chart.dim == 1
+    assert chart.u(kempe.convert.from_maximal(system, pairs, start=q)) == pytest.approx([u], abs=1e-12)
 
 
 def test_configuration_space_and_task_space_of_the_two_link_arm():

@@ -183,14 +183,14 @@ def test_pinocchio_closes_the_loop_and_finds_its_freedom(name):
 
 
 @every_loop
-def test_each_loop_turns(name):
+@pytest.mark.parametrize("side", [0.5, -0.5])
+def test_each_loop_turns(side, name):
     """Not only to first order: half a radian to both sides in steps, one freedom everywhere."""
     system = kempe.load(name)
     start = system.q("closed")[0]
-    for side in (0.5, -0.5):
-        _, found = driven(name, "q1", start + np.linspace(0.1, 1.0, 4) * side)
-        for q in found:
-            assert system.nv - singular_values(jacobian(system, q))[1] == 1
+    _, found = driven(name, "q1", start + np.linspace(0.1, 1.0, 4) * side)
+    for q in found:
+        assert system.nv - singular_values(jacobian(system, q))[1] == 1
 
 
 PARAMETERS = [
@@ -237,11 +237,11 @@ def test_goldberg_is_two_of_bennetts_linkages():
         )
 
 
-def test_half_a_turn_takes_the_line_symmetric_loop_to_itself():
+@pytest.mark.parametrize("side", [0.8, -0.8])
+def test_half_a_turn_takes_the_line_symmetric_loop_to_itself(side):
     start = kempe.load("bricard_line_symmetric").q("closed")[0]
-    for side in (0.8, -0.8):
-        for q in driven("bricard_line_symmetric", "q1", start + np.linspace(0.2, 1, 4) * side)[1]:
-            np.testing.assert_allclose(np.exp(1j * q[3:]), np.exp(1j * q[:3]), rtol=0, atol=1e-12)
+    for q in driven("bricard_line_symmetric", "q1", start + np.linspace(0.2, 1, 4) * side)[1]:
+        np.testing.assert_allclose(np.exp(1j * q[3:]), np.exp(1j * q[:3]), rtol=0, atol=1e-12)
 
 
 def test_the_rectangular_loop_lies_on_the_edges_of_a_cube():

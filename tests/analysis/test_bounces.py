@@ -115,20 +115,20 @@ def test_a_groove_brings_to_rest():
     assert np.abs(y).max() < 1e-12 and not v.any()
 
 
-def test_wall_hit_while_bounces_on_the_floor_fade():
+@pytest.mark.parametrize("share", [0.5, 1 - 1e-7, 1 - 1e-12, 1 + 1e-12, 1.5])
+def test_wall_hit_while_bounces_on_the_floor_fade(share):
     """The wall is reached shortly before the bounces on the floor end: the order in time is kept."""
     e, g = 0.5, 10.0
     end = 3 * math.sqrt(2 / g)  # t1 (1 + 2 e / (1 - e)) for a fall from 1 m
-    for share in (0.5, 1 - 1e-7, 1 - 1e-12, 1 + 1e-12, 1.5):
-        planes = [Plane("floor", np.array([0.0, 1.0]), 0.0), Plane("wall", np.array([-1.0, 0.0]), end * share)]
-        flight = flown(planes, [0, -g], e, [0, 1.0], [1.0, 0], 3 * end)
-        walls = [i for i in flight.impacts if 1 in i.planes]
-        assert len(walls) == 1 and walls[0].time == pytest.approx(end * share, abs=1e-10)
-        assert [i.time for i in flight.impacts] == sorted(i.time for i in flight.impacts)
-        settled = [i for i in flight.impacts if i.kind != "bounce"]
-        assert len(settled) == 1 and settled[0].time == pytest.approx(end, abs=1e-10)
-        y, v = flight.at(np.array([3 * end]))
-        assert v[0] == pytest.approx([-0.5, 0.0]) and y[0, 1] == 0.0
+    planes = [Plane("floor", np.array([0.0, 1.0]), 0.0), Plane("wall", np.array([-1.0, 0.0]), end * share)]
+    flight = flown(planes, [0, -g], e, [0, 1.0], [1.0, 0], 3 * end)
+    walls = [i for i in flight.impacts if 1 in i.planes]
+    assert len(walls) == 1 and walls[0].time == pytest.approx(end * share, abs=1e-10)
+    assert [i.time for i in flight.impacts] == sorted(i.time for i in flight.impacts)
+    settled = [i for i in flight.impacts if i.kind != "bounce"]
+    assert len(settled) == 1 and settled[0].time == pytest.approx(end, abs=1e-10)
+    y, v = flight.at(np.array([3 * end]))
+    assert v[0] == pytest.approx([-0.5, 0.0]) and y[0, 1] == 0.0
 
 
 def test_roots_of_gaps(hunt):

@@ -118,12 +118,15 @@ def test_modes():
     np.testing.assert_allclose(found, [np.pi / 6, 5 * np.pi / 6], atol=1e-8)
 
 
-def test_linear_laws_are_proven_and_bent_ones_are_not():
-    for text, certain, said in (("J1 = 2*J2", True, "manifold"), ("J1 = J2^2", False, "how 'law' bends")):
-        m = chain(2)
-        m.equation("law", text)
-        found = m.build().mobility()
-        assert found.certain == certain and said in str(found)
+@pytest.mark.parametrize(("text", "certain", "said"), [
+    ("J1 = 2*J2", True, "manifold"),
+    ("J1 = J2^2", False, "how 'law' bends"),
+])  # fmt: skip
+def test_linear_laws_are_proven_and_bent_ones_are_not(text, certain, said):
+    m = chain(2)
+    m.equation("law", text)
+    found = m.build().mobility()
+    assert found.certain == certain and said in str(found)
 
 
 def test_functions_without_series():

@@ -202,12 +202,12 @@ def test_limits_of_the_place_choose_the_way():
     assert not turn.manoeuvre(np.zeros(3), goal) and turn.manoeuvre(np.zeros(3), 0.1 * goal, radius=1.0)
 
 
-def test_velocity_limits_are_kept():
+@pytest.mark.parametrize("radius", [None, 1.0])
+def test_velocity_limits_are_kept(radius):
     slow = wheels.knife().with_limits(velocity={"pose.x": 0.2, "pose.rz": 0.1})
-    for radius in (None, 1.0):
-        path = slow.manoeuvre(np.zeros(3), [1.0, 1.0, 2.0], radius=radius)
-        v = np.abs(path.velocity(np.linspace(0, path.duration, 5000))).max(axis=0)
-        assert v[0] <= 0.2 * (1 + 1e-9) and v[2] <= 0.1 * (1 + 1e-9) and v.max() > 0.0999
+    path = slow.manoeuvre(np.zeros(3), [1.0, 1.0, 2.0], radius=radius)
+    v = np.abs(path.velocity(np.linspace(0, path.duration, 5000))).max(axis=0)
+    assert v[0] <= 0.2 * (1 + 1e-9) and v[2] <= 0.1 * (1 + 1e-9) and v.max() > 0.0999
 
 
 def test_an_arm_on_the_cart_moves_along():
@@ -231,12 +231,12 @@ def test_nothing_to_do():
     assert path.at(0.0).tolist() == [1, 1, 1] and not path.velocity(0.0).any()
 
 
-def test_far_from_the_origin():
+@pytest.mark.parametrize("radius", [None, 1.0])
+def test_far_from_the_origin(radius):
     system = wheels.knife((0.5, 0.1), 0.2)
     start = np.array([1e6, -2e6, 40.0])
     goal = start + [0.3, 0.4, -2.0]
-    for radius in (None, 1.0):
-        check(system, system.manoeuvre(start, goal, radius=radius), start, goal, "axle")
+    check(system, system.manoeuvre(start, goal, radius=radius), start, goal, "axle")
 
 
 def test_radii_and_distances_of_all_sizes(hunt):

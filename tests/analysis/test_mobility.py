@@ -408,13 +408,13 @@ def test_a_slider_cannot_drive_its_crank_through_the_dead_point():
 # ---- the report
 
 
-def test_the_report_is_text_html_and_data():
-    for name in ("bennett", "delta_uu", "wunderlich", "stewart_sps", "four_links"):
-        m = mobility(kempe.load(name), local=name != "wunderlich")
-        text, data = str(m), json.loads(json.dumps(m.data()))
-        assert m.sentence in text and data["gruebler"] == m.gruebler and data["dof"] == m.dof
-        assert "<table>" in m._repr_html_() and m.name in m._repr_html_()
-        assert len(data["idle_freedoms"]) == m.idle
+@pytest.mark.parametrize("name", ["bennett", "delta_uu", "wunderlich", "stewart_sps", "four_links"])
+def test_the_report_is_text_html_and_data(name):
+    m = mobility(kempe.load(name), local=name != "wunderlich")
+    text, data = str(m), json.loads(json.dumps(m.data()))
+    assert m.sentence in text and data["gruebler"] == m.gruebler and data["dof"] == m.dof
+    assert "<table>" in m._repr_html_() and m.name in m._repr_html_()
+    assert len(data["idle_freedoms"]) == m.idle
 
 
 def test_what_is_not_known_is_not_said():

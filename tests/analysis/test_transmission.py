@@ -113,15 +113,15 @@ def test_space_and_quaternions_by_differences():
     assert not loose and "not determined" in loose.status and np.isnan(loose.matrix).all()
 
 
-def test_bennett_rates():
+@pytest.mark.parametrize("t", [0.3, 1.0, 2.5])
+def test_bennett_rates(t):
     alpha, beta = math.radians(40), math.radians(70)
     system = bennett(1.0, math.sin(beta) / math.sin(alpha), alpha, beta)
     K = math.sin((beta + alpha) / 2) / math.sin((beta - alpha) / 2)
-    for t in (0.3, 1.0, 2.5):
-        second = 2 * math.atan(K / math.tan(t / 2))
-        J = loop_jacobian(system, [t, second, -t, -second], ["T1"], ["T2", "T3", "T4"])
-        rate = -math.sin(second) / math.sin(t)  # derivative of tan(T1/2) tan(T2/2) = K
-        np.testing.assert_allclose(J.matrix[:, 0], [rate, -1.0, -rate], rtol=1e-9)
+    second = 2 * math.atan(K / math.tan(t / 2))
+    J = loop_jacobian(system, [t, second, -t, -second], ["T1"], ["T2", "T3", "T4"])
+    rate = -math.sin(second) / math.sin(t)  # derivative of tan(T1/2) tan(T2/2) = K
+    np.testing.assert_allclose(J.matrix[:, 0], [rate, -1.0, -rate], rtol=1e-9)
 
 
 def test_dead_points_and_change_points_are_refused_with_their_rank():

@@ -39,11 +39,11 @@ REST = joint("rest", "", "fixed", "arm", "hand")
 
 @pytest.mark.parametrize("axis", [(0, 0, 1), (1, 0, 0), (0, -1, 0), (0, 0, -1), (0.6, 0, 0.8), (1, 2, -3)])
 @pytest.mark.parametrize(("kind", "motion"), [("revolute", about), ("continuous", about), ("prismatic", along)])
-def test_joints_with_an_axis(kind: str, motion, axis):
+@pytest.mark.parametrize("q", [0.0, 0.7])
+def test_joints_with_an_axis(q, kind: str, motion, axis):
     text = robot(joint("j", f'{ORIGIN}<axis xyz="{axis[0]} {axis[1]} {axis[2]}"/>{LIMIT}', kind), REST)
     s = read_urdf(text).build()
-    for q in (0.0, 0.7):
-        np.testing.assert_allclose(s.fk([q], "arm"), X0 @ motion(axis, q), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(s.fk([q], "arm"), X0 @ motion(axis, q), rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("axis", [(0, 0, 1), (1, 0, 0), (0, 0, -1), (1, 2, -3)])
@@ -318,10 +318,15 @@ def test_what_is_not_read_is_noted():
     assert notes.count("\n") == 3
 
 
-def test_other_files_are_named():
-    for tag, words in (("sdf", "SDF"), ("mujoco", "MJCF"), ("launch", "launch file"), ("svg", "starts with <robot")):
-        with pytest.raises(DescriptionError, match=words):
-            read_urdf(f"<{tag}/>")
+@pytest.mark.parametrize(("tag", "words"), [
+    ("sdf", "SDF"),
+    ("mujoco", "MJCF"),
+    ("launch", "launch file"),
+    ("svg", "starts with <robot"),
+])  # fmt: skip
+def test_other_files_are_named(tag, words):
+    with pytest.raises(DescriptionError, match=words):
+        read_urdf(f"<{tag}/>")
 
 
 def test_long_names_and_values_do_not_flood_the_message():

@@ -81,14 +81,14 @@ def test_what_is_refused(data, words: str):
     assert problem.allowed and str(problem).startswith("f.xml")
 
 
-def test_entities_of_a_file_are_never_opened(tmp_path):
+@pytest.mark.parametrize("kind", ["x SYSTEM", "% x SYSTEM"])
+def test_entities_of_a_file_are_never_opened(kind, tmp_path):
     secret = tmp_path / "secret"
     secret.write_text("hunter2")
-    for kind in ("x SYSTEM", "% x SYSTEM"):
-        text = f'<!DOCTYPE a [<!ENTITY {kind} "{secret.as_uri()}">]><a>&x;</a>'
-        with pytest.raises(DescriptionError) as caught:
-            parse_xml(text, "f")
-        assert "hunter2" not in str(caught.value)
+    text = f'<!DOCTYPE a [<!ENTITY {kind} "{secret.as_uri()}">]><a>&x;</a>'
+    with pytest.raises(DescriptionError) as caught:
+        parse_xml(text, "f")
+    assert "hunter2" not in str(caught.value)
 
 
 @given(st.binary(max_size=200))

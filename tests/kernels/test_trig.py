@@ -122,11 +122,11 @@ def test_atan2_is_right_to_two_ulps(function):
     assert atan2_ulps(function, np.sin(angle), np.cos(angle)).max() < 2.0
 
 
-def test_atan2_where_its_branches_meet():
+@pytest.mark.parametrize(("sx", "sy"), [(1, 1), (1, -1), (-1, 1), (-1, -1)])
+def test_atan2_where_its_branches_meet(sx, sy):
     ratio = np.array([0.66, 1.0, 1 / 0.66, 1e-300, 1e300, 3e-8])
     ratio = np.r_[ratio, np.nextafter(ratio, 0), np.nextafter(ratio, np.inf)]
-    for sx, sy in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
-        assert atan2_ulps(atan2_floats, sy * ratio, np.full(len(ratio), float(sx))).max() < 2.0
+    assert atan2_ulps(atan2_floats, sy * ratio, np.full(len(ratio), float(sx))).max() < 2.0
 
 
 @given(*[st.floats(-1e300, 1e300, allow_subnormal=True)] * 2)

@@ -409,14 +409,14 @@ def test_arrays_that_are_not_aligned_are_copied():
         s.fk(q, "tool", out=unaligned(X))
 
 
-def test_out_that_overlaps_q_gives_the_same_poses():
+@pytest.mark.parametrize(("frame", "tail"), [("tool", (4, 4)), (None, (7, 4, 4))])
+def test_out_that_overlaps_q_gives_the_same_poses(frame, tail):
     robot = kempe.load("puma560")
     q = robot.random(0, 100)
-    for frame, tail in (("tool", (4, 4)), (None, (7, 4, 4))):
-        memory = np.zeros(100 * math.prod(tail))
-        memory[: q.size] = q.ravel()
-        out = robot.fk(memory[: q.size].reshape(q.shape), frame, out=memory.reshape(100, *tail))
-        assert np.array_equal(out, robot.fk(q, frame))
+    memory = np.zeros(100 * math.prod(tail))
+    memory[: q.size] = q.ravel()
+    out = robot.fk(memory[: q.size].reshape(q.shape), frame, out=memory.reshape(100, *tail))
+    assert np.array_equal(out, robot.fk(q, frame))
 
 
 def test_a_jacobian_written_over_its_own_configuration():

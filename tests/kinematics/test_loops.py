@@ -256,14 +256,14 @@ def test_same_zeros_as_closure_error(graph, seed):
         assert small.size == (s.dim if particle else 6 if s.dim == 3 else 3)
 
 
-@pytest.mark.parametrize("own", [NotImplemented, 1, "no", None])
-def test_whether_own_coordinates_count_is_true_or_false(own):
-    with pytest.raises(InputError, match="own is .*; it must be True or False"):
-        closure_rows.of_system(load("four_bar"), own)
-
-
 @pytest.mark.parametrize("cut", "ABCD")
 @pytest.mark.parametrize("at", [(0.0, 0.0), (1000.0, -2000.0)])
 def test_the_characteristic_length_is_of_the_links(cut, at):
     """Neither the cut nor where the ground has its origin matters."""
     assert closure_rows.characteristic_length(four_bar(cut=cut, at=at)) == pytest.approx(0.4, rel=1e-9)
+
+
+@pytest.mark.parametrize("own", [NotImplemented, 1, "no", None])
+def test_whether_own_coordinates_count_is_true_or_false(own):
+    with pytest.raises(InputError, match="own is .*; it must be True or False"):
+        closure_rows.of_system(load("four_bar"), own)

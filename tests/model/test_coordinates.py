@@ -191,8 +191,8 @@ def test_limits_that_do_not_overlap_name_both_joints_whatever_their_order(driven
 @pytest.mark.parametrize(
     ("driver", "driven"), [((0.3, 0.3), (0.1, 0.1)), ((-1.0, 0.3), (0.1, 2.0)), ((0.3, 1.0), (0.0, 0.1))]
 )
-def test_limits_that_touch_through_a_gear_are_accepted(driver, driven, driven_first):
-    for ratio in (1.0 / 3.0, np.nextafter(1.0 / 3.0, 0.0), np.nextafter(1.0 / 3.0, 1.0)):
-        limits = geared(driver, driven, ratio, driven_first).structure.limits
-        np.testing.assert_allclose(limits, [[0.3, 0.3]], rtol=1e-15)
-        assert limits[0, 0] <= limits[0, 1]
+@pytest.mark.parametrize("ratio", [1.0 / 3.0, np.nextafter(1.0 / 3.0, 0.0), np.nextafter(1.0 / 3.0, 1.0)])
+def test_limits_that_touch_through_a_gear_are_accepted(ratio, driver, driven, driven_first):
+    limits = geared(driver, driven, ratio, driven_first).structure.limits
+    np.testing.assert_allclose(limits, [[0.3, 0.3]], rtol=1e-15)
+    assert limits[0, 0] <= limits[0, 1]

@@ -42,18 +42,18 @@ def test_random_chains_stay_the_same(n_rows, kinds):
 
 
 @pytest.mark.parametrize("alpha", [0.0, np.pi / 2, -np.pi / 2, np.pi, 1e-17, 1e-12, 1e-6, 0.4, np.pi - 1e-9, 3.0])
-def test_axes_at_special_angles(alpha):
+@pytest.mark.parametrize("kinds", [(TURN,), (TURN, SLIDE)], ids=str)
+def test_axes_at_special_angles(kinds, alpha):
     rng = np.random.default_rng(0)
-    for kinds in ((TURN,), (TURN, SLIDE)):
-        table = random_table(rng, 8, chain=True, kinds=kinds)
-        for r in table.rows:
-            r.X = turn_z(rng.uniform(-3, 3)) @ turn_x(alpha) @ turn_z(rng.uniform(-3, 3))
-            r.X[:3, 3] = rng.normal(size=3)
-        ints, errors = differences(table)
-        assert max(errors) < 3e-15
-        if kinds == (TURN,):
-            flat = abs(np.sin(alpha)) > 0.5 or abs(np.sin(alpha)) < 1e-16
-            assert (forms(ints)[1:] == (RX_FLAT if flat else RX)).all()
+    table = random_table(rng, 8, chain=True, kinds=kinds)
+    for r in table.rows:
+        r.X = turn_z(rng.uniform(-3, 3)) @ turn_x(alpha) @ turn_z(rng.uniform(-3, 3))
+        r.X[:3, 3] = rng.normal(size=3)
+    ints, errors = differences(table)
+    assert max(errors) < 3e-15
+    if kinds == (TURN,):
+        flat = abs(np.sin(alpha)) > 0.5 or abs(np.sin(alpha)) < 1e-16
+        assert (forms(ints)[1:] == (RX_FLAT if flat else RX)).all()
 
 
 def test_a_robot_of_denavit_and_hartenberg_is_found_again():

@@ -184,13 +184,13 @@ def test_what_is_assembled_is_closed(graph, seed):
 # ---- what is known
 
 
-def test_any_coordinate_can_be_known_cut_or_not():
+@pytest.mark.parametrize("name", "ABCD")
+def test_any_coordinate_can_be_known_cut_or_not(name):
     s = four_bar(cut="C")
     home = s.assemble({"A": 1.2}).q
-    for name in "ABCD":
-        value = s.q_dict(home)[name]
-        answer = s.assemble({name: value}, start=home)
-        np.testing.assert_allclose(answer.q, home, atol=1e-12)
+    value = s.q_dict(home)[name]
+    answer = s.assemble({name: value}, start=home)
+    np.testing.assert_allclose(answer.q, home, atol=1e-12)
 
 
 def test_places_of_frames_can_be_known():
@@ -302,16 +302,16 @@ def test_threads_do_not_matter():
     np.testing.assert_array_equal(one.q, three.q)
 
 
-def test_continuous_rows_follow_each_other():
+@pytest.mark.parametrize("n", [36, 101, 360])
+def test_continuous_rows_follow_each_other(n):
     """A parallelogram led through its change points stays a parallelogram; row by row from one start it need not."""
     s = kempe.load("parallelogram")
     driver = s.coordinate_names[0]
-    for n in (36, 101, 360):
-        angles = np.linspace(0.4, 0.4 + 2 * np.pi, n)
-        start = s.assemble({driver: 0.4}, start=s.q("closed"))
-        q = s.assemble({driver: angles}, start=start.q, prefer="continuous").q
-        X = s.fk(q, "coupler") if "coupler" in s.body_names else s.fk(q)[:, 2]
-        assert np.abs(X[:, 1, 0] - X[0, 1, 0]).max() < 1e-9, n  # the coupler does not turn
+    angles = np.linspace(0.4, 0.4 + 2 * np.pi, n)
+    start = s.assemble({driver: 0.4}, start=s.q("closed"))
+    q = s.assemble({driver: angles}, start=start.q, prefer="continuous").q
+    X = s.fk(q, "coupler") if "coupler" in s.body_names else s.fk(q)[:, 2]
+    assert np.abs(X[:, 1, 0] - X[0, 1, 0]).max() < 1e-9, n  # the coupler does not turn
 
 
 # ---- additional considerations

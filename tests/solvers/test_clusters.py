@@ -89,13 +89,13 @@ def test_many_configurations_are_sorted_as_one_by_one(name, hunt):
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_keys_differ_by_no_more_than_configurations(name, hunt):
+@pytest.mark.parametrize("size", [1e-8, 1e-3, 1.0])
+def test_keys_differ_by_no_more_than_configurations(size, name, hunt):
     """Otherwise those that are one would not be compared."""
     rng, system = hunt.rng(), SYSTEMS[name]()
     metric = Clusters(system).metric
     q = system.random(rng, 2000)
-    for size in (1e-8, 1e-3, 1.0):
-        to = system.configuration_space.integrate(q, rng.uniform(-1, 1, (len(q), system.nv)) * size * metric.scale)
-        to = np.array([images(system, rng, x, metric.period) for x in to])
-        apart = np.abs(metric.keys(to) - metric.keys(q))
-        assert (apart <= metric.steepest * metric.distances(to, q) + 1e-12).all()
+    to = system.configuration_space.integrate(q, rng.uniform(-1, 1, (len(q), system.nv)) * size * metric.scale)
+    to = np.array([images(system, rng, x, metric.period) for x in to])
+    apart = np.abs(metric.keys(to) - metric.keys(q))
+    assert (apart <= metric.steepest * metric.distances(to, q) + 1e-12).all()

@@ -301,18 +301,18 @@ def test_mirrored_and_scaled(scale, side, seed):
     assert other.solve([image.values[k] for k in chain.known], side * signs)[1]
 
 
-def test_signs_stay_along_a_motion():
+@pytest.mark.parametrize("sign", "+-")
+def test_signs_stay_along_a_motion(sign):
     """A branch is continuous: small steps of the crank give small steps of all, on each sign."""
     system = four_bar()
     plan = plan_of(system, "A")
     angles = np.linspace(0, 2 * math.pi, 2001)[:, None]
-    for sign in "+-":
-        q, ok, _ = plan.solve(angles, sign)
-        assert ok.all() and np.all(plan.branch_of(q) == (1 if sign == "+" else -1))
-        steps = np.abs(np.exp(1j * q[1:]) - np.exp(1j * q[:-1]))
-        assert steps.max() < 0.02
-        height = plan.heights(q)
-        assert np.all(np.sign(height[:, 0]) == (1 if sign == "+" else -1))
+    q, ok, _ = plan.solve(angles, sign)
+    assert ok.all() and np.all(plan.branch_of(q) == (1 if sign == "+" else -1))
+    steps = np.abs(np.exp(1j * q[1:]) - np.exp(1j * q[:-1]))
+    assert steps.max() < 0.02
+    height = plan.heights(q)
+    assert np.all(np.sign(height[:, 0]) == (1 if sign == "+" else -1))
 
 
 # ---- what is over-constrained, touching or undetermined
@@ -436,7 +436,8 @@ def test_a_distance_is_a_rod():
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_a_point_on_a_line_is_a_block(turned):
+@pytest.mark.parametrize("sign", "+-")
+def test_a_point_on_a_line_is_a_block(sign, turned):
     """The slider-crank without its piston, whose rod ends on the line; or the line is on the rod (a swinging block)."""
     m = Mechanism("line", dim=2)
     crank, rod = m.body("crank"), m.body("rod")
@@ -449,13 +450,12 @@ def test_a_point_on_a_line_is_a_block(turned):
     system = m.build()
     plan = plan_of(system, "A")
     angles = np.linspace(-3, 3, 41)[:, None]
-    for sign in "+-":
-        q, ok, _ = plan.solve(angles, sign)
-        assert ok.all() and np.abs(closure_rows.residual(system, q)).max() < 1e-12
-        assert np.all(plan.branch_of(q) == (1 if sign == "+" else -1))
-        if not turned:
-            whole = plan_of(slider_crank(1.0, 3.0, 0.5), "A").solve(angles, sign)[0]
-            assert np.abs(np.exp(1j * q) - np.exp(1j * whole[:, :2])).max() < 1e-12
+    q, ok, _ = plan.solve(angles, sign)
+    assert ok.all() and np.abs(closure_rows.residual(system, q)).max() < 1e-12
+    assert np.all(plan.branch_of(q) == (1 if sign == "+" else -1))
+    if not turned:
+        whole = plan_of(slider_crank(1.0, 3.0, 0.5), "A").solve(angles, sign)[0]
+        assert np.abs(np.exp(1j * q) - np.exp(1j * whole[:, :2])).max() < 1e-12
 
 
 # ---- angles, limits, followers, relations
@@ -471,13 +471,13 @@ def test_angles_are_near_to_a_reference():
 
 
 @pytest.mark.parametrize("low", [-10.0, -4.0, 0.5, 7.0])
-def test_angles_are_inside_the_limits_where_one_is(low):
+@pytest.mark.parametrize("sign", "+-")
+def test_angles_are_inside_the_limits_where_one_is(sign, low):
     plan = plan_of(four_bar(limits=(low, low + 2 * math.pi)), "A")
     free = plan_of(four_bar(), "A")
-    for sign in "+-":
-        c = plan.solve([0.3], sign)[0][2]
-        assert low - 1e-12 <= c <= low + 2 * math.pi + 1e-12
-        assert angle_between(c, free.solve([0.3], sign)[0][2]) < 1e-12
+    c = plan.solve([0.3], sign)[0][2]
+    assert low - 1e-12 <= c <= low + 2 * math.pi + 1e-12
+    assert angle_between(c, free.solve([0.3], sign)[0][2]) < 1e-12
 
 
 def test_gears_drive_and_are_driven():
@@ -577,14 +577,14 @@ def test_bad_numbers_give_nan_rows():
     assert np.isnan(q[1:3, 1:]).all() and np.isfinite(q[[0, 3]]).all()
 
 
-def test_large_angles_are_reduced_as_the_library_of_c_does():
+@pytest.mark.parametrize("turns", [1e9, -3e12])
+def test_large_angles_are_reduced_as_the_library_of_c_does(turns):
     system = four_bar()
     plan = plan_of(system, "A")
-    for turns in (1e9, -3e12):
-        q, ok, _ = plan.solve([turns], "+")
-        assert ok
-        near = plan.solve([math.atan2(math.sin(turns), math.cos(turns))], "+")[0]
-        assert np.abs(q[1:] - near[1:]).max() < 1e-12
+    q, ok, _ = plan.solve([turns], "+")
+    assert ok
+    near = plan.solve([math.atan2(math.sin(turns), math.cos(turns))], "+")[0]
+    assert np.abs(q[1:] - near[1:]).max() < 1e-12
 
 
 def test_describe_names_what_signs_mean():

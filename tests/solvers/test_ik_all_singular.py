@@ -344,10 +344,10 @@ def test_families_for_which_an_answer_has_no_room():
     assert {f.describe().split(" = ")[0] for f in families} == {"j4.rz + j4.rx", "j4.rz - j4.rx"}
 
 
-def test_regular_targets_have_no_families():
-    for name in ("puma560", "ur5", "anthropomorphic6"):
-        a, _, families, rows = solved(name, arms.arms()[name].random(1, 1)[0])
-        assert families == [] and (rows == -1).all() and len(a)
+@pytest.mark.parametrize("name", ["puma560", "ur5", "anthropomorphic6"])
+def test_regular_targets_have_no_families(name):
+    a, _, families, rows = solved(name, arms.arms()[name].random(1, 1)[0])
+    assert families == [] and (rows == -1).all() and len(a)
 
 
 NEAR = [("puma560", [4]), ("ur5", [4]), ("ur5", [2]), ("ur5", [2, 4]), ("anthropomorphic6", [4])]

@@ -166,12 +166,15 @@ def test_steps_towards_a_pose_arrive(panda):
     np.testing.assert_allclose(panda.fk(q, HAND), target, atol=1e-9)
 
 
-def test_bad_input_is_refused(panda):
+@pytest.mark.parametrize(("wanted", "dt", "options"), [
+    (np.zeros(5), DT, {}),
+    (np.full(6, np.nan), DT, {}),
+    (np.zeros(6), 0.0, {}),
+    (np.zeros(6), DT, {"damping": -1.0}),
+    (np.zeros(6), DT, {"velocity_limits": [1.0, 2.0]}),
+    (np.zeros(6), DT, {"weights": -1.0}),
+])  # fmt: skip
+def test_bad_input_is_refused(wanted, dt, options, panda):
     q = panda.mid
-    for wanted, dt, options in (
-        (np.zeros(5), DT, {}), (np.full(6, np.nan), DT, {}), (np.zeros(6), 0.0, {}),
-        (np.zeros(6), DT, {"damping": -1.0}),
-        (np.zeros(6), DT, {"velocity_limits": [1.0, 2.0]}), (np.zeros(6), DT, {"weights": -1.0}),
-    ):  # fmt: skip
-        with pytest.raises(InputError):
-            panda.ik_step(q, wanted, HAND, dt, **options)
+    with pytest.raises(InputError):
+        panda.ik_step(q, wanted, HAND, dt, **options)

@@ -326,11 +326,11 @@ def test_loops_and_relations_hold_where_the_frame_moves_with_them():
     assert not robot.ik([0.0, 6.0], "tip")  # the coupler of this bar turns by 60 degrees at most
 
 
-def test_scale_of_the_robot_does_not_matter():
-    for scale in (1e-3, 1.0, 100.0):
-        robot = two_link(scale, 0.7 * scale)
-        s = robot.ik([0.9 * scale, 0.4 * scale], "tip", tolerance=1e-9 * scale)
-        assert s.success
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 100.0])
+def test_scale_of_the_robot_does_not_matter(scale):
+    robot = two_link(scale, 0.7 * scale)
+    s = robot.ik([0.9 * scale, 0.4 * scale], "tip", tolerance=1e-9 * scale)
+    assert s.success
 
 
 def test_renaming_and_reordering_do_not_change_the_answer():
@@ -389,13 +389,13 @@ def test_orientation_of_a_particle_is_refused_as_target():
     assert built.ik(target, "p", task="position") and built.ik(np.eye(4), "p") and built.ik([1.0, 2.0, 3.0], "p")
 
 
-def test_limit_is_the_reason_even_where_the_task_has_more_equations_than_freedoms():
+@pytest.mark.parametrize("joint", ["q1", "q3"])
+def test_limit_is_the_reason_even_where_the_task_has_more_equations_than_freedoms(joint):
     robot = kempe.load("cobra600")
-    for joint in ("q1", "q3"):
-        i = robot.coordinate_names.index(joint)
-        q = robot.mid.copy()
-        q[i] = robot.upper[i] + 0.05
-        assert f"blocked by the limit of '{joint}'" in robot.ik(robot.fk(q, "tool"), "tool").status
+    i = robot.coordinate_names.index(joint)
+    q = robot.mid.copy()
+    q[i] = robot.upper[i] + 0.05
+    assert f"blocked by the limit of '{joint}'" in robot.ik(robot.fk(q, "tool"), "tool").status
 
 
 def test_wrong_arguments_are_named():

@@ -316,16 +316,16 @@ def test_panda_over_its_last_joint():
             assert a != b or shared > 1, x
 
 
-def test_few_samples_find_the_curves_that_they_meet():
+@pytest.mark.parametrize(("k", "joint"), [(0, "panda_joint1"), (6, "panda_joint7")])
+def test_few_samples_find_the_curves_that_they_meet(k, joint):
     """Six values of the parameter: most pieces of the curves lie between two of them, some have folds at both ends."""
     system = kempe.load("panda")
     rng = np.random.default_rng(0)
     q = [system.random(rng) for _ in range(7)]
-    for k, joint in ((0, "panda_joint1"), (6, "panda_joint7")):
-        sweep = ik_sweep(system, system.fk(q[k], "tool"), "tool", joint, n=60, budget=kempe.Budget(points=6))
-        requested = sweep.at(sweep.values)
-        assert len(sweep.labels) >= 12 and np.array_equal(requested.mask.sum(axis=1), sweep.mask.sum(axis=1))
-        assert np.array_equal(requested.inside.sum(axis=1), sweep.inside.sum(axis=1))
+    sweep = ik_sweep(system, system.fk(q[k], "tool"), "tool", joint, n=60, budget=kempe.Budget(points=6))
+    requested = sweep.at(sweep.values)
+    assert len(sweep.labels) >= 12 and np.array_equal(requested.mask.sum(axis=1), sweep.mask.sum(axis=1))
+    assert np.array_equal(requested.inside.sum(axis=1), sweep.inside.sum(axis=1))
 
 
 def test_folds_close_to_each_other():

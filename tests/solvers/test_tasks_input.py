@@ -182,10 +182,10 @@ def test_a_task_by_name_belongs_to_one_frame(panda):
         panda.ik([tasks.Position(HAND, P)], task="pose")
 
 
-def test_tolerances_may_be_lists(panda):
+@pytest.mark.parametrize("tolerance", [[1e-3, 1e-3], np.array([1e-3, 1e-3]), (1e-3, 1e-3), 1e-3], ids=str)
+def test_tolerances_may_be_lists(tolerance, panda):
     goal = panda.fk(panda.random(0), HAND)[:3, 3]
-    for tolerance in ([1e-3, 1e-3], np.array([1e-3, 1e-3]), (1e-3, 1e-3), 1e-3):
-        assert panda.ik(tasks.Position(HAND, goal, tolerance=tolerance)).success  # type: ignore[arg-type]
+    assert panda.ik(tasks.Position(HAND, goal, tolerance=tolerance)).success  # type: ignore[arg-type]
 
 
 def test_a_function_that_writes_into_its_argument_changes_nothing(panda):

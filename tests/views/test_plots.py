@@ -360,9 +360,16 @@ def test_the_scale_bar_has_its_length():
     assert x.max() - x.min() == pytest.approx(float(number) * {"m": 1.0, "mm": 1e-3}[unit])
 
 
-def test_nice_lengths():
-    for length, rounded in ((0.7, 0.5), (0.2, 0.2), (0.19, 0.1), (1.0, 1.0), (4e-5, 2e-5), (99, 50)):
-        assert page.nice(length) == pytest.approx(rounded)
+@pytest.mark.parametrize(("length", "rounded"), [
+    (0.7, 0.5),
+    (0.2, 0.2),
+    (0.19, 0.1),
+    (1.0, 1.0),
+    (4e-5, 2e-5),
+    (99, 50),
+])  # fmt: skip
+def test_nice_lengths(length, rounded):
+    assert page.nice(length) == pytest.approx(rounded)
 
 
 # ---- space
