@@ -8,6 +8,7 @@ something in general has no mark.
 from __future__ import annotations
 
 import ast
+import json
 import re
 from collections.abc import Iterator
 from functools import cache
@@ -50,6 +51,14 @@ The same hunts on other cases, and on ten times as many:
 $ pytest --hunt-seed 7 --hunt-times 10
 $ pytest --hunt-seed 7 --hunt-times 10 -m slow
 ```
+
+"""
+MUTANTS = """
+## Whether the tests notice
+
+Small changes of the source (a comparison turned round, a sign, a number, an argument or a statement left out), drawn by
+a seed, as many from each area, each run against the tests that reach it until one fails. Texts are left out, and so are
+the compiled kernels, of which none is drawn. `python tests/mutants.py --seed {seed} -n {count}` does it again.
 
 """
 
@@ -124,7 +133,26 @@ def page() -> str:
                 said = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", s.text.removeprefix("- ")).replace("|", "\\|")
                 tests = "<br>".join(f"`{t.removeprefix('tests/')}` ({kind(t)})" for t in s.tests)
                 lines.append(f"| {name} | {said} | {tests} |\n")
-    return HEAD + "".join(lines)
+    return HEAD + "".join(lines) + mutants()
+
+
+def mutants() -> str:
+    """What `tests/mutants.py --write` found: how many were killed, and why the others were not."""
+    path = ROOT / "docs" / "mutants.json"
+    if not path.is_file():
+        return ""
+    found = json.loads(path.read_text(encoding="utf-8"))
+    areas = {**found["areas"]}
+    areas["all"] = {head: sum(row[head] for row in areas.values()) for head in next(iter(areas.values()))}
+    lines = ["| area | " + " | ".join(areas["all"]) + " | share killed |\n", "|---" * (len(areas["all"]) + 2) + "|\n"]
+    for name, row in areas.items():
+        share = f"{100 * row['killed'] / max(1, row['drawn']):.1f} %"
+        lines.append(f"| {name} | " + " | ".join(map(str, row.values())) + f" | {share} |\n")
+    lines += ["\n| survived | change | reason |\n", "|---|---|---|\n"]
+    for s in found["survivors"]:
+        cells = (f"`{s['module']}` {s['function']}", f"`` {s['before']} `` → `` {s['after']} ``", s["reason"])
+        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n")
+    return MUTANTS.format(seed=found["seed"], count=areas["all"]["drawn"]) + "".join(lines)
 
 
 if __name__ == "__main__":

@@ -25,6 +25,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 import types
 from collections import Counter
 from collections.abc import Iterator
@@ -42,22 +43,19 @@ RECORD = ROOT / "docs" / "mutants.json"
 AREAS = {
     "joints": ["joints.py"],
     "constraints": ["constraints/*"],
-    "closures": [
-        "model/closures/*", "kinematics/clos*", "solvers/assembly/assembl*",
-    ],
+    "closures": ["model/closures/*", "kinematics/closure_*", "solvers/assembly/assembl*"],
     "lowering": ["model/*"],
     "analytic": ["solvers/analytic/*"],
     "mobility": ["analysis/first_order/*", "analysis/local/*", "analysis/mobility/*"],
-}  # fmt: skip
+}
 """Modules of each area, by patterns; the first area that has a module takes it."""
 TEXTS = [
     "*text*", "*describe*", "*explain*", "*words*", "*/__init__.py", "model/system.py", "model/namespaces.py",
     "model/former*",
 ]  # fmt: skip
 """Modules that make sentences, or only delegate."""
-BUDGET = 60.0
-"""Seconds that the tests of one mutant take without it, at most."""
 MEMORY = 8 << 30
+"""Bytes that a mutant may take."""
 
 
 @cache
@@ -93,7 +91,8 @@ def copy_of_source(folder: str, edit: dict[str, str]) -> str:
 
 def pytest_arguments(files: list[str]) -> list[str]:
     """Pytest in this process, without what slows it down."""
-    return ["-q", "-s", "-n", "0", "-p", "no:cacheprovider", "--rootdir", str(ROOT), "--tb=no", "--no-header", *files]
+    quick = ["-q", "-s", "-n", "0", "-p", "no:cacheprovider", "-p", "no:faulthandler", "--tb=no", "--no-header"]
+    return [*quick, "--rootdir", str(ROOT), *files]
 
 
 def environment(source: str) -> dict[str, str]:
@@ -164,7 +163,8 @@ def record(files: list[str], jobs: int) -> None:
 class Map:
     """Which tests reach a segment, in which seconds; which segments run while tests are collected."""
 
-    def __init__(self) -> None:
+    def __init__(self, budget: float) -> None:
+        self.budget = budget
         self.seconds: dict[str, float] = {}
         self.tests: dict[str, list[str]] = {}
         self.imported: set[str] = set()
@@ -190,7 +190,7 @@ class Map:
             function = test.partition("[")[0]
             order.append((rank[function], self.seconds[test], test))
             rank[function] += 1
-        out, left = [], BUDGET
+        out, left = [], self.budget
         for _, seconds, test in sorted(order):
             left -= seconds
             if left > 0 or not out:
@@ -241,29 +241,12 @@ class Alone(Judge):
         return True
 
 
-def replace_code(module: str, number: int) -> bool:
-    """Give the functions of a module the code that they have with a mutation; whether that could be done."""
-    name = str(SOURCE / module)
-    new: dict[tuple[str, int], types.CodeType] = {}
-
-    def walk(code: types.CodeType) -> None:
-        new[code.co_qualname, code.co_firstlineno] = code
-        for inner in code.co_consts:
-            if isinstance(inner, types.CodeType):
-                walk(inner)
-
-    walk(compile(mutated(Path(name).read_text(), number), name, "exec", dont_inherit=True))
-    done = False
-    for function in gc.get_objects():
-        if type(function) is types.FunctionType and function.__code__.co_filename == name:
-            code = new.get((function.__code__.co_qualname, function.__code__.co_firstlineno))
-            if code is not None and code != function.__code__:
-                try:
-                    function.__code__ = code
-                except ValueError:  # other free variables
-                    return False
-                done = True
-    return done
+def codes(code: types.CodeType) -> Iterator[tuple[tuple[str, int], types.CodeType]]:
+    """The code of all functions in a code, by name and line."""
+    yield (code.co_qualname, code.co_firstlineno), code
+    for inner in code.co_consts:
+        if isinstance(inner, types.CodeType):
+            yield from codes(inner)
 
 
 class Runner(Judge):
@@ -274,10 +257,15 @@ class Runner(Judge):
         self.work, self.map, self.jobs, self.results = work[::-1], known, jobs, results
         self.sound: dict[str, bool] = {}
         self.running: dict[int, dict[str, Any]] = {}
+        self.functions: dict[str, list[types.FunctionType]] = {}
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         self.items = {item.nodeid: item for item in session.items}
+        for found in gc.get_objects():
+            if type(found) is types.FunctionType:
+                self.functions.setdefault(found.__code__.co_filename, []).append(found)
+        gc.freeze()  # forks share what is there now
         with tempfile.TemporaryDirectory() as folder:
             self.folder = Path(folder)
             try:
@@ -296,6 +284,7 @@ class Runner(Judge):
 
     def start(self, run: dict[str, Any], alone: bool) -> None:
         """Begin a mutant, or without one the test that is said to kill it."""
+        run.setdefault("since", time.monotonic())
         tests = [run["test"]] if "test" in run else self.map.chosen(run["module"], run["site"])
         tests = [t for t in tests if t in self.items and self.sound.get(t, True)]
         if not tests:
@@ -313,12 +302,27 @@ class Runner(Judge):
                 os.dup2(null, descriptor)
             if alone:
                 self.become(run, tests)
-            if "test" in run or replace_code(run["module"], run["site"].number):
+            if "test" in run or self.replace_code(run["module"], run["site"].number):
                 found = self.killer([self.items[t] for t in tests], self.map.seconds)
                 run["job"].with_suffix(".out").write_text(found)
                 code = 0
         finally:
             os._exit(code)
+
+    def replace_code(self, module: str, number: int) -> bool:
+        """Give the functions of a module the code that they have with a mutation; whether that could be done."""
+        name, done = str(SOURCE / module), False
+        tree = mutated(Path(name).read_text(), number)
+        new = dict(codes(compile(tree, name, "exec", dont_inherit=True)))
+        for function in self.functions.get(name, []):
+            code = new.get((function.__code__.co_qualname, function.__code__.co_firstlineno))
+            if code is not None and code != function.__code__:
+                try:
+                    function.__code__ = code
+                except ValueError:  # other free variables
+                    return False
+                done = True
+        return done
 
     def become(self, run: dict[str, Any], tests: list[str]) -> None:
         """Go on as another process, with the mutant in a copy of the source."""
@@ -339,7 +343,7 @@ class Runner(Judge):
         code = os.waitstatus_to_exitcode(status)
         if "test" in run:
             self.sound[run["test"]] = killer == ""
-            return self.start({"module": run["module"], "site": run["site"]}, run["again"])
+            return self.start({key: run[key] for key in ("module", "site", "since")}, run["again"])
         if killer:
             if self.sound.get(killer):
                 return self.write(run, "killed", killer)
@@ -347,13 +351,14 @@ class Runner(Judge):
         if killer is None and (run["alone"] or code < 0):  # ended by a signal, or it cannot even be imported
             return self.write(run, "killed", "no end" if -code in (signal.SIGPROF, signal.SIGALRM) else "crash")
         if not run["alone"] and (killer is None or f"{run['module']}:{run['site'].segment}" in self.map.imported):
-            return self.start({"module": run["module"], "site": run["site"]}, alone=True)
+            return self.start({key: run[key] for key in ("module", "site", "since")}, alone=True)
         return self.write(run, "survived", "")
 
     def write(self, run: dict[str, Any], verdict: str, test: str) -> None:
         """Append the result to the file of results."""
         shutil.rmtree(run.get("job", self.folder / "none").with_suffix(""), ignore_errors=True)
         line = {"module": run["module"], **run["site"]._asdict(), "verdict": verdict, "test": test}
+        line["seconds"] = round(time.monotonic() - run["since"], 1)
         with self.results.open("a") as file:
             file.write(json.dumps(line) + "\n")
         site = run["site"]
@@ -413,6 +418,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2, help="mutants at a time")
     parser.add_argument("--resume", action="store_true", help="go on with what is not yet done")
     parser.add_argument("--again", action="store_true", help="with --resume: survivors are run once more")
+    parser.add_argument("--budget", type=float, default=40.0, help="seconds that the tests of a mutant take without it")
     parser.add_argument("--only", default="", help="a pattern of modules")
     parser.add_argument("--map", nargs="*", metavar="FILE", help="record what tests reach, all or these")
     parser.add_argument("--write", action="store_true", help="write docs/mutants.json")
@@ -441,7 +447,7 @@ def main() -> None:
     same = {(line["module"], line["number"], line["before"], line["after"]) for line in lines}
     work = [(m, s) for m, s in drawn if (m, s.number, s.before, s.after) not in same]
     if work:
-        known = Map()
+        known = Map(given.budget)
         files = sorted({t.partition("::")[0] for m, s in work for t in known.chosen(m, s)})
         pytest.main(pytest_arguments(files), [Runner(work, known, given.jobs, results)])
     lines = results_of(results)

@@ -42,7 +42,9 @@ def built(to: Path) -> Path:
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     said = re.findall(r"^ +(\S+) +[\d.]+ s +\d+ bytes$", done.stdout + done.stderr, re.MULTILINE)
-    assert len(said) >= 20 and "sweep.poses" in said, "a build says what it compiles, and how long and large it is"
+    assert len(said) >= 20 and "table_sweep.poses" in said, (
+        "a build says what it compiles, how long, how large"
+    )
     (wheel,) = to.glob("*.whl")
     return wheel
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+from dataclasses import fields, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from kinds_battery import EXAMPLES, run
 
 from kempe.constraints import KINDS
+from kempe.errors import InputError
 
 HERE = Path(__file__).parent
 SOURCE = HERE.parents[1] / "src" / "kempe"
@@ -34,6 +37,7 @@ WITHOUT = """
 import sys
 sys.path.insert(0, {here!r})
 from kempe.constraints import KINDS
+from kempe.errors import InputError
 del KINDS[{name!r}]
 import kinds_battery
 for other in kinds_battery.EXAMPLES:
@@ -64,3 +68,14 @@ def test_kinds_are_named_in_their_table_only(where):
             names = {x.value for x in ast.walk(node) if isinstance(x, ast.Constant) and isinstance(x.value, str)}
             kinds = any(isinstance(x, ast.Attribute) and x.attr == "kind" for x in ast.walk(node))
             assert not (kinds and names & (set(KINDS) - {"joint"}) and "constraint" in ast.unparse(node)), where
+
+
+SWITCHES = [(name, f.name) for name in EXAMPLES for f in fields(KINDS[name]) if f.type == "bool"]
+
+
+@pytest.mark.parametrize("given", [None, 1, "no", np.zeros((3, 3)), slice(None)], ids=repr)
+@pytest.mark.parametrize(("name", "switch"), SWITCHES, ids=["-".join(x) for x in SWITCHES])
+def test_a_switch_is_true_or_false(name, switch, given):
+    made = EXAMPLES[name](3)
+    with pytest.raises(InputError, match=f"{switch} of .* is .*; it must be True or False"):
+        replace(made, **{switch: given})

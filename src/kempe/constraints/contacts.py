@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
+from kempe.calls import flag
 from kempe.constraints.base import Constraint, Frame, Number, Op, Row, kind
 from kempe.constraints.reading import positive
 from kempe.constraints.tape import POSE, TWIST
@@ -88,6 +89,10 @@ class Rolls(Constraint):
     shape: str = "ball"
     spin: bool = True
     one_sided: bool = False
+
+    def __post_init__(self) -> None:
+        flag(self.spin, f"spin of {self.label}")
+        flag(self.one_sided, f"one_sided of {self.label}")
 
     def check(self, dim: int) -> None:
         """Refuse a negative radius."""
