@@ -13,15 +13,14 @@ from kempe.errors import UnsupportedError
 from kempe.kernels.forward.table_layout import (
     BALL,
     COS_OFFSET,
-    HEADER,
     KIND,
     MULTIPLIER,
-    N_ROWS,
     Q_INDEX,
-    ROW_FLOATS,
-    ROW_INTS,
     SIN_OFFSET,
     SLIDE,
+    numbers_of,
+    placements_of,
+    rows_of,
 )
 from kempe.solvers.common.serial_chain import chain_of
 from kempe.solvers.common.span import Span, evened
@@ -75,9 +74,8 @@ def lines_of(system: System, frame: str) -> Lines:
     """The lines of the chain that moves a frame. Errors: `UnsupportedError` for loops, balls and shared coordinates."""
     chain = chain_of(system, frame)
     ints, floats = chain.ints, chain.floats
-    n = int(ints[N_ROWS])
-    rows = ints[HEADER : HEADER + ROW_INTS * n].reshape(n, ROW_INTS)
-    numbers = floats[: ROW_FLOATS * n].reshape(n, ROW_FLOATS)
+    rows, numbers = rows_of(ints), numbers_of(ints, floats)
+    n = len(rows)
     names = tuple(system.structure.velocity_names[i] for i in chain.v_index)
     if n == 0:
         raise UnsupportedError(f"no joint moves frame {frame!r}")
@@ -91,7 +89,7 @@ def lines_of(system: System, frame: str) -> Lines:
             f"two motions of the chain of {frame!r} share one coordinate (a helical joint, or a joint that follows "
             "another): `ik_all` cannot take that, `ik` can"
         )
-    placements = [*numbers[:, :12], floats[ROW_FLOATS * n :][:12]]
+    placements = placements_of(ints, floats)
     if chain.span.rounding > chain.span.largest > 0.0:
         raise UnsupportedError(f"all of the chain of {frame!r} is smaller than rounding: {chain.span.figures()}")
     h, o, tip = _carried(placements)
