@@ -12,6 +12,7 @@ from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from kempe.errors import (
     PROBLEM_LIMIT,
@@ -168,7 +169,7 @@ def fail(message: str, where: Where, allowed: str = "", subject: str = "") -> De
     return DescriptionError(Fault(message, subject, where, allowed))
 
 
-def folders_of(given: object) -> tuple[Path, ...]:
+def folders_of(given: Any) -> tuple[Path, ...]:
     """Folders given as a list of paths, or a single path. Errors: `InputError`."""
     paths = (given,) if isinstance(given, (str, Path)) or not isinstance(given, Iterable) else tuple(given)
     if not all(isinstance(path, (str, Path)) for path in paths):
