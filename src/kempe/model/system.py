@@ -102,15 +102,18 @@ class System(Compiled, FormerNames):
 
     def fk(
         self, q: Any, frame: FrameLike | list | tuple | None = None, out: Array | None = None,
-        threads: int | None = None,
+        threads: int | None = None, form: str | None = None, dtype: Any = None,
     ) -> Array:  # fmt: skip
-        """Poses in the ground frame: (..., 4, 4) of one frame, (..., k, 4, 4) of several or of all bodies (None)."""
-        query = self._queries.get(frame) if frame.__class__ is str else None
+        """Poses in the ground frame: (..., 4, 4) of one frame, (..., k, 4, 4) of several or of all bodies (None).
+
+        `form` "3x4", "position" or "position_quat_wxyz" gives less of each; see `kempe.kinematics.forward.fk`.
+        """
+        query = self._queries.get(frame) if frame.__class__ is str and form is dtype is None else None
         if query is not None and q.__class__ is np.ndarray:  # the import below alone would double the time
             return query(None, q, out, threads)
         from kempe.kinematics.forward import fk
 
-        return fk(self, q, frame, out, threads)
+        return fk(self, q, frame, out, threads, form, dtype)
 
     def jacobian(self, q: Any, frame: FrameLike, in_frame: str = "world_aligned", threads: int | None = None) -> Array:
         """Jacobian (..., 6, nv), rows [linear; angular], of a frame; see `kempe.kinematics.forward.jacobian`."""
