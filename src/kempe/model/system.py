@@ -15,6 +15,8 @@ from kempe.model.former_names import FormerNames
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
+    from pathlib import Path as FilePath
+
     from matplotlib.axes import Axes
 
     from kempe.analysis.continuation.path import Path as Motion
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
     from kempe.analysis.mobility.mobility import Mobility
     from kempe.analysis.motion.drive import Drive
     from kempe.analysis.simulation.simulate import Simulation
+    from kempe.analysis.spaces.workspace.workspace import Workspace
     from kempe.budget import Budget
     from kempe.kinematics.configuration_space import ConfigurationSpace
     from kempe.kinematics.designs import Designs
@@ -97,6 +100,16 @@ class System(Compiled, FormerNames):
         from kempe.kinematics.configuration_space import configuration_space
 
         return configuration_space(self)
+
+    @explained
+    def workspace(
+        self, frame: FrameLike, *, n: float | None = None, cells: Any = None, box: Any = None, client: Any = None,
+        path: str | FilePath | None = None, budget: Budget | None = None,
+    ) -> Workspace:  # fmt: skip
+        """What a frame reaches, as a map of any number of samples; see `kempe.analysis.spaces.workspace.mapping`."""
+        from kempe.analysis.spaces.workspace.mapping import workspace
+
+        return workspace(self, frame, n=n, cells=cells, box=box, client=client, path=path, budget=budget)
 
     # ---- where everything is
 
