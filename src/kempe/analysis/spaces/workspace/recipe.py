@@ -199,11 +199,14 @@ def recipe_of(system: System, frame: str, seed: int, cells: Any, box: Any) -> Re
 
 def refuse_unlimited(system: System, frame: str) -> None:
     """Refuse coordinates that move a frame without end. Errors: `InputError` with their names."""
-    if not is_plain_chain(system):
-        return
-    ints, _ = chain_table(system, frame)
-    used = {int(ints[HEADER + ROW_INTS * row + 2]) for row in range(int(ints[N_ROWS]))}
     layout, circle = system.structure.layout, circles(system)
+    if is_plain_chain(system):
+        ints, _ = chain_table(system, frame)
+        used = {int(ints[HEADER + ROW_INTS * row + 2]) for row in range(int(ints[N_ROWS]))}
+    else:  # what is not driven may be held by loops
+        driven = {c for j in system.structure.joints.values() if j.actuated
+                  for c in system.structure.coordinates_of_joint(j.name)}  # fmt: skip
+        used = {k for k, name in enumerate(system.coordinate_names) if name in driven}
     names = []
     for at, v in zip(layout.vector_q.tolist(), layout.vector_v.tolist(), strict=True):
         ends = system.lower[v], system.upper[v]

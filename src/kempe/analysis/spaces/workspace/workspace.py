@@ -74,7 +74,7 @@ class Workspace(Report):
         axes = self.map.grid.axes
         if len(axes) != dimension:
             has = MEASURES[len(axes)][0]
-            raise InputError(f"{self.frame!r} moves along {', '.join(axes)}: its workspace has a {has}")
+            raise InputError(f"{self.frame!r} moves along {', '.join(axes)}: the measure is its {has}")
         return self._measure
 
     @property
