@@ -83,11 +83,10 @@ def parts_of(
 def _tree(client: Any, recipe: Recipe, first: int, last: int, each: int) -> Any:
     """The future of the counts of a range: tasks, and sums of `FAN` of them, of their sums, and so on."""
     digest, many = recipe.digest, last - first >= 2**32
-    level = [
-        client.submit(counted, recipe, at, min(at + each, last), key=f"kempe-{digest}-{at}-{min(at + each, last)}",
-                      retries=RETRIES)
-        for at in range(first, last, each)
-    ]  # fmt: skip
+    starts = range(first, last, each)
+    ends = [min(at + each, last) for at in starts]
+    keys = [f"kempe-{digest}-{at}-{end}" for at, end in zip(starts, ends, strict=True)]
+    level = client.map(counted, [recipe] * len(keys), list(starts), ends, key=keys, retries=RETRIES)
     height = 0
     while len(level) > 1:
         height += 1
