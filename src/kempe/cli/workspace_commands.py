@@ -68,7 +68,7 @@ def workspace(
     time_limit: TimeLimit = None, json: Json = False, base: Base = None, root: Root = None,
     package_dir: Dirs = None, xacro: Xacro = False, lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
-    """Map what a frame reaches, by any number of random configurations.
+    """Show what a frame reaches, by any number of random configurations.
 
     Ctrl-C or the time limit ends it with what was done; with -o the same command goes on from there.
 

@@ -48,7 +48,9 @@ def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
     if point.shape != (3,) or not inside:
         raise InputError(f"at is {at!r}; it must be one point (3,) inside the box")
     if ax is None:
-        axes = page.new_figure(11.0, 3.8).subplots(1, 3)
+        figure = page.new_figure(11.0, 3.4)
+        figure.set_layout_engine("constrained")
+        axes = figure.subplots(1, 3)
     else:
         axes = np.ravel(ax)
         if len(axes) != 3:

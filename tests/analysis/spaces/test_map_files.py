@@ -189,8 +189,12 @@ def test_opened_without_kempe(tmp_path):
     assert data.counts.dims == ("x", "y", "z") and data.counts.shape == (10, 12, 14)
     assert data.x.attrs["units"] == "m" and np.array_equal(data.y, workspace.map.axes["y"])
     assert np.array_equal(data.counts, workspace.map.counts)
-    told = json.loads(data.attrs["kempe"])
-    assert told["system"] == system.structure.content_hash and told["seed"] == 0 and told["variant"] == recipe.VARIANT
+    made_of = json.loads(data.attrs["kempe"])
+    assert (
+        made_of["system"] == system.structure.content_hash
+        and made_of["seed"] == 0
+        and made_of["variant"] == recipe.VARIANT
+    )
 
 
 def test_written_and_opened(tmp_path):

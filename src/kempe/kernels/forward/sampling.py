@@ -12,7 +12,6 @@ import math
 import numpy as np
 
 from kempe.kernels.base._jit import device, kernel
-from kempe.kernels.base.counting import count_one, rounded_down, units, will_count
 from kempe.kernels.base.declare import INT, OUT, OUTI, F, I
 from kempe.kernels.base.trig import sincos
 from kempe.kernels.base.vectors import (
@@ -28,6 +27,7 @@ from kempe.kernels.base.vectors import (
     where,
 )
 from kempe.kernels.forward.chain import count_variables, read_variables, strays
+from kempe.kernels.forward.lane_counts import count_one, rounded_down, units, will_count
 from kempe.kernels.forward.table_layout import (
     GENERAL,
     HEADER,

@@ -20,7 +20,7 @@ from kempe.analysis.spaces.workspace.map_files import (
     zarr_library,
 )
 from kempe.analysis.spaces.workspace.recipe import Recipe, recipe_of
-from kempe.analysis.spaces.workspace.sample_parts import Parts, refuse_other
+from kempe.analysis.spaces.workspace.sample_parts import SampleParts, refuse_other
 from kempe.analysis.spaces.workspace.workspace import Workspace, of_stored
 from kempe.budget import Budget, Usual
 from kempe.calls import explained
@@ -37,7 +37,7 @@ USUAL = Usual("workspace", rng=0, threads=None, time_limit=None, progress=None)
 FEW_SAMPLES = 10**5, 10**7
 """Samples where none are requested: with loops or constraints, and without."""
 TREES = 16
-"""Parts into which the work of a cluster is divided: what is done is written down part by part."""
+"""SampleParts into which the work of a cluster is divided: what is done is written down part by part."""
 LARGEST_PART = 2**31
 
 
@@ -155,7 +155,7 @@ class _Disk:
         if not path.parent.is_dir():
             raise InputError(f"{path}: there is no folder {str(path.parent)!r}")
         self.recipe, self.path, self.found, self.redone = recipe, path, None, 0
-        self.parts = Parts(path, recipe.said(), recipe.entries)
+        self.parts = SampleParts(path, recipe.said(), recipe.entries)
         if path.exists() and not is_map(path):
             raise InputError(f"{path}: there is something else than a map; take another path")
         if path.exists():

@@ -28,7 +28,7 @@ class DiskError(KempeError, OSError):
     """A map could not be written; the text says what stands on disk, from which the same call goes on."""
 
 
-class Part(NamedTuple):
+class SamplePart(NamedTuple):
     """The samples `first` to `last`, whose counts are in a file with this checksum."""
 
     first: int
@@ -59,19 +59,19 @@ def write_whole(path: Path, write: Any) -> None:
                         f"from there") from error  # fmt: skip
 
 
-class Parts:
+class SampleParts:
     """The folder of the parts of a map: `done` are those that are whole, `damaged` how many were not."""
 
     def __init__(self, path: Path, said: dict[str, Any], entries: int):
         self.folder, self.said, self.entries = path.with_name(path.name + ".parts"), said, entries
-        self.done: list[Part] = []
+        self.done: list[SamplePart] = []
         self.damaged = 0
 
     def begin(self) -> None:
         """Find what is done, and make the folder. Errors: `InputError` where it is of another map; `DiskError`."""
         try:
             listed = json.loads((self.folder / LIST).read_text(encoding="utf-8"))
-            parts = [Part(*part) for part in listed["parts"]]
+            parts = [SamplePart(*part) for part in listed["parts"]]
             of = listed["of"]
         except FileNotFoundError:
             of, parts = self.said, []
@@ -93,7 +93,7 @@ class Parts:
             raise DiskError(f"{self.folder}: {free / 1e6:.3g} MB are free on this disk; the map needs up to "
                             f"{needed / 1e6:.3g} MB while it is made")  # fmt: skip
 
-    def read(self, part: Part) -> np.ndarray | None:
+    def read(self, part: SamplePart) -> np.ndarray | None:
         """The counts of a part; None where they are not what was written."""
         try:
             counts = np.load(self.folder / part.file, allow_pickle=False)
@@ -103,7 +103,7 @@ class Parts:
 
     def add(self, first: int, last: int, counts: np.ndarray) -> None:
         """Write one more part. Errors: `DiskError`."""
-        part = Part(first, last, f"{first}-{last}.npy", checksum_of(counts))
+        part = SamplePart(first, last, f"{first}-{last}.npy", checksum_of(counts))
         write_whole(self.folder / part.file, lambda stream: np.save(stream, counts))
         self.done.append(part)
         self._list()
@@ -124,7 +124,7 @@ class Parts:
             if len(run) > 1:
                 counts = self.total(run)
                 file = f"{run[0].first}-{run[-1].last}.npy"
-                whole = Part(run[0].first, run[-1].last, file, checksum_of(counts))
+                whole = SamplePart(run[0].first, run[-1].last, file, checksum_of(counts))
                 write_whole(self.folder / file, lambda stream, x=counts: np.save(stream, x))
             self.done.append(whole)
         self._list()
@@ -146,7 +146,7 @@ class Parts:
             at = max(at, last)
         return out
 
-    def total(self, parts: list[Part] | None = None) -> np.ndarray:
+    def total(self, parts: list[SamplePart] | None = None) -> np.ndarray:
         """The sum (entries,) of parts, by default of all, of uint64. Errors: `DiskError`."""
         out = np.zeros(self.entries, dtype=np.uint64)
         for part in self.done if parts is None else parts:
