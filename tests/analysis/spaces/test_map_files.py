@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import itertools
 import json
 import math
 import shutil
@@ -59,6 +60,21 @@ def test_threads_that_share_memory_make_the_same_map(monkeypatch):
 
 def test_a_seed_is_a_map_and_another_is_another():
     assert not np.array_equal(made(budget=Budget(rng=1)).map.counts, made().map.counts)
+
+
+def test_a_map_depends_on_its_seed_only(hunt):
+    """Not on threads, not on how often and where the work was interrupted."""
+    rng = hunt.rng()
+    for _ in range(hunt.cases(12)):
+        system = shell(*rng.uniform(0.1, 1.0, 2)) if rng.random() < 0.5 else two_bars(*rng.uniform(0.1, 1.0, 2))
+        n, seed, cells = int(rng.integers(1, 300_000)), int(rng.integers(10**6)), int(rng.integers(2, 60))
+        recipe_ = recipe.recipe_of(system, "tip", seed, cells, None)
+        cuts = [0, *sorted(rng.integers(0, n, 5).tolist()), n]
+        parts = sum(recipe.counted(recipe_, a, b).astype(np.uint64) for a, b in itertools.pairwise(cuts))
+        budget = Budget(rng=seed, threads=int(rng.integers(1, 6)))
+        whole = system.workspace("tip", n=n, cells=cells, budget=budget)
+        assert np.array_equal(whole.map.counts.ravel(), parts[: whole.map.counts.size])
+        assert whole.outside == parts[whole.map.counts.size]
 
 
 def test_an_interrupted_map_is_gone_on_with(tmp_path, monkeypatch):
