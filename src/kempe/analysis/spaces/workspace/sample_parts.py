@@ -20,6 +20,8 @@ import numpy as np
 from kempe.errors import InputError, KempeError
 
 LIST = "parts.json"
+BLOCK = 2**18
+"""Counts that are converted at once."""
 MANY = 24
 """Parts from which on those that follow each other are put into one file."""
 
@@ -39,7 +41,10 @@ class SamplePart(NamedTuple):
 
 def checksum_of(counts: np.ndarray) -> str:
     """A checksum of counts, by their values."""
-    return hashlib.sha256(np.ascontiguousarray(counts, dtype="<u8").data).hexdigest()
+    digest, flat = hashlib.sha256(), counts.reshape(-1)
+    for k in range(0, flat.size, BLOCK):
+        digest.update(flat[k : k + BLOCK].astype("<u8").data)
+    return digest.hexdigest()
 
 
 def write_whole(path: Path, write: Any) -> None:
