@@ -32,7 +32,9 @@ FOLDERS: dict[str, list[set[str]]] = {
     "solvers": [{"common"}, {"one_frame", "dyads"}, {"assembly"}, {"modes"}, {"tasks"}, {"velocity"}, {"paths"},
                 {"analytic"}, {"."}],
     "solvers.analytic": [{"plans"}, {"answers"}, {"."}, {"describe", "redundant"}],
-    "analysis": [{"first_order"}, {"local"}, {"mobility"}, {"continuation"}, {"motion"}, {"manoeuvre"}, {"simulation"}],
+    "analysis": [{"first_order"}, {"local"}, {"mobility"}, {"continuation"}, {"motion"}, {"manoeuvre"}, {"simulation"},
+                 {"spaces"}],
+    "analysis.spaces": [{"workspace"}],
     "views": [{"drawing"}, {"."}, {"input"}],
 }  # fmt: skip
 """In each package the order of its folders, and of single modules that stand apart; "." is what lies in no folder.
@@ -51,7 +53,7 @@ LARGEST_FOLDER = 14
 
 UPWARD = {
     ("description/mechanism.py", "build"), ("model/system.py", "*"), ("model/namespaces.py", "*"),
-    ("model/former_names.py", "found"),
+    ("model/former_names.py", "found"), ("analysis/spaces/workspace/workspace.py", "plot"),
 }  # fmt: skip
 """Functions that import upwards inside their bodies: the builder's last step, and the map of the library."""
 

@@ -1,0 +1,1 @@
+"""Spaces of a system as sets: what of the task space is reached."""
