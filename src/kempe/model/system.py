@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from kempe.analysis.mobility.mobility import Mobility
     from kempe.analysis.motion.drive import Drive
     from kempe.analysis.simulation.simulate import Simulation
+    from kempe.analysis.spaces.configuration.configuration_space import ConfigurationSpace
     from kempe.budget import Budget
-    from kempe.kinematics.configuration_space import ConfigurationSpace
     from kempe.kinematics.designs import Designs
     from kempe.kinematics.forward import Query
     from kempe.model.namespaces import Inverse, Loops, Symbolic
@@ -94,7 +94,7 @@ class System(Compiled, FormerNames):
     @cached_property
     def configuration_space(self) -> ConfigurationSpace:
         """The set that `q` ranges over: its true dimension and its shape, such as T^2 x R, and the space around it."""
-        from kempe.kinematics.configuration_space import configuration_space
+        from kempe.analysis.spaces.configuration.configuration_space import configuration_space
 
         return configuration_space(self)
 
