@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import has_loops, random
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.solvers.assembly.idle import spins_of
+from kempe.solvers.common.arguments import start_count
 from kempe.solvers.common.clock import TIME_LIMIT, TimeLimit
 from kempe.spatial import Array
 from kempe.status import Status
@@ -209,12 +211,10 @@ def components(system: System, *, budget: Budget | None = None) -> Components:
 
 def _traced(system: System, home: Array, spend: Budget, time: TimeLimit) -> tuple[tuple[Component, ...], bool]:
     """All components to which starts lead, and whether the time was up before all starts were used."""
-    still = np.any([s.moves for s in spins_of(system, home)] or [np.zeros(system.nv, dtype=bool)], axis=0)
-    for iv in system.structure.layout.quaternion_v:
-        still[iv : iv + 3] = still[iv : iv + 3].any()
+    still = moved_by_spins(system, home)
     q, parts, late = _starts(system, home, spend), [], False
     while len(q):
-        left = None if time.limit is None else time.end - _now()
+        left = None if time.limit is None else time.end - monotonic()
         if left is not None and left <= 0.0:
             return tuple(parts), True
         path = trace(system, start=q[0], ways="branches", budget=Budget(time_limit=left))
@@ -227,17 +227,19 @@ def _traced(system: System, home: Array, spend: Budget, time: TimeLimit) -> tupl
     return tuple(parts), late
 
 
-def _now() -> float:
-    import time
-
-    return time.monotonic()
+def moved_by_spins(system: System, q: Array) -> np.ndarray:
+    """Which velocity coordinates (nv,) idle spins change; of a rotation, all three."""
+    out = np.any([s.moves for s in spins_of(system, q)] or [np.zeros(system.nv, dtype=bool)], axis=0)
+    for iv in system.structure.layout.quaternion_v:
+        out[iv : iv + 3] = out[iv : iv + 3].any()
+    return np.asarray(out)
 
 
 def _starts(system: System, home: Array, spend: Budget) -> Array:
     """Closed configurations (k, nq) within all limits: near home, random ones, and assembly modes of a closed form."""
     rng = np.random.default_rng(spend.rng)
     manifold, found = Manifold(system, 1), [home[None]]
-    q, ok = manifold.closed(random(system, rng, spend.starts))
+    q, ok = manifold.closed(random(system, rng, start_count(spend.starts)))
     found.append(q[ok])
     for name in system.coordinate_names if system.dim == 2 else ():
         k = system.coordinate_names.index(name)

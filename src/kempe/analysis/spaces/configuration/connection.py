@@ -9,17 +9,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.analysis.motion.motion import trace
-from kempe.analysis.spaces.configuration.components import SAME, Component
+from kempe.analysis.spaces.configuration.components import SAME, Component, moved_by_spins
 from kempe.analysis.spaces.configuration.manifold import CLOSED, Manifold
 from kempe.analysis.spaces.configuration.random_trees import joined
-from kempe.analysis.spaces.configuration.single_loop import polygon_of
+from kempe.analysis.spaces.configuration.single_loop import polygon_of, rod_count
 from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods, generator
 from kempe.errors import InputError
 from kempe.kinematics.configuration import as_q, has_loops
 from kempe.kinematics.measure import judge
 from kempe.reals import is_real
-from kempe.solvers.assembly.idle import spins_of
 from kempe.solvers.common.answer import Configurations
 from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp
 from kempe.spatial import Array
@@ -30,13 +29,15 @@ if TYPE_CHECKING:
 
 STEP = 0.1
 """Longest step of the motion unless the caller says otherwise, in radians and characteristic lengths."""
+PLAINLY = 1e-3
+"""Distance from a curve from which a configuration is surely not on it."""
 USUAL = Usual("path", step=STEP, rng=0, iterations=4000, time_limit=TIME_LIMIT)
 
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
 class Connection(Configurations):
-    """A continuous motion `q` (n, nq) between two configurations, no step longer than `step`; empty where none is found.
+    """A continuous motion `q` (n, nq) between two configurations, in steps up to `step`; empty where none is found.
 
     The sentence says how it was found, or why not: `code` is `NONE_EXISTS` where it is proven that the two are on
     different components, `OUTSIDE_LIMITS` where one of them is outside. `length` is that of the motion, in radians and
@@ -85,7 +86,9 @@ def path(system: System, q0: Any, q1: Any, *, budget: Budget | None = None) -> C
     """
     spend = USUAL.of(budget)
     if not is_real(spend.step) or not 1e-4 <= spend.step <= 1.0:
-        raise InputError(f"step is {spend.step!r}; it must be between 1e-4 and 1, in radians and characteristic lengths")
+        raise InputError(
+            f"step is {spend.step!r}; it must be between 1e-4 and 1, in radians and characteristic lengths"
+        )
     time, step, rng = TimeLimit(spend.time_limit), float(spend.step), generator(spend.rng)
     a, b = _end(system, q0, "q0"), _end(system, q1, "q1")
     manifold = Manifold(system, system.nv)
@@ -93,8 +96,8 @@ def path(system: System, q0: Any, q1: Any, *, budget: Budget | None = None) -> C
         if not manifold.inside(q[None])[0]:
             rows = manifold.one_sided
             which = ", ".join(repr(rows.names[k]) for k in np.flatnonzero(rows.beyond(q) > 0.0))
-            return Connection(np.empty((0, system.nq)), Status.OUTSIDE_LIMITS, f"{name} is outside the limits of {which}",
-                              step, system)  # fmt: skip
+            why = f"{name} is outside the limits of {which}"
+            return Connection(_no_way(system), Status.OUTSIDE_LIMITS, why, step, system)
     try:
         if has_loops(system):
             return _closed(system, a, b, step, rng, spend, time)
@@ -104,7 +107,7 @@ def path(system: System, q0: Any, q1: Any, *, budget: Budget | None = None) -> C
         return _by_trees(manifold, a, b, step, rng, spend, time)
     except BROKEN_OFF as error:
         code = Status.OUT_OF_TIME if isinstance(error, TimeUp) else Status.INTERRUPTED
-        return Connection(np.empty((0, system.nq)), code, f"not found: {time.reason(error)} came", step, system,
+        return Connection(_no_way(system), code, f"not found: {time.reason(error)} came", step, system,
                           isinstance(error, KeyboardInterrupt), isinstance(error, TimeUp))  # fmt: skip
 
 
@@ -116,6 +119,10 @@ def _end(system: System, q: Any, name: str) -> Array:
     if not judged:
         raise InputError(f"{name} is not closed, {judged}; assemble closes it")
     return q
+
+
+def _no_way(system: System) -> Array:
+    return np.empty((0, system.nq))
 
 
 def _straight(manifold: Manifold, a: Array, b: Array, step: float) -> Array:
@@ -132,11 +139,15 @@ def _closed(
         sides = polygon.side(np.stack([a, b]))
         if sides[0] != sides[1]:
             why = f"they are on different components, proven: {polygon.reason}"
-            return Connection(np.empty((0, system.nq)), Status.NONE_EXISTS, why, step, system)
+            return Connection(_no_way(system), Status.NONE_EXISTS, why, step, system)
     mobility = system.mobility(a)
     exact, _ = Manifold(system, 1).closed(np.stack([a, b]))
-    if mobility.useful == 1 and not mobility.idle:
-        return _along_curves(system, *exact, step, spend)
+    if mobility.useful == 1:
+        part = _curve(system, exact[0], spend)
+        if (why := _elsewhere(part, exact)) is not None:
+            return Connection(_no_way(system), why[0], why[1], step, system, False, part.paths[0].late)
+        if not mobility.idle:
+            return _along_curves(part, exact, step)
     dim = mobility.generic_rank_dof if mobility.dof is None or mobility.singular else mobility.dof
     return _by_trees(Manifold(system, dim or 1), *exact, step, rng, spend, time)
 
@@ -144,15 +155,30 @@ def _closed(
 # ---- along curves
 
 
-def _along_curves(system: System, a: Array, b: Array, step: float, spend: Budget) -> Connection:
-    """The way along the traced curves through a."""
+def _curve(system: System, a: Array, spend: Budget) -> Component:
+    """The component of a, as far as it can be traced."""
     first = trace(system, start=a, ways="branches", budget=Budget(time_limit=spend.time_limit))
-    part = Component((first, *first.others), np.zeros(system.nv, dtype=bool))
-    which, s, far = part.place(np.stack([a, b]))
-    if not far[1] < SAME:
-        whole = "was traced wholly" if first.success else f"was traced in part ({first.status})"
-        why = f"the curve through q0 {whole} and does not pass q1: no motion was found, and none is excluded by proof"
-        return Connection(np.empty((0, system.nq)), Status.NOT_FOUND, why, step, system, False, first.late)
+    return Component((first, *first.others), moved_by_spins(system, a))
+
+
+def _elsewhere(part: Component, ends: Array) -> tuple[Status, str] | None:
+    """The outcome and why, where the curve through the first of two configurations does not pass the other."""
+    far, first = part.place(ends)[2], part.paths[0]
+    if far[1] < SAME:
+        return None
+    rod = rod_count(first.system)
+    if not isinstance(rod, str) and rod[0] == 2 and first.closed and far[1] > PLAINLY:
+        return Status.NONE_EXISTS, f"they are on different components, proven: there are two, for {rod[1]}"
+    whole = "was traced wholly" if first.success else f"was traced in part ({first.status})"
+    return (
+        Status.NOT_FOUND,
+        f"the curve through q0 {whole} and does not pass q1, which is no proof that there is no way",
+    )
+
+
+def _along_curves(part: Component, ends: Array, step: float) -> Connection:
+    """The way along the traced curves through both ends (2, nq)."""
+    (a, b), (which, s, _), system = ends, part.place(ends), part.paths[0].system
     legs = _route(part, (int(which[0]), float(s[0])), (int(which[1]), float(s[1])))
     pieces = [part.paths[k].at(np.linspace(x, y, max(2, int(np.ceil(abs(y - x) / step)) + 1))) for k, x, y in legs]
     over = sum(k != j for (k, *_), (j, *_) in zip(legs, legs[1:], strict=False))
@@ -202,7 +228,7 @@ def _by_trees(
 ) -> Connection:  # fmt: skip
     found, grown = joined(manifold, a, b, step, rng, int(spend.iterations or 1), time)
     if found is None:
-        why = f"two random trees of {grown} configurations did not meet: no motion was found, and none is excluded by proof"
-        return Connection(np.empty((0, manifold.system.nq)), Status.NOT_FOUND, why, step, manifold.system)
+        why = f"two random trees of {grown} configurations did not meet, which is no proof that there is no way"
+        return Connection(_no_way(manifold.system), Status.NOT_FOUND, why, step, manifold.system)
     how = f"found by two random trees of {grown} configurations together"
     return Connection(found, Status.SOLVED, how, step, manifold.system)

@@ -102,7 +102,7 @@ class Manifold:
         return step, self._met(self.move(q, step))
 
     def _met(self, q: Array) -> np.ndarray:
-        out = np.isfinite(q).all(axis=-1)
+        out = np.asarray(np.isfinite(q).all(axis=-1))
         size = np.linalg.norm(
             closure_rows.evaluate(self.system, np.where(out[:, None], q, 0.0), False, True)[0], axis=-1
         )

@@ -91,7 +91,7 @@ def sample(
     rng, spend, n = generator(rng), USUAL.of(budget), int(n)
     time = TimeLimit(spend.time_limit)
 
-    def check(done: int = 0) -> None:
+    def check(done: int) -> None:
         time.check()
         if spend.progress is not None:
             spend.progress(done, n)
@@ -167,18 +167,18 @@ def _by_walk(
     if not len(walkers.q):
         raise UnsupportedError(f"{system.name}: no regular configuration was found from which to walk")
     try:
-        walkers.fit(FITTED, check)
-        walkers.walk(FIRST, check)
+        walkers.fit(FITTED, lambda: check(0))
+        walkers.walk(FIRST, lambda: check(0))
         while sum(map(len, kept)) < n:
             if kept:
-                walkers.walk(EACH, check)
+                walkers.walk(EACH, lambda: check(sum(map(len, kept))))
             kept.append(manifold.metric.representatives(walkers.q, None))
     except BROKEN_OFF as error:
         why = error
     q = np.concatenate([np.empty((0, system.nq)), *kept])[:n]
     measure = "area" if dim == 2 else f"volume of dimension {dim}"
     each = walkers.steps // len(walkers.q)
-    how = (f"a random walk of {each} steps from each of {len(walkers.q)} assemblies, {walkers.taken:.2g} of them taken, steps of {walkers.sigma:.2g}")  # fmt: skip
+    how = f"a random walk of {each} steps from each of {len(walkers.q)} assemblies, {walkers.taken:.2g} of them taken"
     return _broken(_made(system, n, q, measure, False, how, walkers.taken), why)
 
 

@@ -233,15 +233,15 @@ def _intervals(p: Array, r: Array, length: float) -> tuple[int, str] | str:
     size = float(np.abs(d).max())
     roots = np.roots([d[2], d[1], d[0], d[4], d[3]]) if size else np.zeros(0)
     off = np.abs(np.abs(roots) - 1.0)
-    angles: Array = np.sort(np.angle(roots[off < ON_CIRCLE]))
+    angles = np.sort(np.asarray(np.angle(roots[off < ON_CIRCLE]), dtype=float))
     if not size or np.any((off >= ON_CIRCLE) & (off < NEARLY)):
         return "a dead point is about to merge with another"
     if not len(angles):
         if at(nodes).min() > 0.0:
             return 2, "the rod fits at every angle of the first crank"
         return 0, "the rod fits at no angle of the first crank"
-    gaps: Array = np.diff(np.append(angles, angles[0] + 2.0 * np.pi))
-    signs = np.sign(at(angles + 0.5 * gaps))
+    gaps = np.diff(np.append(angles, angles[0] + 2.0 * np.pi))
+    signs = np.sign(at(angles + 0.5 * np.asarray(gaps, dtype=float)))
     if gaps.min() < NEARLY or np.any(signs == np.roll(signs, 1)):
         return "two dead points are about to merge"
     count = int((signs > 0.0).sum())
