@@ -17,8 +17,8 @@ ISOLATED = 1e-5
 EXACT = 1e-12
 """Error of a solution, lengths in units of the chain's size."""
 
-NUDGE = 1e-13 * np.random.default_rng(0).standard_normal((6, 6))
-"""Added to Jacobians, of which some are singular."""
+NUDGE = 1e-11 * np.random.default_rng(0).standard_normal((6, 6))
+"""Added to Jacobians, of which some are singular: large enough that no pivot is zero to rounding."""
 
 PI = np.pi
 

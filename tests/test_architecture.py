@@ -324,3 +324,49 @@ def test_there_is_one_gauss_newton_loop_in_numpy():
 def test_loops_that_solve_for_their_next_point_are_seen(body, own):
     tree = ast.parse("def f(x):\n" + "\n".join("  " + line for line in body.split("\n")))
     assert list(own_loops(tree)) == ["f"] * own
+
+
+PLACES = set(
+    "HEADER ROW_INTS OUTPUT_INTS ROW_FLOATS OUTPUT_FLOATS N_ROWS N_OUT PARENT FORM HEAD SCALES INVERSE_LENGTH TIE_INTS "
+    "ENTRY_INTS USE_INTS ENVELOPE_INTS READING_INTS PLACE_INTS AT_TIES AT_ENTRIES AT_LOCALS AT_VARS AT_USES AT_ROWS "
+    "AT_READINGS AT_PLACES AT_NUMBERS AT_FACTORS AT_BOUNDS AT_CENTRES".split()
+)
+"""Where the numbers of the two packed arrays lie that all systems have: heads, and steps through them."""
+
+UNPACKED = {
+    "analysis/local/local_equations.py": {"N_ROWS", "N_OUT"},
+    "solvers/dyads/decompose.py": {"HEADER"},
+    "solvers/tasks/effort.py": {"AT_PLACES", "AT_VARS", "PLACE_INTS"},
+}
+"""Modules outside of kernels and model that know such places: those that pack arrays of their own."""
+
+
+def test_packed_layouts_are_read_where_they_are_written():
+    """Others read them by the functions of the layouts, and by what packed loops offer."""
+    found: dict[str, set[str]] = {}
+    for path in MODULES:
+        rel = path.relative_to(SOURCE).as_posix()
+        tree = ast.parse(path.read_text())
+        layouts = {
+            alias.asname or alias.name
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ImportFrom)
+            for alias in node.names
+            if alias.name.endswith("layout")
+        }
+        names = {alias.name for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)
+                 and (node.module or "").endswith("layout") for alias in node.names}  # fmt: skip
+        names |= {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)
+                  and isinstance(node.value, ast.Name) and node.value.id in layouts}  # fmt: skip
+        if names & PLACES and name_of(path) not in ("kernels", "model"):
+            found[rel] = names & PLACES
+    assert found == UNPACKED
+
+
+def test_places_in_packed_integers_have_names():
+    """In kernels; the operations of dyads list their operands, as functions do."""
+    for path in sorted(set(SOURCE.glob("kernels/**/*.py")) - set(SOURCE.glob("kernels/dyads/*.py"))):
+        read = [n for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Subscript)]
+        for node in (n for n in read if ast.unparse(n.value).split(".")[-1] == "ints"):
+            last = node.slice.right if isinstance(node.slice, ast.BinOp) else node.slice
+            assert not isinstance(last, ast.Constant), f"{path.name}:{node.lineno}: {ast.unparse(node)}"

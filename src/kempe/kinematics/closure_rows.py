@@ -15,7 +15,6 @@ import numpy as np
 
 from kempe.calls import explained, flag
 from kempe.kernels.compiled import closure_batch
-from kempe.kernels.constraints import loop_layout as L
 from kempe.kinematics.configuration import as_q
 from kempe.model.closures.packed_loops import PackedLoops, characteristic_length, loops_of, must_be_explicit
 from kempe.model.tree.own_tree import own_tree
@@ -83,7 +82,7 @@ def full(system: System, scaled: bool) -> PackedLoops:
 
 def scales(system: System) -> Array:
     """The unit (nv,) of each velocity coordinate: a radian, or the characteristic length for a slide."""
-    return full(system, True).weights[L.SCALES : L.SCALES + system.nv]
+    return full(system, True).scale
 
 
 @dataclass(frozen=True, eq=False)

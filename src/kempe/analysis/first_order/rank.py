@@ -12,7 +12,6 @@ import numpy as np
 from kempe.analysis.first_order.constraint_graph import Cluster, ConstraintGraph, Law, structure
 from kempe.analysis.first_order.screws import Screws, screws
 from kempe.description.parts import Declared
-from kempe.kernels.constraints.loop_layout import SCALES
 from kempe.kinematics import closure_rows
 from kempe.spatial import Array
 
@@ -212,7 +211,7 @@ def written_rows(system: System, q: Array) -> dict[str, Array]:
     if not laws:
         return {}
     rng = np.random.default_rng(0)  # the same around each q
-    scale = closure_rows.full(system, True).weights[SCALES : SCALES + system.nv]
+    scale = closure_rows.full(system, True).scale
     steps = np.concatenate([np.zeros((1, system.nv)), AROUND * rng.normal(size=(POINTS, system.nv)) * scale])
     there = system.structure.layout.integrate(np.broadcast_to(q, (len(steps), len(q))), steps)
     J = closure_rows.evaluate(system, there, True, True)[1]

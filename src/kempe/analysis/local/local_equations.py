@@ -14,7 +14,7 @@ import numpy as np
 from kempe.analysis.first_order.constraint_graph import NO_SERIES, called
 from kempe.errors import UnsupportedError
 from kempe.kernels.constraints.loop_layout import LINEAR
-from kempe.kernels.forward.table_layout import HEADER, KIND, N_OUT, N_ROWS, ROW_INTS, SLIDE, TURN, V_INDEX
+from kempe.kernels.forward.table_layout import KIND, N_OUT, N_ROWS, SLIDE, TURN, V_INDEX, rows_of
 from kempe.kinematics.configuration import as_q
 from kempe.model.closures.loop_plan import laid_out
 from kempe.model.closures.packed_loops import loops_of
@@ -81,7 +81,7 @@ class Equations:
 
     def _driving(self, kind: int) -> list[int]:
         """Velocity coordinates that move primitives of a kind; those of screws turn and slide, and are angles."""
-        rows = self.ints[HEADER : HEADER + ROW_INTS * int(self.ints[N_ROWS])].reshape(-1, ROW_INTS)
+        rows = rows_of(self.ints)
         return rows[rows[:, KIND] == kind, V_INDEX].tolist()
 
     def _pack(self) -> tuple[np.ndarray, Array]:

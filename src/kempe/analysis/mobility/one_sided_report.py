@@ -10,7 +10,6 @@ import numpy as np
 from kempe.analysis.mobility.cone import Cone, ConeDirections, tangent_cone
 from kempe.calls import explained, explained_methods
 from kempe.errors import InputError
-from kempe.kernels.constraints import loop_layout as L
 from kempe.kinematics.closure_rows import evaluate, full
 from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import as_q
@@ -182,8 +181,7 @@ def one_sided(system: System, q: Any = None, *, tolerance: float = CLOSED) -> On
     sides = list(found)
     for place, k in enumerate(closed):
         sides[k] = _with_ways(found[k], place, cone, G[place], [found[j].name for j in closed])
-    weights = full(system, True).weights
-    return OneSidedReport(system, at, tuple(sides), cone, weights[L.SCALES : L.SCALES + system.nv])
+    return OneSidedReport(system, at, tuple(sides), cone, full(system, True).scale)
 
 
 def if_any(system: System, q: Array) -> OneSidedReport | None:
@@ -237,6 +235,6 @@ def _equations(system: System, q: Array) -> tuple[Array, bool]:
     Where it is not, what they allow are differences of velocities.
     """
     J, (A, b) = evaluate(system, q, True, True)[1], rates(system, q)
-    weights, names = full(system, True).weights, velocity_rows(system).names
-    lengths = np.where([name.unit.startswith("m") for name in names], weights[L.INVERSE_LENGTH], 1.0)
-    return np.concatenate([J, lengths[:, None] * A * weights[L.SCALES : L.SCALES + system.nv]]), not b.any()
+    loops, names = full(system, True), velocity_rows(system).names
+    lengths = np.where([name.unit.startswith("m") for name in names], 1.0 / loops.length, 1.0)
+    return np.concatenate([J, lengths[:, None] * A * loops.scale]), not b.any()

@@ -25,6 +25,8 @@ from kempe.kernels.forward.table_layout import (
     OUTPUT_FLOATS,
     OUTPUT_INTS,
     PARENT,
+    PARTICLE,
+    ROW,
     ROW_FLOATS,
     ROW_INTS,
     SLIDE,
@@ -63,11 +65,11 @@ class LoopScratch(NamedTuple):
 def frame_of(loops, output):
     """The rows of the pose of an output."""
     k = HEADER + ROW_INTS * loops.n_rows + OUTPUT_INTS * output
-    row = loops.ints[k]
+    row = loops.ints[k + ROW]
     a, b, c = placement(loops.floats, ROW_FLOATS * loops.n_rows + OUTPUT_FLOATS * output)
     if row >= 0:
         a, b, c = placed(loops.poses, OUTPUT_FLOATS * row, a, b, c)
-    if loops.ints[k + 1] != 0:  # a particle: only its place counts
+    if loops.ints[k + PARTICLE] != 0:  # a particle: only its place counts
         a, b, c = unturned(a, 0), unturned(b, 1), unturned(c, 2)
     return a, b, c
 

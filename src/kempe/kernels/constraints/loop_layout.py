@@ -1,4 +1,4 @@
-"""Where the numbers of packed loop closures lie. Imports nothing, as `table_layout`.
+"""Where the numbers of packed loop closures lie. Needs no compiler, as `table_layout`.
 
 Besides the primitive table, whose outputs 2k and 2k + 1 are the frames A and B of tie k, there are `plan` (int64) and
 `weights` (float64):
@@ -18,6 +18,8 @@ Besides the primitive table, whose outputs 2k and 2k + 1 are the frames A and B 
     pins     (an argument) the poses (3x4) of pinned ties, then the numbers of ties with NUMBER
 """
 
+import numpy as np
+
 N_TIES, N_ROWS, N_READINGS, N_PINS, BLOCKS, ENVELOPE = 0, 1, 2, 3, 4, 5
 AT_TIES, AT_ENTRIES, AT_LOCALS, AT_VARS, AT_USES, AT_ROWS, AT_READINGS, AT_PLACES = 6, 7, 8, 9, 10, 11, 12, 13
 AT_NUMBERS, AT_FACTORS, AT_BOUNDS, AT_CENTRES, BASE_TIE, BASE_ROW = 14, 15, 16, 17, 18, 19
@@ -34,6 +36,12 @@ CENTRE_FLOATS = 5
 
 INVERSE_LENGTH, LENGTH, SCALES = 0, 1, 2
 """Places in `weights`; the five lists of velocities follow from SCALES on."""
+
+
+def velocity_lists(weights: np.ndarray, nv: int) -> np.ndarray:
+    """Scales, lower and upper limits, low and high ends to draw from (5, nv) of all velocities; a view."""
+    return weights[SCALES : SCALES + 5 * nv].reshape(5, nv)
+
 
 SLIDE, BOUND_TURN, CIRCLE, BALL_FIRST, BALL_MORE = 0, 1, 2, 3, 4
 """Sorts of velocity coordinates: a slide; an angle; one that a turn brings back; the first and the others of a ball."""

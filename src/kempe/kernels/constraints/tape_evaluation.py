@@ -31,6 +31,7 @@ from kempe.kernels.constraints.tape_layout import (
     DIV,
     EXP,
     HYPOT,
+    LEFT,
     LOG,
     LOOKUP,
     MUL,
@@ -41,7 +42,9 @@ from kempe.kernels.constraints.tape_layout import (
     NEG,
     NODE_INTS,
     NUMBER,
+    OP,
     POW,
+    RIGHT,
     SIN,
     SINH,
     SQRT,
@@ -99,19 +102,19 @@ def function_value(op, x):
 def leaf_value(ints, at, floats, fat, i, width, work):
     """The value of what has no rates of its own, or of the node NEAREST; operands are at `width` times their place."""
     k = node_at(ints, at, i)
-    op, left, right = ints[k], ints[k + 1], ints[k + 2]
+    op, left, right = ints[k + OP], ints[k + LEFT], ints[k + RIGHT]
     if op == NUMBER:
         return floats[fat + left]
     if op == LOOKUP:
         table = node_at(ints, at, right)
-        return entry_of(floats, fat + ints[table + 1], ints[table + 2], work[width * left])
+        return entry_of(floats, fat + ints[table + LEFT], ints[table + RIGHT], work[width * left])
     if op != NEAREST:
         return 0.0
     second = node_at(ints, at, left)
-    first = node_at(ints, at, ints[second + 1])
-    table = node_at(ints, at, ints[first + 1])
-    x, y, z = work[width * ints[first + 2]], work[width * ints[second + 2]], work[width * right]
-    return nearest_on_curve(floats, fat + ints[table + 1], ints[table + 2], x, y, z)
+    first = node_at(ints, at, ints[second + LEFT])
+    table = node_at(ints, at, ints[first + LEFT])
+    x, y, z = work[width * ints[first + RIGHT]], work[width * ints[second + RIGHT]], work[width * right]
+    return nearest_on_curve(floats, fat + ints[table + LEFT], ints[table + RIGHT], x, y, z)
 
 
 @routine
@@ -120,7 +123,7 @@ def tape_values(ints, at, floats, fat, work):
     n = ints[at + N_INPUTS]
     for i in range(n, ints[at + N_NODES]):
         k = node_at(ints, at, i)
-        op, left, right = ints[k], ints[k + 1], ints[k + 2]
+        op, left, right = ints[k + OP], ints[k + LEFT], ints[k + RIGHT]
         if op == ADD:
             work[i] = work[left] + work[right]
         elif op == SUB:
@@ -165,7 +168,7 @@ def tape_gradient(ints, at, floats, fat, output, work, adjoint):
     adjoint[last], adjoint[marks + last] = 1.0, 1.0
     for i in range(last, n - 1, -1):
         k = node_at(ints, at, i)
-        op, left, right = ints[k], ints[k + 1], ints[k + 2]
+        op, left, right = ints[k + OP], ints[k + LEFT], ints[k + RIGHT]
         a = adjoint[i]
         if adjoint[marks + i] == 0.0 or op == NUMBER or op == TABLE or op == LOOKUP:
             continue
@@ -191,8 +194,8 @@ def tape_gradient(ints, at, floats, fat, output, work, adjoint):
         elif op == NEG:
             adjoint[left] -= a
         elif op <= NEAREST:
-            adjoint[left] += a * work[ints[k + NODE_INTS + 1]]
-            adjoint[right] += a * work[ints[k + NODE_INTS + 2]]
+            adjoint[left] += a * work[ints[k + NODE_INTS + LEFT]]
+            adjoint[right] += a * work[ints[k + NODE_INTS + RIGHT]]
         else:
             adjoint[left] += a * (work[right] + 0.0 * work[i])  # none where there is no value
 
@@ -252,7 +255,7 @@ def tape_order(ints, at, floats, fat, k, width, series):
     n = ints[at + N_INPUTS]
     for i in range(n, ints[at + N_NODES]):
         p = node_at(ints, at, i)
-        op, left, right = ints[p], ints[p + 1], ints[p + 2]
+        op, left, right = ints[p + OP], ints[p + LEFT], ints[p + RIGHT]
         y = width * i + k
         a, b = width * left + k, width * right + k
         if op == ADD:
@@ -281,7 +284,7 @@ def tape_order(ints, at, floats, fat, k, width, series):
             elif op < ATAN2:
                 series[y] = 0.0
             else:
-                first, second = ints[p + NODE_INTS + 1], ints[p + NODE_INTS + 2]
+                first, second = ints[p + NODE_INTS + LEFT], ints[p + NODE_INTS + RIGHT]
                 series[y] = chain_order(k, width, series, left, first) + chain_order(k, width, series, right, second)
         elif k == 0:
             series[y] = function_value(op, series[a])

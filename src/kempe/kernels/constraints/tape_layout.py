@@ -27,6 +27,9 @@ N_INPUTS, N_NODES, N_OUTPUTS = 0, 1, 2
 TAPE_HEAD, NODE_INTS = 3, 3
 """Where the places of the outputs begin, and the integers of a node."""
 
+OP, LEFT, RIGHT = 0, 1, 2
+"""Places in a node."""
+
 NUMBER, ADD, SUB, MUL, DIV, POW, NEG, PARTIALS, TABLE, LOOKUP = range(10)
 ATAN2, HYPOT, AT, NEAREST = range(10, 14)
 EXP, LOG, SQRT, SIN, COS, TAN, ASIN, ACOS, ATAN, SINH, COSH, TANH, ASINH, ACOSH, ATANH = range(14, 29)

@@ -12,7 +12,12 @@ from numba import types
 from kempe.kernels.base._jit import kernel
 from kempe.kernels.base.declare import OUT, F
 from kempe.kernels.base.vectors import intrinsic, raw
-from kempe.kernels.forward.table_layout import FRAME, SIZE
+from kempe.kernels.forward.table_layout import (
+    FRAME,
+    NQ,
+    NV,
+    SIZE,
+)
 from kempe.kernels.forward.table_sweep import jacobian_at, pose_at
 
 
@@ -42,7 +47,7 @@ def pose(table, q, out):
     """Number of bad configurations, 0 or 1; writes the pose (4, 4) of the first output at q (nq,). -1: wrong shapes."""
     numbers = raw(table)
     ints = integers(numbers)
-    if q.shape[0] != ints[2] or out.shape[0] != 4 or out.shape[1] != 4:
+    if q.shape[0] != ints[NQ] or out.shape[0] != 4 or out.shape[1] != 4:
         return -1
     return pose_at(ints, after(numbers, ints[SIZE]), raw(q), 0, raw(out), 0)
 
@@ -56,7 +61,7 @@ def jacobian(table, q, columns):
     """
     numbers, j = raw(table), raw(columns)
     ints = integers(numbers)
-    if q.shape[0] != ints[2] or columns.shape[0] != 6 or columns.shape[1] != ints[3]:
+    if q.shape[0] != ints[NQ] or columns.shape[0] != 6 or columns.shape[1] != ints[NV]:
         return -1
     here, there = q.ctypes.data, columns.ctypes.data
     if here < there + 8 * columns.size and there < here + 8 * q.size:
@@ -69,7 +74,7 @@ def pose_jacobian(table, q, out, columns):
     """As `pose` and `jacobian` together."""
     numbers = raw(table)
     ints = integers(numbers)
-    if q.shape[0] != ints[2] or columns.shape[0] != 6 or columns.shape[1] != ints[3]:
+    if q.shape[0] != ints[NQ] or columns.shape[0] != 6 or columns.shape[1] != ints[NV]:
         return -1
     if out.shape[0] != 4 or out.shape[1] != 4:
         return -1

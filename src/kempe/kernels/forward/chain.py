@@ -29,9 +29,14 @@ from kempe.kernels.base.vectors import (
 )
 from kempe.kernels.forward.table_layout import (
     BALL,
+    FORM,
     GENERAL,
     HEADER,
+    KIND,
     MULTIPLIER,
+    N_ROWS,
+    PARTICLE,
+    Q_INDEX,
     ROW_FLOATS,
     ROW_INTS,
     RX,
@@ -125,8 +130,8 @@ def times_placement(form, u, v, w, f, k):
 def count_variables(ints):
     """Numbers that `read_variables` keeps of a configuration: a turn has two, a slide one, a ball four."""
     total = 0
-    for row in range(ints[0]):
-        kind = ints[HEADER + ROW_INTS * row]
+    for row in range(ints[N_ROWS]):
+        kind = ints[HEADER + ROW_INTS * row + KIND]
         total += 4 if kind == BALL else 2 if kind == TURN else 1
     return total
 
@@ -136,10 +141,10 @@ def read_variables(ints, floats, q, start, nq, variables):
     """Whether all lanes can be swept; `variables` gets sine and cosine, slide, or quaternion of each row."""
     near = True
     k = 0
-    for row in range(ints[0]):
-        kind, index = ints[HEADER + ROW_INTS * row], start + ints[HEADER + ROW_INTS * row + 2]
+    for row in range(ints[N_ROWS]):
+        kind, index = ints[HEADER + ROW_INTS * row + KIND], start + ints[HEADER + ROW_INTS * row + Q_INDEX]
         kx = ROW_FLOATS * row
-        multiplier = floats[kx + 14]
+        multiplier = floats[kx + MULTIPLIER]
         first = gather(q, index, nq)
         if kind == TURN:
             theta = multiplier * first
@@ -171,9 +176,9 @@ def read_variables(ints, floats, q, start, nq, variables):
 @device
 def strays(ints, floats, q, start):
     """Whether a coordinate of q[start:] makes `read_variables` refuse the lane."""
-    for row in range(ints[0]):
-        index = start + ints[HEADER + ROW_INTS * row + 2]
-        if ints[HEADER + ROW_INTS * row] == BALL:
+    for row in range(ints[N_ROWS]):
+        index = start + ints[HEADER + ROW_INTS * row + Q_INDEX]
+        if ints[HEADER + ROW_INTS * row + KIND] == BALL:
             w, x, y, z = q[index], q[index + 1], q[index + 2], q[index + 3]
             if not SMALLEST_SQUARE <= w * w + x * x + y * y + z * z <= LARGEST_SQUARE:
                 return True
@@ -185,11 +190,11 @@ def strays(ints, floats, q, start):
 @device
 def sweep_lanes(ints, floats, variables, out, first):
     """Write LANES poses from out[first:] on."""
-    n_rows = ints[0]
+    n_rows = ints[N_ROWS]
     u, v, w = spread_row(floats, 0), spread_row(floats, 4), spread_row(floats, 8)
     row = k = 0
     while True:
-        kind = ints[HEADER + ROW_INTS * row]
+        kind = ints[HEADER + ROW_INTS * row + KIND]
         a = load_lanes(variables, k)
         if kind == TURN:
             c = load_lanes(variables, k + LANES)
@@ -206,11 +211,11 @@ def sweep_lanes(ints, floats, variables, out, first):
         row += 1
         if row == n_rows:
             break
-        form = ints[HEADER + ROW_INTS * row + 4]
+        form = ints[HEADER + ROW_INTS * row + FORM]
         u, v, w = times_placement(form, u, v, w, floats, ROW_FLOATS * row)
     u, v, w = times_placement(GENERAL, u, v, w, floats, ROW_FLOATS * n_rows)
     zero, one = spread_lanes(0.0), spread_lanes(1.0)
-    if ints[HEADER + ROW_INTS * n_rows + 1]:
+    if ints[HEADER + ROW_INTS * n_rows + PARTICLE]:
         u, v, w = (one, zero, zero, u[3]), (zero, one, zero, v[3]), (zero, zero, one, w[3])
     store_columns(out, first, 16, u[0], u[1], u[2], u[3])
     store_columns(out, first + 4, 16, v[0], v[1], v[2], v[3])
@@ -228,7 +233,7 @@ def chain_poses(ints, floats, q, out):
     n, nq = q.shape
     scratch = np.empty(count_variables(ints) * LANES)
     i_, f_, q_, out_, variables = raw(ints), raw(floats), raw(q), raw(out), raw(scratch)
-    side_by_side = n >= LANES and ints[0] > 0
+    side_by_side = n >= LANES and ints[N_ROWS] > 0
     strayed = 0 if not side_by_side else n  # where to begin to look for those that go alone
     if side_by_side:
         for block in range(0, n, LANES):

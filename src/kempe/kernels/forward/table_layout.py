@@ -26,6 +26,9 @@ KIND, PARENT, Q_INDEX, V_INDEX, FORM = 0, 1, 2, 3, 4
 COS_OFFSET, SIN_OFFSET, MULTIPLIER = 12, 13, 14
 """Places in a row of `floats`, after the placement."""
 
+ROW, PARTICLE = 0, 1
+"""Places in an output of `ints`."""
+
 TURN, SLIDE, BALL = 0, 1, 2
 """Kinds of rows."""
 
@@ -41,3 +44,26 @@ def fuse(ints: np.ndarray, floats: np.ndarray, frame: int = WORLD_ALIGNED) -> np
     ints = ints.copy()
     ints[SIZE], ints[FRAME] = len(ints), frame
     return np.concatenate([ints.view(np.float64), floats])
+
+
+def rows_of(ints: np.ndarray) -> np.ndarray:
+    """The integers (n_rows, ROW_INTS) of the rows, whose columns are KIND, PARENT, ...; a view."""
+    n = int(ints[N_ROWS])
+    return ints[HEADER : HEADER + ROW_INTS * n].reshape(n, ROW_INTS)
+
+
+def numbers_of(ints: np.ndarray, floats: np.ndarray) -> np.ndarray:
+    """The numbers (n_rows, ROW_FLOATS) of the rows, whose columns are a placement, COS_OFFSET, ...; a view."""
+    n = int(ints[N_ROWS])
+    return floats[: ROW_FLOATS * n].reshape(n, ROW_FLOATS)
+
+
+def tip_of(ints: np.ndarray, floats: np.ndarray) -> np.ndarray:
+    """The placement (3, 4) of the first output on its row; a view."""
+    return floats[ROW_FLOATS * int(ints[N_ROWS]) :][:OUTPUT_FLOATS].reshape(3, 4)
+
+
+def placements_of(ints: np.ndarray, floats: np.ndarray) -> np.ndarray:
+    """The placements (n_rows + 1, 3, 4) of the rows and of the first output; a copy."""
+    rows = numbers_of(ints, floats)[:, :OUTPUT_FLOATS]
+    return np.concatenate([rows.reshape(-1, 3, 4), tip_of(ints, floats)[None]])

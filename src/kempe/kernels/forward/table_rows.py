@@ -22,7 +22,21 @@ from kempe.kernels.base.vectors import (
     store,
     swapped,
 )
-from kempe.kernels.forward.table_layout import HEADER, OUTPUT_FLOATS, ROW_FLOATS, ROW_INTS, SLIDE, TURN
+from kempe.kernels.forward.table_layout import (
+    COS_OFFSET,
+    HEADER,
+    KIND,
+    MULTIPLIER,
+    N_ROWS,
+    OUTPUT_FLOATS,
+    PARENT,
+    Q_INDEX,
+    ROW_FLOATS,
+    ROW_INTS,
+    SIN_OFFSET,
+    SLIDE,
+    TURN,
+)
 
 
 @device
@@ -66,7 +80,7 @@ def placed(floats, k, a, b, c):
 @device
 def with_offset(floats, k, s, c):
     """Sine and cosine of the turn of the row at floats[k:], the offset added."""
-    cos_offset, sin_offset = floats[k + 12], floats[k + 13]
+    cos_offset, sin_offset = floats[k + COS_OFFSET], floats[k + SIN_OFFSET]
     return s * cos_offset + c * sin_offset, c * cos_offset - s * sin_offset
 
 
@@ -125,11 +139,11 @@ def poses_at(n_rows):
 @routine
 def row_poses(ints, floats, q, start, scratch):
     """Write the poses of all rows at the configuration q[start:] to scratch[poses_at(n_rows):]."""
-    n_rows = ints[0]
+    n_rows = ints[N_ROWS]
     sine = (n_rows + LANES - 1) // LANES * LANES
     cosine, poses = 2 * sine, 3 * sine
     for row in range(n_rows):
-        scratch[row] = floats[ROW_FLOATS * row + 14] * q[start + ints[HEADER + ROW_INTS * row + 2]]
+        scratch[row] = floats[ROW_FLOATS * row + MULTIPLIER] * q[start + ints[HEADER + ROW_INTS * row + Q_INDEX]]
     for row in range(n_rows, sine):
         scratch[row] = 0.0
     near = True
@@ -144,7 +158,7 @@ def row_poses(ints, floats, q, start, scratch):
             scratch[sine + row], scratch[cosine + row] = sincos_any(scratch[row])
     for row in range(n_rows):
         k, kx = HEADER + ROW_INTS * row, ROW_FLOATS * row
-        kind, parent = ints[k], ints[k + 1]
+        kind, parent = ints[k + KIND], ints[k + PARENT]
         a, b, c = placement(floats, kx)
         if kind == TURN:
             s, co = with_offset(floats, kx, scratch[sine + row], scratch[cosine + row])
@@ -153,7 +167,7 @@ def row_poses(ints, floats, q, start, scratch):
             theta = scratch[row]
             a, b, c = times_slide(a, theta), times_slide(b, theta), times_slide(c, theta)
         else:
-            w, x, y, z = unit_quaternion(q, start + ints[k + 2], floats[kx + 14])
+            w, x, y, z = unit_quaternion(q, start + ints[k + Q_INDEX], floats[kx + MULTIPLIER])
             a, b, c = pack4(1.0, 0.0, 0.0, 0.0), pack4(0.0, 1.0, 0.0, 0.0), pack4(0.0, 0.0, 1.0, 0.0)
             a, b, c = balled(w, x, y, z, a, b, c)
             a, b, c = placed(floats, kx, a, b, c)

@@ -15,12 +15,22 @@ from kempe.kernels.base.vectors import entry, keep, pack4, raw, store
 from kempe.kernels.forward.table_layout import (
     BODY,
     HEADER,
+    KIND,
+    MULTIPLIER,
+    N_OUT,
+    N_ROWS,
+    NV,
     OUTPUT_FLOATS,
     OUTPUT_INTS,
+    PARENT,
+    PARTICLE,
+    Q_INDEX,
+    ROW,
     ROW_FLOATS,
     ROW_INTS,
     SLIDE,
     TURN,
+    V_INDEX,
     WORLD,
 )
 from kempe.kernels.forward.table_rows import (
@@ -85,13 +95,13 @@ def climb(ints, floats, q, start, with_columns, columns, first):
     With X_RF the pose of the frame F in the axes of row R, the column of a turn about z of R is, in axes of F
     and at its origin, R_RF^T (z x p_RF) and R_RF^T z: combinations of the rows of X_RF.
     """
-    n_rows, nv = ints[0], ints[3]
-    row = ints[HEADER + ROW_INTS * n_rows]
+    n_rows, nv = ints[N_ROWS], ints[NV]
+    row = ints[HEADER + ROW_INTS * n_rows + ROW]
     a, b, c = placement(floats, ROW_FLOATS * n_rows)
     while row >= 0:
         k, kx = HEADER + ROW_INTS * row, ROW_FLOATS * row
-        kind, index, column = ints[k], start + ints[k + 2], first + ints[k + 3]
-        multiplier = floats[kx + 14]
+        kind, index, column = ints[k + KIND], start + ints[k + Q_INDEX], first + ints[k + V_INDEX]
+        multiplier = floats[kx + MULTIPLIER]
         if kind == TURN:
             if with_columns:
                 add_column(columns, column, nv, multiplier * around(a, b), multiplier * c)
@@ -110,7 +120,7 @@ def climb(ints, floats, q, start, with_columns, columns, first):
             if with_columns and multiplier < 0.0:
                 add_ball_columns(columns, column, nv, a, b, c, -1.0)
         a, b, c = placed(floats, kx, a, b, c)
-        row = ints[k + 1]
+        row = ints[k + PARENT]
     return a, b, c
 
 
@@ -118,7 +128,7 @@ def climb(ints, floats, q, start, with_columns, columns, first):
 def pose_at(ints, floats, q, start, out, k):
     """1 if the configuration q[start:] is bad, else 0; writes the pose of output 0 to out[k:]."""
     a, b, c = climb(ints, floats, q, start, False, out, 0)
-    return write_pose(out, k, a, b, c, ints[HEADER + ROW_INTS * ints[0] + 1])
+    return write_pose(out, k, a, b, c, ints[HEADER + ROW_INTS * ints[N_ROWS] + PARTICLE])
 
 
 @device
@@ -152,8 +162,8 @@ def express(columns, first, nv, frame, particle, a, b, c):
 @device
 def jacobian_at(ints, floats, q, start, frame, with_pose, out, k, columns, first):
     """1 if the configuration q[start:] is bad, else 0; writes the Jacobian of output 0 and, if requested, its pose."""
-    nv = ints[3]
-    particle = ints[HEADER + ROW_INTS * ints[0] + 1]
+    nv = ints[NV]
+    particle = ints[HEADER + ROW_INTS * ints[N_ROWS] + PARTICLE]
     for i in range(first, first + 6 * nv):
         columns[i] = 0.0
     a, b, c = climb(ints, floats, q, start, True, columns, first)
@@ -171,7 +181,7 @@ def jacobian_at(ints, floats, q, start, frame, with_pose, out, k, columns, first
 @kernel(I("_"), F("_"), F("N", "_"), INT, OUT("N", 4, 4), OUT("N", 6, "_"))
 def jacobian(ints, floats, q, frame, pose, columns):
     """Number of bad configurations; writes poses (N, 4, 4) and Jacobians (N, 6, nv) of the first output."""
-    nq, size = q.shape[1], 6 * ints[3]
+    nq, size = q.shape[1], 6 * ints[NV]
     i_, f_, q_, pose_, columns_ = raw(ints), raw(floats), raw(q), raw(pose), raw(columns)
     bad = 0
     for i in range(q.shape[0]):
@@ -185,13 +195,13 @@ def jacobian(ints, floats, q, frame, pose, columns):
 @device
 def descend(ints, floats, q, start, out, first, scratch):
     """1 if an output is bad at the configuration q[start:], else 0; writes all poses to out[first:]."""
-    n_rows, n_out = ints[0], ints[1]
+    n_rows, n_out = ints[N_ROWS], ints[N_OUT]
     poses = poses_at(n_rows)
     row_poses(ints, floats, q, start, scratch)
     bad = 0
     for i in range(n_out):
         k = HEADER + ROW_INTS * n_rows + OUTPUT_INTS * i
-        row, particle = ints[k], ints[k + 1]
+        row, particle = ints[k + ROW], ints[k + PARTICLE]
         a, b, c = placement(floats, ROW_FLOATS * n_rows + OUTPUT_FLOATS * i)
         if row >= 0:
             a, b, c = placed(scratch, poses + OUTPUT_FLOATS * row, a, b, c)
@@ -202,7 +212,7 @@ def descend(ints, floats, q, start, out, first, scratch):
 @kernel(I("_"), F("_"), F("_"), OUT("_", 4, 4), nogil=False)
 def poses1(ints, floats, q, out):
     """Number of bad configurations, 0 or 1; writes the poses (n_out, 4, 4) of all outputs at q (nq,)."""
-    scratch = np.empty(scratch_size(ints[0]))
+    scratch = np.empty(scratch_size(ints[N_ROWS]))
     bad = descend(raw(ints), raw(floats), raw(q), 0, raw(out), 0, raw(scratch))
     keep(scratch)
     return bad
@@ -211,8 +221,8 @@ def poses1(ints, floats, q, out):
 @kernel(I("_"), F("_"), F("N", "_"), OUT("N", "_", 4, 4))
 def poses(ints, floats, q, out):
     """Number of bad configurations; writes the poses (N, n_out, 4, 4) of all outputs at q (N, nq)."""
-    nq, size = q.shape[1], 16 * ints[1]
-    scratch = np.empty(scratch_size(ints[0]))
+    nq, size = q.shape[1], 16 * ints[N_OUT]
+    scratch = np.empty(scratch_size(ints[N_ROWS]))
     i_, f_, q_, out_, scratch_ = raw(ints), raw(floats), raw(q), raw(out), raw(scratch)
     bad = 0
     for i in range(q.shape[0]):

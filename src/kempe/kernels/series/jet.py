@@ -51,7 +51,9 @@ from kempe.kernels.forward.table_layout import (
     OUTPUT_FLOATS,
     OUTPUT_INTS,
     PARENT,
+    PARTICLE,
     Q_INDEX,
+    ROW,
     ROW_FLOATS,
     ROW_INTS,
     SIN_OFFSET,
@@ -246,12 +248,12 @@ def output_order(ints, floats, b, k, poses, frames):
     n = ints[N_ROWS]
     for i in range(ints[N_OUT]):
         h, f = HEADER + ROW_INTS * n + OUTPUT_INTS * i, ROW_FLOATS * n + OUTPUT_FLOATS * i
-        row = ints[h]
+        row = ints[h + ROW]
         if row < 0:
             _constant(frames, b, i, k, 0, floats, f)
         else:
             _times_constant(poses, b, row, k, AFTER, frames, i, 0, floats, f)
-        if ints[h + 1] != 0:  # a particle does not turn
+        if ints[h + PARTICLE] != 0:  # a particle does not turn
             for j in range(9):
                 frames[b, i, k, j] = 1.0 if k == 0 and j % 4 == 0 else 0.0
 

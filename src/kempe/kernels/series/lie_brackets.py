@@ -27,6 +27,7 @@ from kempe.kernels.constraints.tape_layout import (
     ADD,
     ATAN2,
     DIV,
+    LEFT,
     LOOKUP,
     MUL,
     N_INPUTS,
@@ -35,7 +36,9 @@ from kempe.kernels.constraints.tape_layout import (
     NEG,
     NODE_INTS,
     NUMBER,
+    OP,
     PARTIALS,
+    RIGHT,
     SUB,
 )
 
@@ -76,7 +79,7 @@ def tops(ints, order, n_order, work, n, width, top, step):
     for o in range(n_order):
         i = order[o]
         p = node_at(ints, 0, i)
-        op, left, right = ints[p], ints[p + 1], ints[p + 2]
+        op, left, right = ints[p + OP], ints[p + LEFT], ints[p + RIGHT]
         y, a, b = top + step * i, top + step * left, top + step * right
         if op == ADD or op == SUB:
             sign = 1.0 if op == ADD else -1.0
@@ -94,8 +97,8 @@ def tops(ints, order, n_order, work, n, width, top, step):
                 work[y + s] += work[a + s]
             quotient(work, n, y, width * right)
         elif ATAN2 <= op <= NEAREST:
-            product(work, n, width * ints[p + NODE_INTS + 1], a, y, 1.0)
-            product(work, n, width * ints[p + NODE_INTS + 2], b, y, 1.0)
+            product(work, n, width * ints[p + NODE_INTS + LEFT], a, y, 1.0)
+            product(work, n, width * ints[p + NODE_INTS + RIGHT], b, y, 1.0)
         elif op > NEAREST:
             product(work, n, width * right, a, y, 1.0)
 
@@ -249,7 +252,7 @@ def magnitudes(f, n_inputs):
     for o in range(f.n_order):
         i = f.order[o]
         p = node_at(ints, 0, i)
-        op, left, right = ints[p], ints[p + 1], ints[p + 2]
+        op, left, right = ints[p + OP], ints[p + LEFT], ints[p + RIGHT]
         if op == NUMBER or PARTIALS <= op <= LOOKUP:
             work[out + i] = 0.0
             continue
@@ -262,8 +265,8 @@ def magnitudes(f, n_inputs):
             by = abs(work[width * right])
             first, second = first / by, work[out + right] * abs(work[width * i]) / by
         elif ATAN2 <= op <= NEAREST:
-            first *= abs(work[width * ints[p + NODE_INTS + 1]])
-            second = work[out + right] * abs(work[width * ints[p + NODE_INTS + 2]])
+            first *= abs(work[width * ints[p + NODE_INTS + LEFT]])
+            second = work[out + right] * abs(work[width * ints[p + NODE_INTS + RIGHT]])
         elif op != NEG:
             first *= abs(work[width * right])
         work[out + i] = first + second

@@ -12,7 +12,6 @@ from kempe.calls import explained
 from kempe.constraints.base import Constraint
 from kempe.constraints.reading import LARGEST
 from kempe.errors import InputError
-from kempe.kernels.constraints import loop_layout as L
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.tasks.task import GROUND, TILTS, Goals, Task
@@ -101,7 +100,7 @@ class Packed:
         )
         self.stages: dict[Hashable, Any] = {}
         """What solvers have worked out of weights and priorities."""
-        self.scale: Array = self.loops.weights[L.SCALES : L.SCALES + system.nv]
+        self.scale: Array = self.loops.scale
         self.slots = [owner.get(id(t), (-1, 0)) for t in self.loops.ties]
         self.owner = np.array([i for i, _ in self.slots], dtype=np.int64)
         self.rows = np.repeat(self.owner, [len(t.rows) for t in self.loops.ties])

@@ -13,6 +13,7 @@ from kempe.constraints.builder import substituted
 from kempe.constraints.tape import POSE, Tape
 from kempe.description.parts import Joint
 from kempe.kernels.constraints import loop_layout as L
+from kempe.kernels.forward.table_layout import NV
 from kempe.model.tree.coordinates import Relation
 
 TURN_NAMES = {
@@ -155,10 +156,31 @@ class PackedLoops:
     @property
     def units(self) -> tuple[str, ...]:
         """The unit of each equation: "m", "rad", or that of an expression."""
-        at = int(self.plan[L.AT_TIES]) + L.LENGTHS
-        lengths = self.plan[at : at + L.TIE_INTS * len(self.ties) : L.TIE_INTS].tolist()
         return tuple("m" if i < n else "rad" if t.tape is None else t.tape.unit
-                     for t, n in zip(self.ties, lengths, strict=True) for i in range(len(t.rows)))  # fmt: skip
+                     for t, n in zip(self.ties, self.lengths, strict=True) for i in range(len(t.rows)))  # fmt: skip
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """Low and high ends (2, m) of the equations, as scaled there; zero where they hold exactly."""
+        ends, first, at = np.zeros((len(self.names), 2)), int(self.plan[L.AT_BOUNDS]), 0
+        for k, tie in enumerate(self.ties):
+            n = len(tie.rows)
+            if tie.bounds:
+                place = first + int(self.plan[self.plan[L.AT_TIES] + L.TIE_INTS * k + L.BOUND])
+                ends[at : at + n] = self.weights[place : place + 2 * n].reshape(n, 2)
+            at += n
+        return ends.T
+
+    @property
+    def lengths(self) -> list[int]:
+        """How many of the first equations of each tie are lengths."""
+        at = int(self.plan[L.AT_TIES]) + L.LENGTHS
+        return self.plan[at : at + L.TIE_INTS * len(self.ties) : L.TIE_INTS].tolist()
+
+    @property
+    def scale(self) -> np.ndarray:
+        """What a unit of each velocity coordinate (nv,) is in the kernels; a view."""
+        return L.velocity_lists(self.weights, int(self.ints[NV]))[0]
 
     @cached_property
     def functions(self) -> tuple[CompiledFunction, ...]:

@@ -117,7 +117,7 @@ def pack(
     plan, weights = LoopPlan(system, ties, ints, held, size, length is None, wide).arrays()
     for tie in ties:
         if tie.function is not None:
-            tie.function.scale = weights[L.SCALES : L.SCALES + system.nv]
+            tie.function.scale = L.velocity_lists(weights, system.nv)[0]
     names = tuple((t.name, row) for t in ties for row in t.rows)
     unknown = np.array([i for i, n in enumerate(system.structure.velocity_names) if n not in held], dtype=np.int64)
     return PackedLoops(tuple(ties), names, ints, floats, plan, weights, unknown, size, origin)

@@ -14,7 +14,7 @@ from kempe.calls import explained, flag, listed
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.base.search_layout import BAD_INPUT, SOLVED
 from kempe.kernels.compiled import loop_closing as kernel
-from kempe.kernels.constraints import loop_layout as L
+from kempe.kernels.constraints.loop_layout import velocity_lists
 from kempe.kinematics.closure_rows import freedoms_left
 from kempe.kinematics.common.parallel import over_chunks
 from kempe.kinematics.configuration import as_start, home_of
@@ -318,8 +318,8 @@ class Assembler:
 
 def limitless(system: System, loops: PackedLoops) -> Array:
     """The weights of loops without limits."""
-    weights, nv = loops.weights.copy(), system.nv
-    weights[L.SCALES + nv : L.SCALES + 2 * nv], weights[L.SCALES + 2 * nv : L.SCALES + 3 * nv] = -np.inf, np.inf
+    weights = loops.weights.copy()
+    velocity_lists(weights, system.nv)[1:3] = [[-np.inf], [np.inf]]
     return weights
 
 

@@ -65,14 +65,14 @@ class OneSidedAssembly:
         closure_batch.equations(
             loops.ints, loops.floats, loops.plan, self.weights, pins, np.ascontiguousarray(q), False, g, none
         )
-        return np.linalg.norm(g - np.clip(g, *bounds_of(loops)), axis=1)
+        return np.linalg.norm(g - np.clip(g, *loops.bounds), axis=1)
 
     def _search(self, starts: Array, pins: Array, tries: int, offset: int) -> tuple[Array, np.ndarray]:
         """Configurations and (status, steps, starts), from starts that are drawn wider and wider about those given."""
         q, info = self._solve(starts, starts, pins)
         left = np.flatnonzero(info[:, 0] == S.NOT_FOUND)
         nv, least = self.system.nv, self.residuals(q, pins)
-        scale, count = self.loops.weights[L.SCALES : L.SCALES + nv] * ~self.held, 1
+        scale, count = self.loops.scale * ~self.held, 1
         while count < tries and len(left):
             each = [np.random.default_rng((self.rng, offset + int(i), count)).uniform(-1.0, 1.0, nv) for i in left]
             spread = min(1.0, L.WIDER * count) * np.pi * scale
@@ -113,15 +113,3 @@ class OneSidedAssembly:
             if held[iv]:
                 out[:, iq : iq + 4] = known[:, iq : iq + 4]
         return out
-
-
-def bounds_of(loops: PackedLoops) -> tuple[Array, Array]:
-    """The bounds (m,) of all equations of packed ties, as scaled there; zero for equations."""
-    low, at = np.zeros((2, len(loops.names))), 0
-    for k, tie in enumerate(loops.ties):
-        n = len(tie.rows)
-        if tie.bounds:
-            place = int(loops.plan[L.AT_BOUNDS] + loops.plan[loops.plan[L.AT_TIES] + L.TIE_INTS * k + L.BOUND])
-            low[:, at : at + n] = loops.weights[place : place + 2 * n].reshape(n, 2).T
-        at += n
-    return low[0], low[1]

@@ -11,15 +11,15 @@ import numpy as np
 from kempe.errors import UnsupportedError
 from kempe.kernels.base.search_layout import LARGEST
 from kempe.kernels.forward.table_layout import (
-    HEADER,
     KIND,
     MULTIPLIER,
-    N_ROWS,
-    ROW_FLOATS,
-    ROW_INTS,
     SLIDE,
     TURN,
     V_INDEX,
+    numbers_of,
+    placements_of,
+    rows_of,
+    tip_of,
 )
 from kempe.model.kept import kept
 from kempe.model.tree.gauge import regauge
@@ -78,7 +78,7 @@ def _packed(system: System, name: str, axis: tuple[float, float, float]) -> Chai
 
 def _turned(chain: Chain, axis: tuple[float, float, float]) -> Chain:
     floats, turn = chain.floats.copy(), frame_of(np.array(axis))
-    tip = floats[ROW_FLOATS * int(chain.ints[N_ROWS]) :][:12].reshape(3, 4)
+    tip = tip_of(chain.ints, floats)
     tip[:, :3] = tip[:, :3] @ turn
     return replace(chain, floats=floats)
 
@@ -107,8 +107,7 @@ def _chain(system: System, name: str) -> Chain:
 
 def moved_by(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
     """Which velocities (n,) of the chain turn something, and which slide something (masks); those of screws do both."""
-    n = int(chain.ints[N_ROWS])
-    rows = chain.ints[HEADER : HEADER + ROW_INTS * n].reshape(n, ROW_INTS)
+    rows = rows_of(chain.ints)
     each = np.arange(len(chain.v_index))
     turns, slides = (np.isin(each, rows[rows[:, KIND] == kind, V_INDEX]) for kind in (TURN, SLIDE))
     return turns, slides
@@ -162,14 +161,12 @@ def reach_bounds(ints: np.ndarray, floats: np.ndarray, limits: Array) -> list[Re
     Of an axis that turns the best point counts: of the first the one nearest to the second joint, of the last the one
     nearest to the joint before.
     """
-    n = int(ints[N_ROWS])
-    rows = np.array([floats[ROW_FLOATS * k :][:12] for k in range(n + 1)]).reshape(n + 1, 3, 4)
+    table, rows = rows_of(ints), placements_of(ints, floats)
     R, p = rows[..., :3], rows[..., 3].copy()
-    kinds = ints[HEADER + KIND : HEADER + ROW_INTS * n : ROW_INTS] if n else ints[:0]
+    n, kinds = len(table), table[:, KIND]
     start, slides = p[0], 0.0
     for row in np.flatnonzero(kinds == SLIDE):
-        iv = ints[HEADER + ROW_INTS * row + V_INDEX]
-        slides += float(np.max(np.abs(floats[ROW_FLOATS * row + MULTIPLIER] * limits[:, iv])))
+        slides += float(np.max(np.abs(numbers_of(ints, floats)[row, MULTIPLIER] * limits[:, table[row, V_INDEX]])))
     if n and kinds[0] != SLIDE:
         start = start + p[1, 2] * R[0, :, 2]
         p[1, 2] = 0.0

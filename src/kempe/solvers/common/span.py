@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kempe.kernels.forward.table_layout import N_ROWS, ROW_FLOATS
+from kempe.kernels.forward.table_layout import placements_of
 from kempe.spatial import Array
 
 NOISE = 1e-14
@@ -87,8 +87,7 @@ def span_of(ints: np.ndarray, floats: np.ndarray) -> Span:
 
 def offsets(ints: np.ndarray, floats: np.ndarray) -> Array:
     """Offsets (n + 1, 3) of the joints and the tip, each seen from the joint before, without what is rounding."""
-    n = int(ints[N_ROWS])
-    p = np.array([floats[ROW_FLOATS * k :][:12].reshape(3, 4)[:, 3] for k in range(n + 1)])
+    p = placements_of(ints, floats)[..., 3]
     return np.where(np.abs(p) > NOISE * np.abs(p).max(axis=1, keepdims=True), p, 0.0)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from kempe import spatial
 from kempe.kernels.base.search_layout import ANSWER, LINEAR, NOT_FOUND, SOLVED, STATUS
 from kempe.kernels.compiled import schedule
-from kempe.kernels.forward.table_layout import N_ROWS, ROW_FLOATS
+from kempe.kernels.forward.table_layout import tip_of
 from kempe.solvers.common.serial_chain import moved_by
 from kempe.solvers.common.targets import frame_of, points_along
 from kempe.solvers.one_frame.multi_start import FrameProblem, misses
@@ -41,7 +41,7 @@ def search_again(task: FrameProblem, targets: Array, head: tuple[Any, ...], out:
     n = out.shape[1] - ANSWER
     if task.name == "pose" and not np.any(rows[6]):
         floats, goals = floats.copy(), goals.copy()
-        tip = floats[ROW_FLOATS * int(ints[N_ROWS]) :][:12].reshape(3, 4)
+        tip = tip_of(ints, floats)
         goals[:, :3, 3] -= (goals[:, :3, :3] @ (tip[:, :3].T @ tip[:, 3])[:, None])[..., 0]
         tip[:, 3] = 0.0
     left = np.flatnonzero(out[:, n + STATUS] == NOT_FOUND)

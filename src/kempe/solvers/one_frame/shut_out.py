@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from kempe.errors import UnsupportedError
-from kempe.kernels.forward.table_layout import HEADER, KIND, MULTIPLIER, N_ROWS, ROW_FLOATS, ROW_INTS, SLIDE, V_INDEX
+from kempe.kernels.forward.table_layout import KIND, MULTIPLIER, SLIDE, V_INDEX, numbers_of, placements_of, rows_of
 from kempe.solvers.common.proofs import Limits
 from kempe.solvers.common.serial_chain import Chain, moved_by, of_loops
 from kempe.solvers.one_frame.multi_start import FrameProblem
@@ -29,9 +29,8 @@ def shut_out(task: FrameProblem, target: Array) -> Limits:
 def _all_outside(task: FrameProblem, target: Array) -> Limits:
     """Whether all the answers there are without limits are outside them."""
     system = task.system
-    chain, n = task.chain, int(task.chain.ints[N_ROWS])
-    factors = [abs(chain.floats[ROW_FLOATS * k + MULTIPLIER]) for k in range(n)]
-    if max(task.tolerance) > CLEAR * CLEAR or len(chain.q_index) != len(chain.v_index) or factors != [1.0] * n:
+    chain, plain = task.chain, np.all(np.abs(numbers_of(task.chain.ints, task.chain.floats)[:, MULTIPLIER]) == 1.0)
+    if max(task.tolerance) > CLEAR * CLEAR or len(chain.q_index) != len(chain.v_index) or not plain:
         return NOTHING
     from kempe.solvers.analytic.answers.solutions import Solutions
     from kempe.solvers.analytic.ik_all import ik_all
@@ -70,24 +69,21 @@ def _beyond(chain: Chain, q: Array) -> float:
 
 def _slides_end(task: FrameProblem, target: Array) -> Limits:
     """Whether slides which nothing turns end too far from the target, along some direction, whatever the rest does."""
-    chain, n = task.chain, int(task.chain.ints[N_ROWS])
-    rows = [chain.floats[ROW_FLOATS * k :][:12].reshape(3, 4) for k in range(n + 1)]
+    chain, table = task.chain, rows_of(task.chain.ints)
+    rows, factors = placements_of(chain.ints, chain.floats), numbers_of(chain.ints, chain.floats)[:, MULTIPLIER]
     R, place, axes, reach = np.eye(3), np.zeros(3), [], 0.0
     moved: list[tuple[float, float]] = []
     for k, X in enumerate(rows):
         place, R = place + R @ X[:, 3], R @ X[:, :3]
-        at = HEADER + ROW_INTS * k
-        if k == n or chain.ints[at + KIND] != SLIDE:
-            rest = rows[k + 1 :]
-            reach = sum(float(np.linalg.norm(Y[:, 3])) for Y in rest)
-            if any(chain.ints[HEADER + ROW_INTS * j + KIND] == SLIDE for j in range(k, n)):
+        if k == len(table) or table[k, KIND] != SLIDE:
+            reach = sum(float(np.linalg.norm(Y[:, 3])) for Y in rows[k + 1 :])
+            if np.any(table[k:, KIND] == SLIDE):
                 return NOTHING
             break
-        factor, v = chain.floats[ROW_FLOATS * k + MULTIPLIER], chain.ints[at + V_INDEX]
-        ends = factor * chain.limits[:, v]
+        ends = factors[k] * chain.limits[:, table[k, V_INDEX]]
         axes.append(R[:, 2])
         moved.append((float(ends.min()), float(ends.max())))
-    if not axes or not task.mask[0] or len(set(chain.ints[HEADER + V_INDEX :: ROW_INTS][: len(axes)])) < len(axes):
+    if not axes or not task.mask[0] or len(set(table[: len(axes), V_INDEX])) < len(axes):
         return NOTHING
     A, (low, high) = np.array(axes).T, np.array(moved).T
     p = target[0, :3, 3]

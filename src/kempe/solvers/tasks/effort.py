@@ -34,7 +34,7 @@ def most_starts(system: System, packed: Packed) -> int:
         plan, weights, nv = packed.loops.plan, packed.loops.weights, system.nv
         places = plan[plan[L.AT_PLACES] :][: L.PLACE_INTS * nv].reshape(nv, L.PLACE_INTS)
         moves = np.diff(plan[plan[L.AT_VARS] :][: nv + 1]) > 0
-        low, high = (weights[L.SCALES + k * nv :][:nv] for k in (1, 2))
+        _, low, high, *_ = L.velocity_lists(weights, nv)
         limited = np.isfinite(low) | np.isfinite(high)
         count = int(np.sum(moves & limited & (places[:, 1] <= L.BOUND_TURN) & (places[:, 2] == 0)))
         found = packed.stages[most_starts] = min(max(EACH * count * count, 5 * FIRST), MOST)

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.kernels.base import search_layout as S
-from kempe.kernels.constraints import loop_layout as L
 from kempe.kinematics.tasks.packed import Packed, lead_of
 from kempe.kinematics.tasks.task import Task
 from kempe.model.kept import keep
@@ -198,17 +197,13 @@ def values(problem: Demands, q: Array, rows: np.ndarray) -> Array:
         loops.ints, loops.floats, loops.plan, loops.weights, pins, np.ascontiguousarray(q), False, g, none
     )
     out, at = np.zeros((len(q), int(stages[:ties].max()) + 1)), 0
-    for k, tie in enumerate(loops.ties):
-        place = loops.plan[L.TIE_INTS * k + loops.plan[L.AT_TIES] :]
-        count, lengths, stage = place[L.ROWS], place[L.LENGTHS], stages[k]
+    g -= np.clip(g, *loops.bounds)
+    for k, (tie, lengths) in enumerate(zip(loops.ties, loops.lengths, strict=True)):
+        count, stage = len(tie.rows), stages[k]
         error = g[:, at : at + count]
         at += count
         if stage < 1:
             continue
-        if tie.bounds:
-            begin = loops.plan[L.AT_BOUNDS] + place[L.BOUND]
-            low, high = loops.weights[begin : begin + 2 * count].reshape(-1, 2).T
-            error = error - np.clip(error, low, high)
         if stages[ties + k]:
             linear, angular = (np.sum(x * x, axis=1) for x in (error[:, :lengths], error[:, lengths:]))
             worst = np.maximum(linear / strengths[k, 1] ** 2, angular / strengths[k, 2] ** 2)

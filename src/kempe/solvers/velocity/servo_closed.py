@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe.errors import InputError
-from kempe.kernels.constraints import loop_layout as L
 from kempe.kinematics.closure_rows import evaluate, full
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.solvers.common.freedoms import null
@@ -95,7 +94,7 @@ class ConstrainedSteps:
         self.system, layout = system, system.structure.layout
         loops = full(system, True)
         self.length, self.names, self.rolls = loops.length, loops.names, rolls(system)
-        self.scale: Array = loops.weights[L.SCALES : L.SCALES + system.nv]
+        self.scale: Array = loops.scale
         self.at_v, self.at_q = layout.vector_v, layout.vector_q
         self.lower, self.upper = system.lower[self.at_v], system.upper[self.at_v]
         self.bounds = one_sided_rows(system)
@@ -355,12 +354,7 @@ def stages_of(problem: Demands, q: Array, dt: float) -> list[Stage]:
 
 def ends_of_rows(packed: Packed) -> tuple[Array, Array]:
     """Low and high ends (m,) of the tasks' rows, in radians and characteristic lengths; zero for equations."""
-    loops, plan, ends = packed.loops, packed.loops.plan, [np.zeros((0, 2))]
-    for k, tie in enumerate(loops.ties):
-        first = plan[L.AT_BOUNDS] + plan[plan[L.AT_TIES] + L.TIE_INTS * k + L.BOUND]
-        own = loops.weights[first : first + 2 * len(tie.rows)] if tie.bounds else np.zeros(2 * len(tie.rows))
-        ends.append(own.reshape(-1, 2))
-    low, high = np.concatenate(ends)[packed.rows >= 0].T
+    low, high = packed.loops.bounds[:, packed.rows >= 0]
     return low, high
 
 

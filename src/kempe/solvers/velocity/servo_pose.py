@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe import spatial
-from kempe.kernels.forward.table_layout import N_ROWS, ROW_FLOATS
+from kempe.kernels.forward.table_layout import placements_of
 from kempe.solvers.velocity.least_squares import INWARD, scaled, wish
 from kempe.spatial import Array
 
@@ -50,10 +50,7 @@ TRIALS, HALVINGS = 16, 6
 
 def chain_length(chain: Chain) -> float:
     """The characteristic length of a chain, as `ik` weighs lengths by it: a third of the lengths of its links."""
-    n = int(chain.ints[N_ROWS])
-    placements = chain.floats[: ROW_FLOATS * n + 12]
-    steps = np.array([placements[ROW_FLOATS * k + 3 : ROW_FLOATS * k + 12 : 4] for k in range(1, n + 1)])
-    length = float(np.linalg.norm(steps.reshape(-1, 3), axis=1).sum())
+    length = float(np.linalg.norm(placements_of(chain.ints, chain.floats)[1:, :, 3], axis=1).sum())
     return length / 3.0 if length > 0.0 else 1.0
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -13,15 +14,14 @@ from kempe.errors import UnsupportedError
 from kempe.kernels.forward.table_layout import (
     BALL,
     COS_OFFSET,
-    HEADER,
     KIND,
     MULTIPLIER,
-    N_ROWS,
     Q_INDEX,
-    ROW_FLOATS,
-    ROW_INTS,
     SIN_OFFSET,
     SLIDE,
+    numbers_of,
+    placements_of,
+    rows_of,
 )
 from kempe.solvers.common.serial_chain import chain_of
 from kempe.solvers.common.span import Span, evened
@@ -75,9 +75,8 @@ def lines_of(system: System, frame: str) -> Lines:
     """The lines of the chain that moves a frame. Errors: `UnsupportedError` for loops, balls and shared coordinates."""
     chain = chain_of(system, frame)
     ints, floats = chain.ints, chain.floats
-    n = int(ints[N_ROWS])
-    rows = ints[HEADER : HEADER + ROW_INTS * n].reshape(n, ROW_INTS)
-    numbers = floats[: ROW_FLOATS * n].reshape(n, ROW_FLOATS)
+    rows, numbers = rows_of(ints), numbers_of(ints, floats)
+    n = len(rows)
     names = tuple(system.structure.velocity_names[i] for i in chain.v_index)
     if n == 0:
         raise UnsupportedError(f"no joint moves frame {frame!r}")
@@ -91,7 +90,7 @@ def lines_of(system: System, frame: str) -> Lines:
             f"two motions of the chain of {frame!r} share one coordinate (a helical joint, or a joint that follows "
             "another): `ik_all` cannot take that, `ik` can"
         )
-    placements = [*numbers[:, :12], floats[ROW_FLOATS * n :][:12]]
+    placements = placements_of(ints, floats)
     if chain.span.rounding > chain.span.largest > 0.0:
         raise UnsupportedError(f"all of the chain of {frame!r} is smaller than rounding: {chain.span.figures()}")
     h, o, tip = _carried(placements)
@@ -116,7 +115,7 @@ def lines_of(system: System, frame: str) -> Lines:
     return scaled(h, o, tip, even)
 
 
-def _carried(placements: list[np.ndarray]) -> tuple[Array, Array, Array]:
+def _carried(placements: Iterable[np.ndarray]) -> tuple[Array, Array, Array]:
     """Directions and points (n, 3) of the axes and the pose (4, 4) of the tip, from placements (12,) one by one."""
     poses = list(itertools.accumulate(map(_pose, placements), np.matmul))
     X = np.array(poses[:-1])
