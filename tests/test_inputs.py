@@ -16,8 +16,8 @@ import pytest
 
 import kempe
 from kempe import spatial, tasks
+from kempe.analysis.spaces.configuration.configuration_space import ConfigurationSpace
 from kempe.errors import InputError, KempeError
-from kempe.kinematics.configuration_space import ConfigurationSpace
 from kempe.model import namespaces
 from kempe.model.compiled_system import Structure
 from kempe.model.former_names import FORMER
