@@ -128,7 +128,7 @@ def _pair(ax: Any) -> tuple[Any, Any]:
 
 
 def _shade_task_space(system: System, name: str, ax: Any, p: Array, targets: Array, n: int) -> None:
-    """Colour the places of the task space by the number of their configurations."""
+    """Mark the places of the task space by the number of their configurations."""
     every = np.concatenate([p.reshape(-1, 2), targets])
     low, high = every.min(axis=0), every.max(axis=0)
     room = ROOM * max(float((high - low).max()), 1e-9)

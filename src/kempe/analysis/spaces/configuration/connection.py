@@ -63,7 +63,7 @@ class Connection(Configurations):
 
     @property
     def code(self) -> Status:
-        """The outcome."""
+        """How the search for a path ended."""
         return self.outcome
 
     @property
