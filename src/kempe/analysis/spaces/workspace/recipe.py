@@ -15,6 +15,7 @@ from kempe import __version__
 from kempe.analysis.spaces.workspace.cell_map import Grid, grid_of
 from kempe.errors import InputError, KernelsError
 from kempe.kernels.compiled import VARIANT, lane_positions
+from kempe.kernels.forward.table_layout import Q_INDEX, rows_of
 from kempe.kinematics.configuration import circles, has_loops, sampling_box
 from kempe.kinematics.forms import chain_table
 from kempe.kinematics.forward import fk
