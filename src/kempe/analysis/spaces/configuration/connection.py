@@ -63,7 +63,7 @@ class Connection(Configurations):
 
     @property
     def code(self) -> Status:
-        """The outcome."""
+        """The outcome, a `Status`."""
         return self.outcome
 
     @property
