@@ -43,7 +43,7 @@ def spaces(
     base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
     lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
-    """Show the configuration space: dimension, components, samples; and the task space of a frame.
+    """Say what the configuration space is: dimension, components, samples; and the task space of a frame.
 
     With --plot both spaces of a system with two coordinates are drawn beside one another (--frame says of what).
 

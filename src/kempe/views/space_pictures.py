@@ -128,7 +128,7 @@ def _pair(ax: Any) -> tuple[Any, Any]:
 
 
 def _shade_task_space(system: System, name: str, ax: Any, p: Array, targets: Array, n: int) -> None:
-    """Mark the places of the task space by the number of their configurations."""
+    """Draw the places of the task space in the shade of the number of their configurations."""
     every = np.concatenate([p.reshape(-1, 2), targets])
     low, high = every.min(axis=0), every.max(axis=0)
     room = ROOM * max(float((high - low).max()), 1e-9)
@@ -141,7 +141,7 @@ def _shade_task_space(system: System, name: str, ax: Any, p: Array, targets: Arr
 
 
 def _shade_configurations(system: System, name: str, ax: Any, grid: Array, p: Array) -> None:
-    """Colour configurations by the number of those that reach the same place."""
+    """Draw configurations in the shade of the number of those that reach the same place."""
     _shaded(ax, grid[:, 0, 0], grid[0, :, 1], np.maximum(preimages(system, name, p), 1))
 
 

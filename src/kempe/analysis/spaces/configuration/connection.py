@@ -63,7 +63,7 @@ class Connection(Configurations):
 
     @property
     def code(self) -> Status:
-        """How the search for a path ended."""
+        """The outcome, a `Status`."""
         return self.outcome
 
     @property

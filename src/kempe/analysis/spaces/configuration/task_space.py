@@ -73,23 +73,17 @@ class TaskSpace(Report):
     def status(self) -> str:
         """How m, n and the rank compare, and what follows for solutions."""
         k, m, n = self.generic_rank, self.m, self.n
-        sign = "=" if m == n else "<" if m < n else ">"
-        head = f"{self.task}: m = {m} {sign} n = {n}, rank {k}"
+        counts = f"m = n = {n}" if m == n else f"m = {m} {'<' if m < n else '>'} n = {n}"
         if m > n:
-            said = (
-                f"no solution unless the {m} constraints are dependent: values that can be reached have dimension {k}"
-            )
+            said = f"no solution unless the {m} constraints are dependent: what can be reached has dimension {k}"
         elif k < m:
-            said = (
-                f"{counted(m - k, 'constraint')} of the task cannot be set independently: most values have no solution"
-            )
+            said = f"{counted(m - k, 'constraint')} of the task cannot be set independently"
         elif n > k:
             said = f"redundant by {counted(n - k, 'freedom')}: infinitely many configurations reach what is reached"
         else:
             said = "isolated configurations reach what is reached, but for singular ones"
-        return f"{head}; {said}" + (
-            f"; at this q the rank is {self.rank}, a singular configuration" if self.singular else ""
-        )
+        here = f"; at this q the rank is {self.rank}, a singular configuration" if self.singular else ""
+        return f"{self.task}: {counts}, rank {k}; {said}{here}"
 
     def _headline(self) -> str:
         return f"{self.system.name}: {self.status}"
@@ -116,7 +110,7 @@ def task_space(
 
     >>> from kempe import load
     >>> print(task_space(load("two_link"), "e", task="position").status)
-    position of 'e': m = 2 = n = 2, rank 2; isolated configurations reach what is reached, but for singular ones
+    position of 'e': m = n = 2, rank 2; isolated configurations reach what is reached, but for singular ones
     """
     spend = USUAL.of(budget)
     wanted, name, frame = _wanted(system, tasks, task)
@@ -140,7 +134,8 @@ def _wanted(system: System, tasks: Any, task: str | None) -> tuple[list[Constrai
             raise InputError("task says what counts of a frame; with tasks of kempe.tasks leave it out")
         given = [tasks] if isinstance(tasks, Constraint) else list(tasks)
         return given, ", ".join(getattr(t, "label", repr(t)) for t in given), None
-    frame = system.structure.frame_name(tasks)
+    name: Any = tasks
+    frame = system.structure.frame_name(name)
     kind = "pose" if task is None else task
     if kind not in KINDS:
         raise InputError(f"task is {task!r}; it must be one of {', '.join(map(repr, KINDS))}")
