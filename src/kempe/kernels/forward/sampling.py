@@ -29,8 +29,13 @@ from kempe.kernels.base.vectors import (
 from kempe.kernels.forward.chain import count_variables, read_variables, strays
 from kempe.kernels.forward.lane_counts import count_one, rounded_down, units, will_count
 from kempe.kernels.forward.table_layout import (
+    FORM,
     GENERAL,
     HEADER,
+    KIND,
+    MULTIPLIER,
+    N_ROWS,
+    Q_INDEX,
     ROW_FLOATS,
     ROW_INTS,
     RX,
@@ -62,13 +67,13 @@ def moved(form, f, k, x, y, z):
 @device
 def position_lanes(ints, floats, variables, total):
     """The positions (x, y, z) of LANES configurations, of which `read_variables` kept `total` numbers a lane."""
-    n_rows = ints[0]
+    n_rows = ints[N_ROWS]
     k = ROW_FLOATS * n_rows
     x, y, z = spread_lanes(floats[k + 3]), spread_lanes(floats[k + 7]), spread_lanes(floats[k + 11])
     k = total * LANES
     for i in range(n_rows):
         row = n_rows - 1 - i
-        kind, form = ints[HEADER + ROW_INTS * row], ints[HEADER + ROW_INTS * row + 4]
+        kind, form = ints[HEADER + ROW_INTS * row + KIND], ints[HEADER + ROW_INTS * row + FORM]
         if kind == TURN:
             k -= 2 * LANES
             s, c = load_lanes(variables, k), load_lanes(variables, k + LANES)
@@ -94,10 +99,10 @@ def position_lanes(ints, floats, variables, total):
 def draw_variables(ints, floats, keys, bounds, counter, variables):
     """Write what `read_variables` would of the samples from `counter` on."""
     k = 0
-    for row in range(ints[0]):
-        kind, index = ints[HEADER + ROW_INTS * row], ints[HEADER + ROW_INTS * row + 2]
+    for row in range(ints[N_ROWS]):
+        kind, index = ints[HEADER + ROW_INTS * row + KIND], ints[HEADER + ROW_INTS * row + Q_INDEX]
         kx = ROW_FLOATS * row
-        multiplier = floats[kx + 14]
+        multiplier = floats[kx + MULTIPLIER]
         u = units(keys[index], counter)
         if kind == TURN:
             s, c = sincos(multiplier * (bounds[2 * index] + bounds[2 * index + 1] * u))
@@ -143,7 +148,7 @@ def positions(ints, floats, q, out):
     scratch = np.empty((total + 4) * LANES)
     alone = np.empty(16)
     i_, f_, q_, out_, variables, pose = raw(ints), raw(floats), raw(q), raw(out), raw(scratch), raw(alone)
-    side_by_side = n >= LANES and ints[0] > 0
+    side_by_side = n >= LANES and ints[N_ROWS] > 0
     strayed = 0 if not side_by_side else n
     if side_by_side:
         spare = raw(scratch[total * LANES :])

@@ -15,7 +15,7 @@ from kempe import __version__
 from kempe.analysis.spaces.workspace.cell_map import Grid, grid_of
 from kempe.errors import InputError, KernelsError
 from kempe.kernels.compiled import VARIANT, sampling
-from kempe.kernels.forward.table_layout import HEADER, N_ROWS, ROW_INTS
+from kempe.kernels.forward.table_layout import Q_INDEX, rows_of
 from kempe.kinematics.configuration import circles, has_loops, sampling_box
 from kempe.kinematics.forms import chain_table
 from kempe.kinematics.forward import fk
@@ -202,7 +202,7 @@ def refuse_unlimited(system: System, frame: str) -> None:
     layout, circle = system.structure.layout, circles(system)
     if is_plain_chain(system):
         ints, _ = chain_table(system, frame)
-        used = {int(ints[HEADER + ROW_INTS * row + 2]) for row in range(int(ints[N_ROWS]))}
+        used = set(rows_of(ints)[:, Q_INDEX].tolist())
     else:  # what is not driven may be held by loops
         driven = {c for j in system.structure.joints.values() if j.actuated
                   for c in system.structure.coordinates_of_joint(j.name)}  # fmt: skip
