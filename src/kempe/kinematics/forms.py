@@ -75,7 +75,8 @@ def in_form(
     if np.may_share_memory(q, out):
         flat = flat.copy()
     direct = form == "position" and not several
-    table = chain_table(system, system.structure.frame_name(frame)) if direct else None
+    one: Any = frame
+    table = chain_table(system, system.structure.frame_name(one)) if direct else None
 
     def work(start: int, stop: int) -> int:
         if table is None:

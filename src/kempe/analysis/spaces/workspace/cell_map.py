@@ -62,10 +62,10 @@ class Grid:
         k = AXES.index(axis)
         return self.low[k] + (np.arange(self.cells[k]) + 0.5) * (self.high[k] - self.low[k]) / self.cells[k]
 
-    def places(self, points: Array) -> tuple[Array, Array]:
+    def places(self, points: Array) -> tuple[np.ndarray, np.ndarray]:
         """The cells (..., d) in which points (..., d) are, brought into the box, and which (...) are in the box."""
         at = np.floor((points - np.array(self.low)[self.kept]) / self.size)
-        inside = ((at >= 0) & (at < self.shape)).all(axis=-1)
+        inside = np.asarray(((at >= 0) & (at < self.shape)).all(axis=-1))
         return np.clip(np.nan_to_num(at), 0, np.array(self.shape) - 1).astype(np.int64), inside
 
     def flat(self, points: Array) -> np.ndarray:

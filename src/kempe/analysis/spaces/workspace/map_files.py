@@ -123,12 +123,12 @@ def read_map(path: Path) -> Stored:
         group = zarr.open_group(str(path), mode="r", zarr_format=3)
         made = json.loads(group.attrs["kempe"])
         counts = np.asarray(group["counts"][...])
-        grid = Grid(*(tuple(made[k]) for k in ("low", "high", "cells", "axes")))
+        grid = Grid(**{k: tuple(made[k]) for k in ("low", "high", "cells", "axes")})
     except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
         raise DamagedError(f"{path} is damaged ({type(error).__name__}: {error}); {again}") from error
     if counts.shape != grid.shape or checksum_of(counts) != made["checksum"]:
         raise DamagedError(f"{path} is damaged: the counts are not those that were written; {again}")
-    numbers = (int(made.pop(k)) for k in ("samples", "outside", "left_out"))
+    samples, outside, left_out = (int(made.pop(k)) for k in ("samples", "outside", "left_out"))
     made.pop("checksum")
     toml = made.pop("toml")
-    return Stored(CellMap(grid, counts), *numbers, made, toml)
+    return Stored(CellMap(grid, counts), samples, outside, left_out, made, toml)

@@ -6,7 +6,8 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import ndimage, spatial
+from scipy import ndimage
+from scipy.spatial import KDTree
 
 from kempe.analysis.spaces.workspace.cell_map import CellMap
 from kempe.budget import Budget
@@ -25,8 +26,8 @@ SIGMAS = 2.0
 def layers(occupied: np.ndarray) -> dict[str, np.ndarray]:
     """Cells by what a map says: `inner` and all around them occupied; `far`: nothing around; `near`: the others."""
     around = np.ones((3,) * occupied.ndim, dtype=bool)
-    inner = ndimage.binary_erosion(occupied, around)
-    far = ~ndimage.binary_dilation(occupied, around)
+    inner = np.asarray(ndimage.binary_erosion(occupied, around), dtype=bool)
+    far = ~np.asarray(ndimage.binary_dilation(occupied, around), dtype=bool)
     return {"inner": inner, "near": ~(inner | far), "far": far}
 
 
@@ -70,7 +71,7 @@ def decided(system: System, frame: str, cells: CellMap, points: Array, seed: int
     at, inside = grid.places(points[:, grid.kept])
     off = [k for k in range(3) if k not in grid.kept]
     middle = 0.5 * (np.array(grid.low) + grid.high)
-    inside &= (np.abs(points - middle)[:, off] <= 1e-9 * (1.0 + np.abs(middle[off]))).all(axis=1)
+    inside = inside & (np.abs(points - middle)[:, off] <= 1e-9 * (1.0 + np.abs(middle[off]))).all(axis=1)
     out = inside & layers(cells.occupied)["inner"][tuple(at.T)]
     out[~out] = reached(system, frame, points[~out], seed)
     return out
@@ -79,9 +80,10 @@ def decided(system: System, frame: str, cells: CellMap, points: Array, seed: int
 def to_boundary(cells: CellMap, points: Array) -> Array:
     """Distance [m] of points (n, d) from the middle of the nearest boundary cell, negative outside."""
     grid, occupied = cells.grid, cells.occupied
-    edge = occupied & ~ndimage.binary_erosion(occupied, ndimage.generate_binary_structure(occupied.ndim, 1))
+    within = ndimage.binary_erosion(occupied, ndimage.generate_binary_structure(occupied.ndim, 1))
+    edge = occupied & ~np.asarray(within, dtype=bool)
     middles = np.array(grid.low)[grid.kept] + (np.argwhere(edge) + 0.5) * grid.size
-    far, _ = spatial.cKDTree(middles).query(points)
+    far, _ = KDTree(middles).query(points)
     at, inside = grid.places(points)
     return np.where(inside & occupied[tuple(at.T)], far, -far)
 
