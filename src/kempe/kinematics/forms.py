@@ -58,8 +58,8 @@ def in_form(
 
     wanted = FORMS[known("form", form, FORMS)]
     try:
-        kind = np.dtype(dtype)
-    except TypeError:
+        kind = np.dtype(dtype)  # of None float64
+    except (TypeError, ValueError, SyntaxError):
         kind = np.dtype(object)
     if kind.name not in TYPES:
         raise InputError(f"dtype is {shown(dtype)}; allowed: {', '.join(TYPES)}")
