@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.analysis.spaces.workspace.cell_map import CellMap, Grid
-from kempe.analysis.spaces.workspace.sample_parts import DiskError, checksum_of
-from kempe.errors import InputError, KempeError, MissingExtraError
+from kempe.analysis.spaces.workspace.sample_parts import checksum_of
+from kempe.errors import DamagedError, DiskError, InputError, KempeError, MissingExtraError
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -22,10 +22,6 @@ if TYPE_CHECKING:
 FORMAT = "kempe workspace 1"
 CHUNK = 64
 """Cells of a chunk along each axis, at most."""
-
-
-class DamagedError(KempeError, OSError):
-    """A map on disk is not what was written."""
 
 
 @dataclass(frozen=True)
