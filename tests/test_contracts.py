@@ -179,6 +179,7 @@ CASES = {
     "manoeuvre": Case(
         "manoeuvre", lambda: CAR.manoeuvre(np.zeros(3), [0.0, 1.0, 0.0], radius=1.0, budget=NINE), "SOLVED"),
     "simulate": Case("simulate", lambda: BALL.simulate(0.5, {"flight.z": 1.0}, budget=NINE), "SOLVED"),
+    "workspace": Case("workspace", lambda: kempe.load("two_link").workspace("e", n=5000, cells=16), "SOLVED"),
     "loop_jacobian": Case("loop_jacobian", lambda: LINKAGE.loops.jacobian(CLOSED, [CRANK], [ROCKER]), "SOLVED"),
     "loop_jacobian at a dead point": Case(
         "loop_jacobian", lambda: LINKAGE.loops.jacobian(STRETCHED, [ROCKER], [CRANK]), "DEAD_POINT"),
@@ -191,7 +192,7 @@ CASES = {
         "loop_jacobian", lambda: LINKAGE.loops.jacobian(np.zeros((0, 4)), [CRANK], [ROCKER]), []),
 }  # fmt: skip
 
-REPORTING = {"mobility", "classify", "idealised", "independent", "closed_form", "ik_plan", "loop_jacobian",
+REPORTING = {"workspace", "mobility", "classify", "idealised", "independent", "closed_form", "ik_plan", "loop_jacobian",
              "configuration_space", "components", "task_space"}  # fmt: skip
 REPORTS, ANSWERS = ([n for n, c in CASES.items() if (c.verb in REPORTING) == report] for report in (True, False))
 """Cases of the verbs that find something out about a system, and of those that give configurations."""

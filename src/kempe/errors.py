@@ -192,5 +192,13 @@ def hint(name: object, allowed: Iterable[str]) -> str:
     return f"; there are: {shown}{f', ... ({len(allowed)} in all)' if len(allowed) > 12 else ''}"
 
 
+class DiskError(KempeError, OSError):
+    """A result could not be written; the text says what stands on disk, from which the same call goes on."""
+
+
+class DamagedError(KempeError, OSError):
+    """What is on disk is not what was written."""
+
+
 class KernelsError(KempeError, ImportError):
     """There are no compiled kernels that fit this machine, and none can be compiled here."""

@@ -58,8 +58,8 @@ def in_form(
 
     wanted = FORMS[known("form", form, FORMS)]
     try:
-        kind = np.dtype(dtype)
-    except TypeError:
+        kind = np.dtype(dtype)  # of None float64
+    except (TypeError, ValueError, SyntaxError):
         kind = np.dtype(object)
     if kind.name not in TYPES:
         raise InputError(f"dtype is {shown(dtype)}; allowed: {', '.join(TYPES)}")
@@ -75,7 +75,8 @@ def in_form(
     if np.may_share_memory(q, out):
         flat = flat.copy()
     direct = form == "position" and not several
-    table = chain_table(system, system.structure.frame_name(frame)) if direct else None
+    one: Any = frame
+    table = chain_table(system, system.structure.frame_name(one)) if direct else None
 
     def work(start: int, stop: int) -> int:
         if table is None:

@@ -206,7 +206,7 @@ def fk(
     of such a pose are NaN and all others are right. Errors: `UnknownNameError` for names, `InputError` for shapes.
     """
     if form is not None or dtype is not None:
-        return in_form(system, q, frame, out, threads, "pose" if form is None else form, dtype or np.float64)
+        return in_form(system, q, frame, out, threads, "pose" if form is None else form, dtype)
     if frame is not None and not isinstance(frame, (list, tuple)):
         return _query(system, frame)(None, q, out, threads)
     key = None if frame is None else tuple(system.structure.frame_name(f) for f in frame)

@@ -34,6 +34,8 @@ def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
     """
     grid, counts = workspace.map.grid, workspace.map.counts
     d = len(grid.axes)
+    if not workspace.map.occupied.any():
+        raise InputError("no sample fell into the box: there is nothing to draw")
     if d == 1:
         raise InputError("the workspace is a piece of a line: there is nothing to draw; see `.boundary`")
     if d == 2:

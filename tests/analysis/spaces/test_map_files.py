@@ -19,8 +19,8 @@ from reached_sets import shell, two_bars
 
 import kempe
 from kempe import Budget, Status
-from kempe.analysis.spaces.workspace import counting_runs, map_files, recipe, sample_parts
-from kempe.errors import InputError, KempeError, KernelsError
+from kempe.analysis.spaces.workspace import counting_runs, recipe, sample_parts
+from kempe.errors import DamagedError, InputError, KempeError, KernelsError
 
 pytest.importorskip("zarr", reason="zarr is not installed (extra scale)")
 ARM = two_bars(0.5, 0.3)
@@ -94,6 +94,7 @@ def test_a_finished_map_is_opened_and_grows(tmp_path):
     path = tmp_path / "map.zarr"
     made(path, 100_000)
     assert made(path, 50_000).samples == 100_000
+    assert [p.name for p in tmp_path.iterdir()] == ["map.zarr"]
     grown = made(path, N)
     assert grown.samples == N and np.array_equal(grown.map.counts, made().map.counts)
 
@@ -132,7 +133,7 @@ def test_a_damaged_map_is_found_and_made_again(tmp_path):
     data = bytearray(chunk.read_bytes())
     data[len(data) // 2] ^= 16
     chunk.write_bytes(data)
-    with pytest.raises(map_files.DamagedError, match="make it again"):
+    with pytest.raises(DamagedError, match="make it again"):
         kempe.open_workspace(path)
     again = made(path)
     assert again.redone == 1 and np.array_equal(again.map.counts, made().map.counts)

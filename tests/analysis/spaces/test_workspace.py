@@ -220,6 +220,7 @@ BAD = {
     "'rail' has no limits": lambda s: free_slide().workspace("tip"),
     "'leg": lambda s: kempe.load("stewart").workspace("tool"),
     "workspace does not read": lambda s: s.workspace("tip", budget=Budget(points=7)),
+    "threads is 0": lambda s: s.workspace("tip", budget=Budget(threads=0)),
     "rng is -1": lambda s: s.workspace("tip", budget=Budget(rng=-1)),
     "points have shape": lambda s: s.workspace("tip", n=100).contains([1.0, 2.0, 3.0]),
 }
@@ -230,6 +231,16 @@ def test_wrong_questions_are_refused(words):
     with pytest.raises(InputError) as error:
         BAD[words](two_bars(0.5, 0.3))
     assert words in str(error.value)
+
+
+@pytest.mark.parametrize("kind", ["annulus", "shell"])
+def test_a_box_where_nothing_is_reached(kind):
+    system, name, _ = SYSTEMS[kind]
+    workspace = system.workspace("tip", n=1000, cells=8, box=[(5, 6)] * system.dim)
+    value, error = getattr(workspace, name)
+    assert value == 0.0 < error < 0.02 and workspace.outside == 1000 and not len(workspace.map.points)
+    assert workspace.distance(np.zeros(system.dim)) == -math.inf and not workspace.contains(np.full(system.dim, 5.5))
+    assert not any(map(len, workspace.boundary))
 
 
 def test_an_unknown_frame():

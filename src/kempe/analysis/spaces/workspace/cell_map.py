@@ -9,6 +9,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy import ndimage
+from scipy.spatial import KDTree
 
 from kempe.errors import InputError, shown
 from kempe.reals import is_whole, reals
@@ -62,10 +64,10 @@ class Grid:
         k = AXES.index(axis)
         return self.low[k] + (np.arange(self.cells[k]) + 0.5) * (self.high[k] - self.low[k]) / self.cells[k]
 
-    def places(self, points: Array) -> tuple[Array, Array]:
+    def places(self, points: Array) -> tuple[np.ndarray, np.ndarray]:
         """The cells (..., d) in which points (..., d) are, brought into the box, and which (...) are in the box."""
         at = np.floor((points - np.array(self.low)[self.kept]) / self.size)
-        inside = ((at >= 0) & (at < self.shape)).all(axis=-1)
+        inside = np.asarray(((at >= 0) & (at < self.shape)).all(axis=-1))
         return np.clip(np.nan_to_num(at), 0, np.array(self.shape) - 1).astype(np.int64), inside
 
     def flat(self, points: Array) -> np.ndarray:
@@ -103,6 +105,21 @@ class CellMap:
     def occupied(self) -> np.ndarray:
         """Which cells a sample fell into."""
         return self.counts > 0
+
+    @cached_property
+    def layers(self) -> dict[str, np.ndarray]:
+        """Cells by what the map says: `inner` and all around have samples, around `far` none has; `near` are others."""
+        around = np.ones((3,) * self.counts.ndim, dtype=bool)
+        inner = np.asarray(ndimage.binary_erosion(self.occupied, around), dtype=bool)
+        far = ~np.asarray(ndimage.binary_dilation(self.occupied, around), dtype=bool)
+        return {"inner": inner, "near": ~(inner | far), "far": far}
+
+    @cached_property
+    def edge(self) -> KDTree:
+        """The middles of cells with samples that have a neighbour without."""
+        within = ndimage.binary_erosion(self.occupied, ndimage.generate_binary_structure(self.counts.ndim, 1))
+        at = np.argwhere(self.occupied & ~np.asarray(within, dtype=bool))
+        return KDTree(np.array(self.grid.low)[self.grid.kept] + (at + 0.5) * self.grid.size)
 
     @property
     def cell(self) -> tuple[float, ...]:

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 
 from kempe.analysis.spaces.workspace.recipe import Recipe
+from kempe.errors import InputError, shown
 from kempe.kinematics.common.parallel import processors
+from kempe.reals import is_whole
 from kempe.solvers.common.clock import BROKEN_OFF, TimeLimit
 
 SHARED_BYTES = 256 * 2**20
@@ -40,6 +42,8 @@ class Threads:
     """Threads that count ranges of samples of a recipe, each range in pieces that are begun in order."""
 
     def __init__(self, recipe: Recipe, threads: int | None):
+        if threads is not None and (not is_whole(threads) or threads < 1):
+            raise InputError(f"threads is {shown(threads)}; it must be None (all) or a whole number, at least 1")
         self.recipe, self.n = recipe, int(threads or processors())
         own = max(1, min(self.n, SHARED_BYTES // (4 * recipe.entries)))
         self.counts = [np.zeros(recipe.entries, dtype=np.uint32) for _ in range(own)]

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.analysis.spaces.workspace.cell_map import CellMap, Grid
-from kempe.analysis.spaces.workspace.sample_parts import DiskError, checksum_of
-from kempe.errors import InputError, KempeError, MissingExtraError
+from kempe.analysis.spaces.workspace.sample_parts import checksum_of
+from kempe.errors import DamagedError, DiskError, InputError, KempeError, MissingExtraError
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -22,10 +22,6 @@ if TYPE_CHECKING:
 FORMAT = "kempe workspace 1"
 CHUNK = 64
 """Cells of a chunk along each axis, at most."""
-
-
-class DamagedError(KempeError, OSError):
-    """A map on disk is not what was written."""
 
 
 @dataclass(frozen=True)
@@ -123,12 +119,12 @@ def read_map(path: Path) -> Stored:
         group = zarr.open_group(str(path), mode="r", zarr_format=3)
         made = json.loads(group.attrs["kempe"])
         counts = np.asarray(group["counts"][...])
-        grid = Grid(*(tuple(made[k]) for k in ("low", "high", "cells", "axes")))
+        grid = Grid(**{k: tuple(made[k]) for k in ("low", "high", "cells", "axes")})
     except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
         raise DamagedError(f"{path} is damaged ({type(error).__name__}: {error}); {again}") from error
     if counts.shape != grid.shape or checksum_of(counts) != made["checksum"]:
         raise DamagedError(f"{path} is damaged: the counts are not those that were written; {again}")
-    numbers = (int(made.pop(k)) for k in ("samples", "outside", "left_out"))
+    samples, outside, left_out = (int(made.pop(k)) for k in ("samples", "outside", "left_out"))
     made.pop("checksum")
     toml = made.pop("toml")
-    return Stored(CellMap(grid, counts), *numbers, made, toml)
+    return Stored(CellMap(grid, counts), samples, outside, left_out, made, toml)

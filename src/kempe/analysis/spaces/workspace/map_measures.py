@@ -6,7 +6,6 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import ndimage, spatial
 
 from kempe.analysis.spaces.workspace.cell_map import CellMap
 from kempe.budget import Budget
@@ -20,14 +19,6 @@ POINTS = {"inner": 500, "near": 2000, "far": 500}
 """Random points of each kind of cells whose places the inverse model is to reach, for the measure."""
 SIGMAS = 2.0
 """Standard errors that the error of a measure is."""
-
-
-def layers(occupied: np.ndarray) -> dict[str, np.ndarray]:
-    """Cells by what a map says: `inner` and all around them occupied; `far`: nothing around; `near`: the others."""
-    around = np.ones((3,) * occupied.ndim, dtype=bool)
-    inner = ndimage.binary_erosion(occupied, around)
-    far = ~ndimage.binary_dilation(occupied, around)
-    return {"inner": inner, "near": ~(inner | far), "far": far}
 
 
 def reached(system: System, frame: str, points: Array, seed: int) -> np.ndarray:
@@ -46,7 +37,7 @@ def measured(system: System, frame: str, cells: CellMap, seed: int) -> tuple[flo
     """
     rng, cell = np.random.default_rng([seed, 1]), math.prod(cells.cell)
     value, variance = 0.0, 0.0
-    for name, mask in layers(cells.occupied).items():
+    for name, mask in cells.layers.items():
         chosen = np.flatnonzero(mask)
         if len(chosen):
             points = _within(cells, rng.choice(chosen, POINTS[name]), rng)
@@ -70,8 +61,8 @@ def decided(system: System, frame: str, cells: CellMap, points: Array, seed: int
     at, inside = grid.places(points[:, grid.kept])
     off = [k for k in range(3) if k not in grid.kept]
     middle = 0.5 * (np.array(grid.low) + grid.high)
-    inside &= (np.abs(points - middle)[:, off] <= 1e-9 * (1.0 + np.abs(middle[off]))).all(axis=1)
-    out = inside & layers(cells.occupied)["inner"][tuple(at.T)]
+    inside = inside & (np.abs(points - middle)[:, off] <= 1e-9 * (1.0 + np.abs(middle[off]))).all(axis=1)
+    out = inside & cells.layers["inner"][tuple(at.T)]
     out[~out] = reached(system, frame, points[~out], seed)
     return out
 
@@ -79,9 +70,7 @@ def decided(system: System, frame: str, cells: CellMap, points: Array, seed: int
 def to_boundary(cells: CellMap, points: Array) -> Array:
     """Distance [m] of points (n, d) from the middle of the nearest boundary cell, negative outside."""
     grid, occupied = cells.grid, cells.occupied
-    edge = occupied & ~ndimage.binary_erosion(occupied, ndimage.generate_binary_structure(occupied.ndim, 1))
-    middles = np.array(grid.low)[grid.kept] + (np.argwhere(edge) + 0.5) * grid.size
-    far, _ = spatial.cKDTree(middles).query(points)
+    far, _ = cells.edge.query(points)
     at, inside = grid.places(points)
     return np.where(inside & occupied[tuple(at.T)], far, -far)
 
@@ -102,5 +91,7 @@ def boundary_of(cells: CellMap) -> Any:
         raise MissingExtraError("scikit-image", "scale") from None
     if filled.ndim == 2:
         return [origin + line * grid.size for line in measure.find_contours(filled, 0.5)]
+    if not cells.occupied.any():
+        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
     corners, triangles, _, _ = measure.marching_cubes(filled, 0.5)
     return origin + corners * grid.size, triangles

@@ -11,7 +11,6 @@ import numpy as np
 from kempe.analysis.spaces.workspace.cell_map import CellMap
 from kempe.analysis.spaces.workspace.counting_runs import Pace, Threads
 from kempe.analysis.spaces.workspace.map_files import (
-    DamagedError,
     Stored,
     description_of,
     is_map,
@@ -24,7 +23,7 @@ from kempe.analysis.spaces.workspace.sample_parts import SampleParts, refuse_oth
 from kempe.analysis.spaces.workspace.workspace import Workspace, of_stored
 from kempe.budget import Budget, Usual
 from kempe.calls import explained
-from kempe.errors import InputError, shown
+from kempe.errors import DamagedError, InputError, shown
 from kempe.reals import is_real
 from kempe.solvers.common.arguments import seed_number
 from kempe.solvers.common.clock import BROKEN_OFF, TimeLimit
@@ -71,15 +70,26 @@ def workspace(
     if client is not None:
         from kempe.analysis.spaces.workspace.on_cluster import connected
 
-        client = connected(client)
-    recipe = recipe_of(system, name, seed_number(spend.rng), cells, box)
-    count = int(n or FEW_SAMPLES[recipe.plain])
-    store = _Memory(recipe) if path is None else _Disk(recipe, Path(path))
-    if isinstance(store, _Disk) and store.found is not None and store.found.samples >= count:
-        return of_stored(system, store.found, store.found.samples)
-    done, broken = store.samples(count), None
-    pace = Pace(spend.progress, done, count)
-    each = recipe.part
+        own, client = isinstance(client, str), connected(client)
+    else:
+        own = False
+    try:
+        recipe = recipe_of(system, name, seed_number(spend.rng), cells, box)
+        store = _Memory(recipe) if path is None else _Disk(recipe, Path(path))
+        return _answer(recipe, store, int(n or FEW_SAMPLES[recipe.plain]), client, spend, clock)
+    finally:
+        if own and client is not None:
+            client.close()
+
+
+def _answer(
+    recipe: Recipe, store: _Memory | _Disk, count: int, client: Any, spend: Budget, clock: TimeLimit
+) -> Workspace:  # fmt: skip
+    """The map of the first `count` samples, or of those that were counted until it was broken off."""
+    if store.found is not None and store.found.samples >= count:
+        return of_stored(recipe.system, store.found, store.found.samples)
+    store.begin()
+    pace, each, broken = Pace(spend.progress, store.samples(count), count), recipe.part, None
     try:
         if client is None:
             runs = _local(recipe, store.missing(count, min(max(each, count // 64), LARGEST_PART)), spend, clock, pace)
@@ -94,11 +104,11 @@ def workspace(
     except BROKEN_OFF as error:
         broken = error
     stored = store.stored(count)
-    early = {"interrupted": isinstance(broken, KeyboardInterrupt), "late": stored.samples < count,
-             "redone": store.redone}  # fmt: skip
+    interrupted = isinstance(broken, KeyboardInterrupt)
+    late = broken is not None and not interrupted
     if broken is None:
         store.finish(stored)
-    return of_stored(system, stored, count, **early | {"late": early["late"] and not early["interrupted"]})
+    return of_stored(recipe.system, stored, count, interrupted=interrupted, late=late, redone=store.redone)
 
 
 def _local(
@@ -120,11 +130,14 @@ def _local(
 class _Memory:
     """Counts that are held in memory only."""
 
-    redone = 0
+    redone, found = 0, None
 
     def __init__(self, recipe: Recipe):
         self.recipe, self.done = recipe, 0
         self.counts = np.zeros(recipe.entries, dtype=np.uint64)
+
+    def begin(self) -> None:
+        """Find nothing that was done before."""
 
     def missing(self, n: int, most: int) -> list[tuple[int, int]]:
         """Ranges of at most `most` samples that make up the first n."""
@@ -154,7 +167,8 @@ class _Disk:
         zarr_library()
         if not path.parent.is_dir():
             raise InputError(f"{path}: there is no folder {str(path.parent)!r}")
-        self.recipe, self.path, self.found, self.redone = recipe, path, None, 0
+        self.recipe, self.path, self.redone = recipe, path, 0
+        self.found: Stored | None = None
         self.parts = SampleParts(path, recipe.said(), recipe.entries)
         if path.exists() and not is_map(path):
             raise InputError(f"{path}: there is something else than a map; take another path")
@@ -164,6 +178,10 @@ class _Disk:
                 refuse_other(self.found.said, recipe.said(), str(path))
             except DamagedError:
                 self.redone = 1
+
+    def begin(self) -> None:
+        """Find what was done before, in parts and in the map. Errors: `DiskError`, `InputError`."""
+        recipe = self.recipe
         self.parts.begin()
         self.redone += self.parts.damaged
         if self.found is not None and not self.parts.done:

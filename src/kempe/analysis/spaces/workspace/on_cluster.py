@@ -65,7 +65,8 @@ def parts_of(
     try:
         while waiting:
             try:
-                done = wait(list(waiting), timeout=LOOK, return_when="FIRST_COMPLETED").done
+                finished: Any = wait(list(waiting), timeout=LOOK, return_when="FIRST_COMPLETED")
+                done = finished.done
             except TimeoutError:
                 done = set()
             for future in done:

@@ -17,17 +17,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kempe.errors import InputError, KempeError
+from kempe.errors import DiskError, InputError
 
 LIST = "parts.json"
 BLOCK = 2**18
 """Counts that are converted at once."""
 MANY = 24
 """Parts from which on those that follow each other are put into one file."""
-
-
-class DiskError(KempeError, OSError):
-    """A map could not be written; the text says what stands on disk, from which the same call goes on."""
 
 
 class SamplePart(NamedTuple):
