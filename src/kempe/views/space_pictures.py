@@ -221,7 +221,7 @@ def _draw_arm(system: System, name: str, ax: Any, q: Array, colour: str, gid: st
 
 
 def _finish(system: System, name: str, left: Any, right: Any) -> None:
-    """Name the axes, and say what shades and lines are."""
+    """Say what the axes, the shades and the lines are."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 from linkages import four_bar
+from polygons import polygon
 
 import kempe
 from kempe import Budget, Mechanism, Status
+from kempe.analysis.spaces.configuration.single_loop import polygon_of
 from kempe.errors import InputError
 from kempe.kinematics.closure_rows import characteristic_length
 from kempe.kinematics.measure import judge
@@ -133,3 +135,19 @@ def test_late_and_wrong_budgets():
     assert system.configuration_space.path(a, b, budget=Budget(time_limit=1e-9)).code is Status.OUT_OF_TIME
     with pytest.raises(InputError, match="step is"):
         system.configuration_space.path(a, b, budget=Budget(step=7.0))
+
+
+def test_random_loops_of_bars_are_joined_where_the_theorem_allows(hunt):
+    """Two random configurations are on one side, and a way is found, or on two, and it is proven that there is none."""
+    rng, seen = hunt.rng(), set()
+    for _ in range(hunt.cases(12)):
+        system = polygon(rng.uniform(0.1, 1.0, 5).tolist())
+        loop = polygon_of(system)
+        assert not isinstance(loop, str)
+        if loop.count:
+            a, b = system.configuration_space.sample(2, rng).q
+            found = system.configuration_space.path(a, b)
+            seen.add(found.code)
+            apart = loop.count == 2 and loop.side(a[None])[0] != loop.side(b[None])[0]
+            assert found.code is Status.NONE_EXISTS if apart else connects(system, found, a, b)
+    assert Status.SOLVED in seen

@@ -149,7 +149,7 @@ def _closed(
         if not mobility.idle:
             return _along_curves(part, exact, step)
     dim = mobility.generic_rank_dof if mobility.dof is None or mobility.singular else mobility.dof
-    return _by_trees(Manifold(system, dim or 1), *exact, step, rng, spend, time)
+    return _by_trees(Manifold(system, dim or 1), exact[0], exact[1], step, rng, spend, time)
 
 
 # ---- along curves
