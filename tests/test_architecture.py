@@ -32,7 +32,9 @@ FOLDERS: dict[str, list[set[str]]] = {
     "solvers": [{"common"}, {"one_frame", "dyads"}, {"assembly"}, {"modes"}, {"tasks"}, {"velocity"}, {"paths"},
                 {"analytic"}, {"."}],
     "solvers.analytic": [{"plans"}, {"answers"}, {"."}, {"describe", "redundant"}],
-    "analysis": [{"first_order"}, {"local"}, {"mobility"}, {"continuation"}, {"motion"}, {"manoeuvre"}, {"simulation"}],
+    "analysis": [{"first_order"}, {"local"}, {"mobility"}, {"continuation"}, {"motion"}, {"manoeuvre"}, {"simulation"},
+                 {"spaces"}],
+    "analysis.spaces": [{"planar", "singular"}, {"reach"}],
     "views": [{"drawing"}, {"."}, {"input"}],
 }  # fmt: skip
 """In each package the order of its folders, and of single modules that stand apart; "." is what lies in no folder.

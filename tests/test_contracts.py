@@ -119,6 +119,11 @@ CASES = {
     "self_motion": Case("self_motion", lambda: SEVEN.inverse.self_motion(SEVEN_Q, TIP, budget=FIVES), "SOLVED"),
     "self_motion failing": Case(
         "self_motion", lambda: TWO.inverse.self_motion(np.array([0.4, 0.0]), "e", task="position"), "NOT_FOUND"),
+    "singularities": Case("singularities", lambda: TWO.singularities("e", "position", budget=THREE), "SOLVED"),
+    "singularities failing": Case(
+        "singularities", lambda: LINKAGE.singularities("coupler", inputs=[CRANK], budget=THREE), "NOT_FOUND"),
+    "singularities of loops": Case(
+        "singularities", lambda: FIVE.singularities("tip", budget=MANY), "SOLVED"),
     "assemble": Case("assemble", lambda: LINKAGE.assemble({CRANK: 0.3}), "SOLVED"),
     "assemble failing": Case("assemble", lambda: LINKAGE.assemble({ROCKER: 0.0}), "NOT_FOUND"),
     "assemble beyond limits": Case(

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from kempe.analysis.mobility.mobility import Mobility
     from kempe.analysis.motion.drive import Drive
     from kempe.analysis.simulation.simulate import Simulation
+    from kempe.analysis.spaces.singular.singularities import Singularities
     from kempe.budget import Budget
     from kempe.kinematics.configuration_space import ConfigurationSpace
     from kempe.kinematics.designs import Designs
@@ -202,6 +203,19 @@ class System(Compiled, FormerNames):
         from kempe.model.namespaces import Inverse
 
         return Inverse(self)
+
+    @explained
+    def singularities(
+        self, frame: FrameLike | None = None, task: str | None = None, *, inputs: Iterable[str] | None = None,
+        limits: bool = True, budget: Budget | None = None,
+    ) -> Singularities:  # fmt: skip
+        """Where a frame or closed loops are singular, in which ways, and how far the nearest is.
+
+        See `kempe.analysis.spaces.singular.singularities`.
+        """
+        from kempe.analysis.spaces.singular.singularities import singularities
+
+        return singularities(self, frame, task, inputs=inputs, limits=limits, budget=budget)
 
     # ---- closed loops
 
