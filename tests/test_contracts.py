@@ -184,7 +184,7 @@ CASES = {
 }  # fmt: skip
 
 REPORTING = {"mobility", "classify", "idealised", "independent", "closed_form", "ik_plan", "loop_jacobian",
-             "configuration_space"}  # fmt: skip
+             "configuration_space", "singularities"}  # fmt: skip
 REPORTS, ANSWERS = ([n for n, c in CASES.items() if (c.verb in REPORTING) == report] for report in (True, False))
 """Cases of the verbs that find something out about a system, and of those that give configurations."""
 NAMED = {"loop_jacobian": "jacobian", "ik_sweep": "sweep", "ik_plan": "plan"}

@@ -89,6 +89,9 @@ class RankQuestions:
         """Derivatives (k, c, nv) of the loops, without unit."""
         return closure_rows.evaluate(self.system, q, True, scaled=True)[1]
 
+    def _of_chain(self, q: Array) -> Array:
+        return self.task_jacobians(q)[:, :, self.columns]
+
     def _with_loops(self, q: Array) -> Array:
         return np.concatenate([self.closures(q), self.task_jacobians(q)], axis=1)
 
@@ -100,7 +103,7 @@ class RankQuestions:
         """The questions by their kinds."""
         found: dict[str, Matrices] = {}
         if not self.loops:
-            found[SERIAL] = lambda q: self.task_jacobians(q)[:, :, self.columns]
+            found[SERIAL] = self._of_chain
         else:
             if self.frame is not None:
                 found[TYPE_1] = self._with_loops
@@ -111,7 +114,7 @@ class RankQuestions:
                 for kind, f in found.items()}  # fmt: skip
 
     def in_si(self, twists: Array) -> Array:
-        """Twists (k, 6) in metres and radians of columns (m, k) without unit: of turn 1, or where there is none, slide 1."""
+        """Twists (k, 6) in metres and radians of columns (m, k) without unit: turn 1, or slide 1 without a turn."""
         full = np.zeros((twists.shape[1], 6))
         full[:, self.rows] = (self.twists @ twists).T
         full[:, :3] *= self.length
