@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from kempe.kinematics.configuration_space import ConfigurationSpace
     from kempe.kinematics.designs import Designs
     from kempe.kinematics.forward import Query
-    from kempe.model.namespaces import Inverse, Loops, Symbolic
+    from kempe.model.namespaces import Inverse, Loops, Reach, Symbolic
     from kempe.solvers.analytic.answers.solutions import Solutions
     from kempe.solvers.assembly.assembled import Assembly
     from kempe.solvers.assembly.charts import Chart
@@ -53,7 +53,8 @@ class System(Compiled, FormerNames):
     explained at the functions that they name.
 
     What is needed daily has a name here. Families have one name together: `structure` (what it is made of),
-    `configuration_space`, `loops`, `inverse`, `symbolic`; what the description says, and writes, is the `mechanism`.
+    `configuration_space`, `loops`, `inverse`, `reach`, `symbolic`; what the description says, and writes, is the
+    `mechanism`.
     """
 
     # ---- configurations
@@ -216,6 +217,13 @@ class System(Compiled, FormerNames):
         from kempe.analysis.spaces.singular.singularities import singularities
 
         return singularities(self, frame, task, inputs=inputs, limits=limits, budget=budget)
+
+    @cached_property
+    def reach(self) -> Reach:
+        """What a frame reaches: `poses`, `place`, `capability`, and exactly in the plane, `planar`."""
+        from kempe.model.namespaces import Reach
+
+        return Reach(self)
 
     # ---- closed loops
 

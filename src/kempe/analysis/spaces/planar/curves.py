@@ -10,7 +10,7 @@ from kempe.spatial import Array
 
 TURN = 2.0 * np.pi
 TOUCH = 1e-13
-"""Square of half the chord that circles share, in squares of the radius, below which they touch: rounding leaves less."""
+"""Square of half the chord that circles share, in squares of the radius, below which they touch."""
 ENDS = 1e-9
 """Part of a curve by which it is taken as longer, so that curves that end on others meet these."""
 

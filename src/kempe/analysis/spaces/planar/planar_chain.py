@@ -17,7 +17,6 @@ from functools import cached_property
 import numpy as np
 
 from kempe.analysis.spaces.planar.curves import TURN, Piece, meetings, merged
-from kempe.spatial import Array
 
 NOTHING = 1e-12
 SAME = 1e-10

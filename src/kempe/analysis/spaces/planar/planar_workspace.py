@@ -1,4 +1,4 @@
-"""The workspace of a planar chain, exactly: its boundary of arcs and segments, its area, voids, and how many solutions."""
+"""The workspace of a planar chain, exactly: boundary of arcs and segments, area, voids, and how many solutions."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class PlanarWorkspace(Report):
 
     @cached_property
     def regions(self) -> tuple[Region, ...]:
-        """For each number of solutions the points that have it; for three joints or more one region of infinitely many."""
+        """For each number of solutions the points that have it; for more than two joints one region."""
         if len(self.chain.joints) == 1:
             return ()
         sides, several = self.chain.sides, len(self.chain.joints) > 2
@@ -155,15 +155,20 @@ class PlanarWorkspace(Report):
 
     def _data(self) -> dict[str, Any]:
         regions = [{"solutions": r.solutions, "area": r.area} for r in self.regions]
-        pieces = [{"kind": "arc", "centre": [p.centre.real, p.centre.imag], "radius": p.radius, "start": p.start,
-                   "sweep": p.sweep} if p.is_arc else
-                  {"kind": "segment", "from": _pair(p.at(0.0)), "to": _pair(p.at(1.0))} for p in self.boundary]  # fmt: skip
+        pieces = [_piece_data(p) for p in self.boundary]
         return {"system": self.system.name, "frame": self.frame, "area": self.area, "regions": regions,
                 "voids": len(self.voids), "boundary": pieces}  # fmt: skip
 
 
 def _pair(z: Any) -> list[float]:
     return [float(np.real(z)), float(np.imag(z))]
+
+
+def _piece_data(p: Piece) -> dict[str, Any]:
+    ends = {"from": _pair(p.at(0.0)), "to": _pair(p.at(1.0))}
+    if not p.is_arc:
+        return {"kind": "segment"} | ends
+    return {"kind": "arc", "centre": _pair(p.centre), "radius": p.radius, "start": p.start, "sweep": p.sweep} | ends
 
 
 def _loops(pieces: list[Piece], same: float) -> tuple[tuple[Piece, ...], ...]:
