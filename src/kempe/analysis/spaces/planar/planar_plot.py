@@ -43,7 +43,7 @@ def plot(workspace: PlanarWorkspace, ax: Axes | None = None) -> Axes:
     ax.set_ylabel("y [m]")
     ax.set_title(f"{workspace.frame}: {workspace.area:.4g} m²")
     if workspace.regions:
-        ax.legend(loc="upper right", framealpha=0.9)
+        ax.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0), frameon=False)
     return ax
 
 

@@ -209,6 +209,7 @@ class Singularities(Report):
             names, columns = self.system.structure.velocity_names, self.questions.columns
             own = [tuple(names[i] for i in _deciding(problem, x, columns)) == s.coordinates for x in led]
             led = led[np.array(own, dtype=bool)]
+            led = led[[name == s.name for name in names_of(self.system, self.frame, led)]] if s.name else led
         if self.limits:
             led = led[_inside(self.system, led)]
         led = np.concatenate([led, starts])
