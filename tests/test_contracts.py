@@ -17,7 +17,7 @@ import kempe
 from kempe import Budget, library
 from kempe.errors import InputError, KempeError
 from kempe.kinematics.common.result import Report, Result
-from kempe.model.namespaces import Inverse, Loops
+from kempe.model.namespaces import Inverse, Loops, Reach
 from kempe.solvers.common.answer import Answer
 from kempe.solvers.common.proofs import Lengths, Limits
 from kempe.status import Status
@@ -119,6 +119,21 @@ CASES = {
     "self_motion": Case("self_motion", lambda: SEVEN.inverse.self_motion(SEVEN_Q, TIP, budget=FIVES), "SOLVED"),
     "self_motion failing": Case(
         "self_motion", lambda: TWO.inverse.self_motion(np.array([0.4, 0.0]), "e", task="position"), "NOT_FOUND"),
+    "reach.poses": Case("reach.poses", lambda: ARM.reach.poses(REACHED, TOOL), "SOLVED"),
+    "reach.poses failing": Case("reach.poses", lambda: ARM.reach.poses(FAR[None], TOOL), "NOT_FOUND"),
+    "reach.poses in part": Case("reach.poses", lambda: ARM.reach.poses(np.stack([X, FAR]), TOOL), "PARTLY"),
+    "reach.place": Case("reach.place", lambda: ARM.reach.place(REACHED, TOOL, {"x": (-0.1, 0.1)}, 3), "SOLVED"),
+    "reach.place failing": Case("reach.place", lambda: ARM.reach.place(FAR[None], TOOL, {"x": (0, 1)}, 2), "NOT_FOUND"),
+    "reach.capability": Case(
+        "reach.capability", lambda: ARM.reach.capability(TOOL, [[-0.5] * 3, [0.5] * 3], 2, 4), "SOLVED"),
+    "reach.capability failing": Case(
+        "reach.capability", lambda: ARM.reach.capability(TOOL, [[5.0] * 3, [6.0] * 3], 1, 2), "NOT_FOUND"),
+    "reach.planar": Case("reach.planar", lambda: TWO.reach.planar("e"), "SOLVED"),
+    "singularities": Case("singularities", lambda: TWO.singularities("e", "position", budget=THREE), "SOLVED"),
+    "singularities failing": Case(
+        "singularities", lambda: LINKAGE.singularities("coupler", inputs=[CRANK], budget=THREE), "NOT_FOUND"),
+    "singularities of loops": Case(
+        "singularities", lambda: FIVE.singularities("tip", budget=MANY), "SOLVED"),
     "assemble": Case("assemble", lambda: LINKAGE.assemble({CRANK: 0.3}), "SOLVED"),
     "assemble failing": Case("assemble", lambda: LINKAGE.assemble({ROCKER: 0.0}), "NOT_FOUND"),
     "assemble beyond limits": Case(
@@ -193,15 +208,24 @@ CASES = {
 }  # fmt: skip
 
 REPORTING = {"workspace", "mobility", "classify", "idealised", "independent", "closed_form", "ik_plan", "loop_jacobian",
-             "configuration_space", "components", "task_space"}  # fmt: skip
+             "configuration_space", "components", "task_space", "singularities", "reach.poses", "reach.place",
+             "reach.capability", "reach.planar"}  # fmt: skip
 REPORTS, ANSWERS = ([n for n, c in CASES.items() if (c.verb in REPORTING) == report] for report in (True, False))
 """Cases of the verbs that find something out about a system, and of those that give configurations."""
-NAMED = {"loop_jacobian": "jacobian", "ik_sweep": "sweep", "ik_plan": "plan"}
+NAMED = {
+    "loop_jacobian": "jacobian",
+    "ik_sweep": "sweep",
+    "ik_plan": "plan",
+    "reach.poses": "poses",
+    "reach.place": "place",
+    "reach.capability": "capability",
+    "reach.planar": "planar",
+}
 """Verbs of families, by the names that the families give them."""
 OF_RESULTS = {"at", "close", "sample", "components", "path"}
 """Verbs of results."""
 NO_RESULTS = {
-    "assembler", "constraints", "plot", "plot_spaces", "query", "structure", "loops", "inverse", "symbolic",
+    "assembler", "constraints", "plot", "plot_spaces", "query", "structure", "loops", "inverse", "reach", "symbolic",
     "with_limits", "with_parameters",
 }  # fmt: skip
 """Members of `System` that give a system, a set, poses, a bound form or a drawing."""
@@ -238,7 +262,7 @@ def test_every_verb_that_returns_a_result_is_in_the_table():
     plain = {"Array", "Any", "System", "str", "bool", "float", "int", "None", "dict", "tuple", "list", "Path", "Axes",
              "Callable", "Mapping", "Sequence"}  # fmt: skip
     verbs = set()
-    for owner in (kempe.System, Loops, Inverse):
+    for owner in (kempe.System, Loops, Inverse, Reach):
         for name, member in vars(owner).items():
             function = member.fget if isinstance(member, property) else getattr(member, "func", member)
             if name[0] != "_" and callable(function) and set(re.findall(r"\w+", str(returned(function)))) - plain:

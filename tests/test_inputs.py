@@ -24,7 +24,7 @@ from kempe.model.former_names import FORMER
 
 FAMILIES: dict[str, type] = {
     "structure": Structure, "configuration_space": ConfigurationSpace, "loops": namespaces.Loops,
-    "inverse": namespaces.Inverse, "symbolic": namespaces.Symbolic,
+    "inverse": namespaces.Inverse, "reach": namespaces.Reach, "symbolic": namespaces.Symbolic,
 }  # fmt: skip
 API = (Path(__file__).parent.parent / "docs" / "api.md").read_text()
 

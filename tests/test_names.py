@@ -133,6 +133,7 @@ NAMESPACES = {
     "configuration_space": {"integrate", "difference", "interpolate", "distance", "dimension", "ambient"},
     "loops": {"assembler", "closed_form", "closure_error", "constraints", "jacobian", "transmission_angle"},
     "inverse": {"plan", "sweep", "self_motion", "arm_angle"},
+    "reach": {"poses", "place", "capability", "planar"},
     "symbolic": {"fk"},
 }
 
@@ -146,7 +147,7 @@ def test_namespaces_are_documented(name):
         assert inspect.getdoc(inspect.getattr_static(type(thing), member)), member
 
 
-@pytest.mark.parametrize("name", ["structure", "loops", "inverse", "symbolic"])
+@pytest.mark.parametrize("name", ["structure", "loops", "inverse", "reach", "symbolic"])
 def test_namespaces_say_what_they_are(name):
     said = repr(getattr(BAR, name))
     assert "'four_bar'" in said and said[0].isupper() and "\n" not in said

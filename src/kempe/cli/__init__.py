@@ -13,6 +13,7 @@ from kempe.cli import system_commands  # isort: skip, the commands are listed in
 from kempe.cli import inverse_commands  # isort: skip
 from kempe.cli import loop_commands  # isort: skip
 from kempe.cli import space_commands  # isort: skip
+from kempe.cli import reach_commands  # isort: skip
 from kempe.cli import workspace_commands  # isort: skip
 from kempe.cli import library_commands  # isort: skip
 from kempe.cli.app import app
@@ -23,6 +24,7 @@ __all__ = [
     "library_commands",
     "loop_commands",
     "main",
+    "reach_commands",
     "space_commands",
     "system_commands",
     "workspace_commands",

@@ -1,4 +1,4 @@
-"""Families of functions of a system, each under one name: `System.loops`, `System.inverse`, `System.symbolic`."""
+"""Families of functions of a system, each under one name: `System.loops`, `System.inverse`, `System.reach`, ..."""
 
 from __future__ import annotations
 
@@ -14,6 +14,10 @@ from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.analysis.motion.transmission import LoopJacobian
+    from kempe.analysis.spaces.planar.planar_workspace import PlanarWorkspace
+    from kempe.analysis.spaces.reach.base_placement import Placement
+    from kempe.analysis.spaces.reach.capability import CapabilityMap
+    from kempe.analysis.spaces.reach.reached_poses import ReachStudy
     from kempe.budget import Budget
     from kempe.kinematics.closure_rows import SystemConstraint
     from kempe.model.system import System
@@ -156,3 +160,54 @@ class Loops(Namespace):
         from kempe.analysis.motion.transmission import transmission_angle
 
         return transmission_angle(self.system, q, joint, coupler, output)
+
+
+@dataclass(frozen=True, repr=False)
+class Reach(Namespace):
+    """What a frame reaches: poses of a list, cells of a box, from which places of the base."""
+
+    @explained
+    def poses(
+        self, targets: ArrayLike, frame: FrameLike, *, task: str | tuple[str, ArrayLike] | None = None,
+        budget: Budget | None = None,
+    ) -> ReachStudy:  # fmt: skip
+        """Which of a list of poses are reached, how well, and what blocks the others.
+
+        See `kempe.analysis.spaces.reach.reached_poses`.
+        """
+        from kempe.analysis.spaces.reach.reached_poses import reach_poses
+
+        return reach_poses(self.system, targets, frame, task=task, budget=budget)
+
+    @explained
+    def place(
+        self, targets: ArrayLike, frame: FrameLike, box: Mapping[str, Any], cells: int | Mapping[str, int] = 11, *,
+        task: str | tuple[str, ArrayLike] | None = None, budget: Budget | None = None,
+    ) -> Placement:  # fmt: skip
+        """Where to put the base so that all of a list of poses are reached, as a map.
+
+        See `kempe.analysis.spaces.reach.base_placement`.
+        """
+        from kempe.analysis.spaces.reach.base_placement import place_base
+
+        return place_base(self.system, targets, frame, box, cells, task=task, budget=budget)
+
+    @explained
+    def capability(
+        self, frame: FrameLike, box: ArrayLike, cells: int | tuple[int, ...] = 10, directions: int | ArrayLike = 32,
+        rolls: int | None = None, *, budget: Budget | None = None,
+    ) -> CapabilityMap:  # fmt: skip
+        """In how many directions each cell of a box is reached, and how well.
+
+        See `kempe.analysis.spaces.reach.capability`.
+        """
+        from kempe.analysis.spaces.reach.capability import capability_map
+
+        return capability_map(self.system, frame, box, cells, directions, rolls, budget=budget)
+
+    @explained
+    def planar(self, frame: FrameLike) -> PlanarWorkspace:
+        """The workspace of a planar chain, exactly; see `kempe.analysis.spaces.planar.planar_workspace`."""
+        from kempe.analysis.spaces.planar.planar_workspace import planar_workspace
+
+        return planar_workspace(self.system, frame)

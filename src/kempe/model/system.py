@@ -27,11 +27,12 @@ if TYPE_CHECKING:
     from kempe.analysis.simulation.simulate import Simulation
     from kempe.analysis.spaces.configuration.configuration_space import ConfigurationSpace
     from kempe.analysis.spaces.configuration.task_space import TaskSpace
+    from kempe.analysis.spaces.singular.singularities import Singularities
     from kempe.analysis.spaces.workspace.workspace import Workspace
     from kempe.budget import Budget
     from kempe.kinematics.designs import Designs
     from kempe.kinematics.forward import Query
-    from kempe.model.namespaces import Inverse, Loops, Symbolic
+    from kempe.model.namespaces import Inverse, Loops, Reach, Symbolic
     from kempe.solvers.analytic.answers.solutions import Solutions
     from kempe.solvers.assembly.assembled import Assembly
     from kempe.solvers.assembly.charts import Chart
@@ -56,7 +57,8 @@ class System(Compiled, FormerNames):
     explained at the functions that they name.
 
     What is needed daily has a name here. Families have one name together: `structure` (what it is made of),
-    `configuration_space`, `loops`, `inverse`, `symbolic`; what the description says, and writes, is the `mechanism`.
+    `configuration_space`, `loops`, `inverse`, `reach`, `symbolic`; what the description says, and writes, is the
+    `mechanism`.
     """
 
     # ---- configurations
@@ -228,6 +230,26 @@ class System(Compiled, FormerNames):
         from kempe.model.namespaces import Inverse
 
         return Inverse(self)
+
+    @explained
+    def singularities(
+        self, frame: FrameLike | None = None, task: str | None = None, *, inputs: Iterable[str] | None = None,
+        limits: bool = True, budget: Budget | None = None,
+    ) -> Singularities:  # fmt: skip
+        """Where a frame or closed loops are singular, in which ways, and how far the nearest is.
+
+        See `kempe.analysis.spaces.singular.singularities`.
+        """
+        from kempe.analysis.spaces.singular.singularities import singularities
+
+        return singularities(self, frame, task, inputs=inputs, limits=limits, budget=budget)
+
+    @cached_property
+    def reach(self) -> Reach:
+        """What a frame reaches: `poses`, `place`, `capability`, and exactly in the plane, `planar`."""
+        from kempe.model.namespaces import Reach
+
+        return Reach(self)
 
     # ---- closed loops
 

@@ -1,1 +1,1 @@
-"""Spaces: all configurations of a system, what of them is seen in a task, what can be reached."""
+"""Spaces of configurations and of tasks: what they are, what is reached, and where it is singular."""

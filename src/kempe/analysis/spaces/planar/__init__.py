@@ -1,0 +1,1 @@
+"""Workspaces of planar chains, exactly."""

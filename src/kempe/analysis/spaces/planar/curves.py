@@ -1,0 +1,169 @@
+"""Arcs of circles and segments in the plane, as complex numbers: where they meet, and areas that they enclose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kempe.spatial import Array
+
+TURN = 2.0 * np.pi
+TOUCH = 1e-13
+"""Square of half the chord that circles share, in squares of the radius, below which they touch."""
+ENDS = 1e-9
+"""Part of a curve by which it is taken as longer, so that curves that end on others meet these."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A piece of a curve, from its parameter 0 to 1: an arc about `centre` of `radius`, from the angle `start` on by
+    `sweep`; where the radius is 0 a segment from `centre` by `way`."""  # fmt: skip
+
+    centre: complex
+    radius: float
+    start: float = 0.0
+    sweep: float = 0.0
+    way: complex = 0j
+
+    @property
+    def is_arc(self) -> bool:
+        """Whether it is an arc, not a segment."""
+        return self.radius > 0.0
+
+    @property
+    def length(self) -> float:
+        """Its length in metres."""
+        return self.radius * abs(self.sweep) if self.is_arc else abs(self.way)
+
+    def at(self, t: Array | float) -> Array:
+        """Points (...) at parameters t (...)."""
+        t = np.asarray(t, dtype=float)
+        if self.is_arc:
+            return self.centre + self.radius * np.exp(1j * (self.start + self.sweep * t))
+        return self.centre + self.way * t
+
+    def tangent(self, t: float) -> complex:
+        """The unit tangent at a parameter."""
+        if self.is_arc:
+            return complex(1j * np.sign(self.sweep) * np.exp(1j * (self.start + self.sweep * t)))
+        return self.way / abs(self.way)
+
+    def part(self, a: float, b: float) -> Piece:
+        """The piece from the parameter a to b."""
+        if self.is_arc:
+            return Piece(self.centre, self.radius, self.start + self.sweep * a, self.sweep * (b - a))
+        return Piece(self.centre + self.way * a, 0.0, way=self.way * (b - a))
+
+    def parameters(self, p: Array, slack: float = ENDS) -> tuple[Array, np.ndarray]:
+        """Parameters (...) of points (...) of its circle or line, and whether they are on it."""
+        if not self.is_arc:
+            t = np.real((p - self.centre) * np.conj(self.way)) / abs(self.way) ** 2
+            return t, (t > -slack) & (t < 1.0 + slack)
+        sense, size = np.sign(self.sweep), abs(self.sweep)
+        turn = np.mod(sense * (np.angle(p - self.centre) - self.start), TURN)
+        turn = np.where(turn > size + 0.5 * (TURN - size), turn - TURN, turn)
+        t = turn / size
+        return t, (t > -slack) & (t < 1.0 + slack)
+
+    @property
+    def moment(self) -> float:
+        """Half of the integral of x dy - y dx along it: its part of the area that a closed curve has to its left."""
+        if not self.is_arc:
+            return 0.5 * float(np.imag(np.conj(self.centre) * self.way))
+        a, b = self.at(0.0), self.at(1.0)
+        return 0.5 * float(np.imag(np.conj(self.centre) * (b - a))) + 0.5 * self.radius**2 * self.sweep
+
+
+def circle_points(a: Piece, b: Piece) -> Array:
+    """Points in which the circles or lines of two pieces meet or touch, of the same circle or line none."""
+    if not a.is_arc and not b.is_arc:
+        across = np.imag(np.conj(a.way) * b.way)
+        if abs(across) < 1e-12 * abs(a.way) * abs(b.way):
+            return np.zeros(0, dtype=complex)
+        t = np.imag(np.conj(b.centre - a.centre) * b.way) / across
+        return np.array([a.centre + t * a.way])
+    if not a.is_arc:
+        a, b = b, a
+    if b.is_arc:
+        d = b.centre - a.centre
+        far = abs(d)
+        if far < 1e-12 * (a.radius + b.radius):
+            return np.zeros(0, dtype=complex)
+        along = (far**2 + a.radius**2 - b.radius**2) / (2.0 * far)
+        foot, unit = a.centre + along * d / far, 1j * d / far
+    else:
+        unit = b.way / abs(b.way)
+        foot = b.centre + unit * np.real((a.centre - b.centre) * np.conj(unit))
+        along = abs(foot - a.centre)
+    rest = a.radius**2 - along**2
+    if rest < -1e-10 * a.radius**2:
+        return np.zeros(0, dtype=complex)
+    half = np.sqrt(rest) if rest > TOUCH * a.radius**2 else 0.0
+    return np.array([foot - half * unit, foot + half * unit])
+
+
+def meetings(a: Piece, b: Piece, slack: float = ENDS) -> Array:
+    """Parameters on a of the points in which two pieces meet."""
+    p = circle_points(a, b)
+    if not len(p):
+        return np.zeros(0)
+    t, on_a = a.parameters(p, slack)
+    return t[on_a & b.parameters(p, slack)[1]]
+
+
+def merged(pieces: list[Piece], same: float) -> list[Piece]:
+    """The pieces, of which those on the same circle or line, to `same` metres, are joined where they overlap."""
+    groups: list[tuple[Piece, list[tuple[float, float]]]] = []
+    for piece in pieces:
+        if piece.length < same:
+            continue
+        for first, spans in groups:
+            if _same_curve(first, piece, same):
+                spans += _spans(first, piece)
+                break
+        else:
+            groups.append((_whole(piece), _spans(_whole(piece), piece)))
+    out: list[Piece] = []
+    for first, spans in groups:
+        out += [first.part(a, b) for a, b in _joined(spans)]
+    return out
+
+
+def _whole(piece: Piece) -> Piece:
+    """The circle of an arc from the angle 0 on, or the line of a segment with its nearest point to the origin."""
+    if piece.is_arc:
+        return Piece(piece.centre, piece.radius, 0.0, TURN)
+    unit = piece.way / abs(piece.way)
+    return Piece(piece.centre - unit * np.real(piece.centre * np.conj(unit)), 0.0, way=unit)
+
+
+def _same_curve(a: Piece, b: Piece, same: float) -> bool:
+    if a.is_arc != b.is_arc:
+        return False
+    if a.is_arc:
+        return abs(a.centre - b.centre) < same and abs(a.radius - b.radius) < same
+    off = [abs(np.imag((b.at(t) - a.centre) * np.conj(a.way))) for t in (0.0, 1.0)]
+    return max(off) < same
+
+
+def _spans(first: Piece, piece: Piece) -> list[tuple[float, float]]:
+    """Intervals of parameters of a whole circle (0 to 1) or line, that a piece of it takes."""
+    if not first.is_arc:
+        t = np.real((piece.at(np.array([0.0, 1.0])) - first.centre) * np.conj(first.way))
+        return [(float(t.min()), float(t.max()))]
+    if abs(piece.sweep) >= TURN - 1e-12:
+        return [(0.0, 1.0)]
+    a = np.mod(min(piece.start, piece.start + piece.sweep), TURN) / TURN
+    b = a + abs(piece.sweep) / TURN
+    return [(a, b)] if b <= 1.0 else [(a, 1.0), (0.0, b - 1.0)]
+
+
+def _joined(spans: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    out: list[tuple[float, float]] = []
+    for a, b in sorted(spans):
+        if out and a <= out[-1][1] + 1e-12:
+            out[-1] = (out[-1][0], max(out[-1][1], b))
+        else:
+            out.append((a, b))
+    return out

@@ -1,0 +1,233 @@
+"""Planar chains of turns and slides: curves on which their workspace can end, and which points are reached.
+
+The workspace ends where joints are at limits, or the others cannot move the point across a direction: their axes and
+the point are on a line, to which slides are at right angles. There the first of them leads the point along an arc or a
+segment. Sources: Litvin, "Application of theorem of implicit function system existence for analysis and synthesis of
+linkages", Mechanism and Machine Theory 15 (1980); Haug, Luh, Adkins, Wang, "Numerical algorithms for mapping boundaries
+of manipulator workspaces", J. Mechanical Design 118 (1996).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from kempe.analysis.spaces.planar.curves import TURN, Piece, meetings, merged
+
+NOTHING = 1e-12
+SAME = 1e-10
+"""Difference, in sizes of the chain, up to which circles and lines are the same."""
+BESIDE = 1e-6
+"""How far beside a curve points are tried, in sizes of the chain, and at most as a part of the curve's length."""
+PART = 0.02
+
+
+@dataclass(frozen=True)
+class PlanarJoint:
+    """A joint where its coordinate is zero: a turn about `axis` by `rate` times it, or (axis None) a slide along `way`.
+
+    `low` and `high` are its limits; those of turns may be infinite.
+    """
+
+    axis: complex | None
+    rate: float
+    way: complex
+    low: float
+    high: float
+
+    @property
+    def limits(self) -> tuple[float, ...]:
+        """The limits that there are."""
+        if self.axis is not None and abs(self.rate) * (self.high - self.low) >= TURN:
+            return ()
+        return tuple(x for x in (self.low, self.high) if np.isfinite(x))
+
+    def motion(self, x: float) -> tuple[complex, complex]:
+        """(a, b): where its value is x, a point z of its body is at a z + b."""
+        if self.axis is None:
+            return 1.0 + 0j, self.way * x
+        a = complex(np.exp(1j * self.rate * x))
+        return a, self.axis - a * self.axis
+
+    def curve(self, p: complex, back: bool = False) -> Piece:
+        """The piece along which it leads a point; `back`: that of the points which it leads to p."""
+        sense = -1.0 if back else 1.0
+        low, high = self.low, self.high
+        if self.axis is None:
+            return Piece(p + sense * self.way * low, 0.0, way=sense * self.way * (high - low))
+        if not self.limits:
+            low, high = 0.0, TURN / abs(self.rate)
+        d = p - self.axis
+        return Piece(self.axis, abs(d), float(np.angle(d)) + sense * self.rate * low, sense * self.rate * (high - low))
+
+    def turned_to(self, turns: Iterator[complex] | list[complex]) -> list[float]:
+        """Values inside the limits at which it turns by unit numbers, one each."""
+        out = []
+        for u in turns:
+            angle = float(np.angle(u))
+            if not self.limits:
+                out.append(angle / self.rate)
+                continue
+            k = np.arange(-4, 5) if np.isfinite(self.high - self.low) else np.zeros(1)
+            x = (angle + TURN * k) / self.rate
+            x = x[(x >= self.low - 1e-12) & (x <= self.high + 1e-12)]
+            out += x[:1].tolist()
+        return out
+
+
+@dataclass(frozen=True)
+class PlanarChain:
+    """The joints of a chain from the ground on, and the point that they lead, all of them at zero."""
+
+    joints: tuple[PlanarJoint, ...]
+    tip: complex
+
+    @cached_property
+    def size(self) -> float:
+        """A length of the chain."""
+        places = [j.axis for j in self.joints if j.axis is not None] + [self.tip]
+        slides = [abs(j.way) * max(abs(j.low), abs(j.high)) for j in self.joints if j.axis is None]
+        return sum(abs(b - a) for a, b in itertools.pairwise(places)) + sum(slides)
+
+    @cached_property
+    def tail(self) -> PlanarChain:
+        """The chain without its first joint."""
+        return PlanarChain(self.joints[1:], self.tip)
+
+    @cached_property
+    def candidates(self) -> list[Piece]:
+        """Pieces of all curves on which the workspace can end."""
+        found: list[Piece] = []
+        options = [(None, *j.limits) for j in self.joints]
+        for choice in itertools.product(*options):
+            if any(x is None for x in choice):
+                found += self._of(choice)
+        return merged(found, SAME * self.size)
+
+    def _of(self, choice: tuple[float | None, ...]) -> list[Piece]:
+        """The pieces with joints at these limits, the others (None) singular."""
+        free = [i for i, x in enumerate(choice) if x is None]
+        last = free[-1]
+        tip = _carried(self._fixed(choice, last + 1, len(choice)), self.tip)
+        states = self._first_state(last, tip)
+        for i, k in zip(free[-2::-1], free[:0:-1], strict=True):
+            a, b = self._fixed(choice, i + 1, k)
+            states = [s for t, u in states for s in self._before(i, k, a, b, t, u)]
+        start = self._fixed(choice, 0, free[0])
+        return [_moved(self.joints[free[0]].curve(t), start) for t, _ in states]
+
+    def _fixed(self, choice: tuple[float | None, ...], i: int, k: int) -> tuple[complex, complex]:
+        """The motion of joints i to k, which are at limits."""
+        a, b = 1.0 + 0j, 0j
+        for joint, x in zip(self.joints[i:k], choice[i:k], strict=True):
+            assert x is not None
+            c, d = joint.motion(x)
+            a, b = a * c, a * d + b
+        return a, b
+
+    def _first_state(self, last: int, tip: complex) -> list[tuple[complex, complex]]:
+        """Where the point is on the body of the last joint that is free, and the direction of the line."""
+        joint = self.joints[last]
+        if joint.axis is None:
+            return [(tip, 1j * joint.way / abs(joint.way))]
+        d = tip - joint.axis
+        return [] if abs(d) < NOTHING * self.size else [(tip, d / abs(d))]
+
+    def _before(self, i: int, k: int, a: complex, b: complex, t: complex, u: complex) -> list[tuple[complex, complex]]:
+        """What of a state (t, u) of joint k becomes one of joint i, with k where all are on a line again."""
+        first, joint = self.joints[i], self.joints[k]
+        if joint.axis is None and first.axis is None:
+            return []  # parallel slides: what they reach together they reach with one of them at a limit
+        if joint.axis is None:
+            assert first.axis is not None
+            way = a * joint.way
+            x = -np.real((a * t + b - first.axis) * np.conj(way)) / abs(way) ** 2
+            values = [float(x)] if joint.low - NOTHING <= x <= joint.high + NOTHING else []
+        else:
+            line = 1j * first.way if first.axis is None else a * joint.axis + b - first.axis
+            if abs(line) < NOTHING * self.size:
+                return []  # axes that coincide
+            turn = line / abs(line) / (a * u)
+            values = joint.turned_to([turn, -turn])
+        out = []
+        for x in values:
+            c, d = joint.motion(x)
+            out.append((a * (c * t + d) + b, a * c * u))
+        return out
+
+    # ---- which points are reached
+
+    @cached_property
+    def ends(self) -> list[Piece]:
+        """The boundary of the workspace: pieces that have the workspace to their left only."""
+        return [p for p, left, right in self.sides if left and not right]
+
+    @cached_property
+    def sides(self) -> list[tuple[Piece, int, int]]:
+        """The candidates, cut where they meet, with how many solutions (of two joints; else 1) are on either side.
+
+        Each is turned so that it has more to its left.
+        """
+        out: list[tuple[Piece, int, int]] = []
+        for i, piece in enumerate(self.candidates):
+            cuts = [meetings(piece, other) for j, other in enumerate(self.candidates) if j != i]
+            t = np.unique(np.concatenate([[0.0, 1.0], *cuts]).clip(0.0, 1.0))
+            t = t[np.concatenate([[True], np.diff(t) * piece.length > 10.0 * SAME * self.size])]
+            t[-1] = 1.0
+            for a, b in itertools.pairwise(t):
+                part = piece.part(a, b)
+                beside = min(BESIDE * self.size, PART * part.length) * 1j * part.tangent(0.47)
+                left, right = (self.solutions(complex(part.at(0.47)) + s * beside) for s in (1.0, -1.0))
+                if left >= right:
+                    out.append((part, left, right))
+                else:
+                    out.append((part.part(1.0, 0.0), right, left))
+        return out
+
+    def solutions(self, p: complex) -> int:
+        """In how many ways two joints reach a point; of more whether they do, 0 or 1."""
+        curve = self.joints[0].curve(p, back=True)
+        if curve.length < NOTHING * self.size:
+            return int(self.tail.holds(p))
+        if len(self.joints) == 2:
+            return len(meetings(curve, self.joints[1].curve(self.tip), 0.0))
+        t = np.concatenate([[0.0, 1.0], *[meetings(curve, end) for end in self.tail.ends]])
+        t = np.unique(t.clip(0.0, 1.0))
+        return int(any(self.tail.holds(complex(curve.at(0.5 * (a + b)))) for a, b in itertools.pairwise(t)))
+
+    def holds(self, p: complex) -> bool:
+        """Whether a point, which is not on the boundary, is inside it: by how often the boundary goes round it."""
+        if len(self.joints) == 1:
+            return False
+        return round(sum(_turn_about(piece, p) for piece in self.ends) / TURN) != 0
+
+
+def _carried(motion: tuple[complex, complex], z: complex) -> complex:
+    return motion[0] * z + motion[1]
+
+
+def _moved(piece: Piece, motion: tuple[complex, complex]) -> Piece:
+    a, centre = motion[0], _carried(motion, piece.centre)
+    return Piece(centre, piece.radius, piece.start + float(np.angle(a)), piece.sweep, a * piece.way)
+
+
+def _turn_about(piece: Piece, p: complex) -> float:
+    """The angle by which the way from p to a point turns as this goes along a piece."""
+    a, b = complex(piece.at(0.0)) - p, complex(piece.at(1.0)) - p
+    if not piece.is_arc:
+        return float(np.angle(b / a))
+    # along the arc the angle is that of the chord, and a full turn more where p lies between the two
+    parts = max(1, int(np.ceil(abs(piece.sweep) / 1.5)))
+    total = 0.0
+    for k in range(parts):
+        small = piece.part(k / parts, (k + 1) / parts)
+        a, b = complex(small.at(0.0)) - p, complex(small.at(1.0)) - p
+        angle = float(np.angle(b / a))
+        inside = abs(p - small.centre) < small.radius
+        beyond = np.imag((p - small.at(0.0)) * np.conj(small.at(1.0) - small.at(0.0))) * np.sign(small.sweep) < 0.0
+        total += angle + (TURN * np.sign(small.sweep) if inside and beyond else 0.0)
+    return total

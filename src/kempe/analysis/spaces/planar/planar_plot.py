@@ -1,0 +1,52 @@
+"""A picture of a planar workspace."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.analysis.spaces.planar.curves import Piece
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from kempe.analysis.spaces.planar.planar_workspace import PlanarWorkspace
+
+FINE = 0.02
+"""Angle between the points by which an arc is drawn."""
+
+
+def plot(workspace: PlanarWorkspace, ax: Axes | None = None) -> Axes:
+    """Matplotlib axes with the regions, darker where there are more solutions, and the boundary."""
+    import matplotlib.pyplot as plt
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path
+
+    ax = plt.subplots()[1] if ax is None else ax
+    for region in workspace.regions:
+        corners, codes = [], []
+        for loop in region.loops:
+            p = np.concatenate([drawn(piece) for piece in loop])
+            corners.append(np.column_stack([p.real, p.imag]))
+            codes += [Path.MOVETO, *[Path.LINETO] * (len(p) - 2), Path.CLOSEPOLY]
+        shade = 0.8 if region.solutions in (None, 1) else 0.6
+        label = "reached" if region.solutions is None else f"{region.solutions} solution{'s' * (region.solutions > 1)}"
+        path = Path(np.concatenate(corners), codes)
+        ax.add_patch(PathPatch(path, facecolor=(0.9 * shade, shade, 1.0), edgecolor="none", label=label))
+    for piece in workspace.boundary:
+        p = drawn(piece)
+        ax.plot(p.real, p.imag, color="0.15", linewidth=1.2)
+    ax.set_aspect("equal")
+    ax.set_xlabel("x [m]")
+    ax.set_ylabel("y [m]")
+    ax.set_title(f"{workspace.frame}: {workspace.area:.4g} m²")
+    if workspace.regions:
+        ax.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0), frameon=False)
+    return ax
+
+
+def drawn(piece: Piece) -> Array:
+    """Points (k,) along a piece, close enough for a picture."""
+    return piece.at(np.linspace(0.0, 1.0, max(2, int(abs(piece.sweep) / FINE) + 2)))

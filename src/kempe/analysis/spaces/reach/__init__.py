@@ -1,0 +1,1 @@
+"""Reach studies: lists of poses, places of the base, capability maps."""

@@ -1,0 +1,179 @@
+"""Capability maps: of each cell of a box, in how many directions a frame can reach it, and how well.
+
+Source: Zacharias, Borst, Hirzinger, "Capturing robot workspace structure: representing robot capabilities", IROS 2007.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.analysis.spaces.reach.base_placement import MOST, SLICE
+from kempe.analysis.spaces.reach.reached_poses import UNKNOWN, reached
+from kempe.budget import Budget, Usual
+from kempe.calls import brief, explained, explained_methods, numbers
+from kempe.errors import InputError
+from kempe.kinematics.common.result import Report
+from kempe.reals import is_whole
+from kempe.solvers.common.targets import frame_of
+from kempe.spatial import Array
+from kempe.status import Status
+from kempe.words import counted
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from kempe.model.system import FrameLike, System
+
+USUAL = Usual("reach.capability", starts=32, rng=0, threads=None, progress=None)
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class CapabilityMap(Report):
+    """What a frame can do in the cells of a box, found backward: by the inverse model at the centres of the cells.
+
+    `axes` are the coordinates of the centres in metres, along each axis. Over the cells: `fraction` of the poses that
+    are reached; `solutions`, the mean number of solutions inside the limits of all its poses (NaN where it is infinite
+    or not certain); `manipulability` and `margin`, the best found (NaN where nothing is reached). `directions` (d, 3)
+    are those of the tool's z axis (in the plane of its x axis), `rolls` the angles about it at which each is tried
+    (none: the angle is free). `reached` (cells, d, rolls) says which poses are.
+    """
+
+    __repr__ = brief
+
+    system: System
+    frame: str
+    axes: tuple[Array, ...]
+    directions: Array
+    rolls: Array | None
+    reached: np.ndarray
+    fraction: Array
+    solutions: Array
+    manipulability: Array
+    margin: Array
+
+    @property
+    def code(self) -> Status:  # type: ignore[override]
+        """`NOT_FOUND` where no cell is reached."""
+        return Status.SOLVED if self.fraction.any() else Status.NOT_FOUND
+
+    @property
+    def status(self) -> str:
+        """How many cells are reached at all, and in all directions."""
+        some, whole = int((self.fraction > 0.0).sum()), int((self.fraction == 1.0).sum())
+        cells, directions = counted(self.fraction.size, "cell"), counted(len(self.directions), "direction")
+        return f"{self.system.name}, {self.frame}: {some} of {cells} reached, {whole} in all {directions}"
+
+    def plot(self, ax: Axes | None = None, height: float | None = None) -> Axes:
+        """Matplotlib axes with the fraction over x and y, at the layer of cells nearest to a height (the middle)."""
+        from kempe.analysis.spaces.reach.reach_plots import plot_capability
+
+        return plot_capability(self, ax, height)
+
+    def _data(self) -> dict[str, Any]:
+        names = ("axes", "directions", "rolls", "fraction", "solutions", "manipulability", "margin")
+        return {"system": self.system.name, "frame": self.frame} | {n: getattr(self, n) for n in names}
+
+
+def spread_directions(n: int) -> Array:
+    """Unit vectors (n, 3), spread evenly over the sphere: a Fibonacci lattice.
+
+    Source: Gonzalez, Mathematical Geosciences 42 (2010).
+    """
+    i = np.arange(n) + 0.5
+    z, turn = 1.0 - 2.0 * i / n, np.pi * (1.0 + 5.0**0.5) * i
+    r = np.sqrt(1.0 - z * z)
+    return np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
+
+
+@explained
+def capability_map(
+    system: System, frame: FrameLike, box: ArrayLike, cells: int | tuple[int, ...] = 10,
+    directions: int | ArrayLike = 32, rolls: int | None = None, *, budget: Budget | None = None,
+) -> CapabilityMap:  # fmt: skip
+    """In how many directions a frame reaches each cell of a box, and how well, as a `CapabilityMap`.
+
+    `box` is the pair of its corners (2, 3), in the plane (2, 2), in metres, cut into so many `cells` along each axis.
+    `directions` are that many, spread evenly, or vectors (d, 3), in the plane (d, 2). With `rolls` each is tried at
+    that many angles about it, as a pose, and solutions are counted where the chain has finitely many. Of the `budget`
+    are read: starts (32), rng (0), threads, progress. Errors: `InputError`, `UnknownNameError`.
+    """
+    spend, name, dim = USUAL.of(budget), system.structure.frame_name(frame), system.dim
+    axes, d = _cells(box, cells, dim), _directions(directions, dim)
+    if rolls is not None and (dim == 2 or not is_whole(rolls) or not 1 <= int(rolls) <= 360):
+        raise InputError(f"rolls is {rolls!r}; it must be a whole number from 1 to 360, in space, or None")
+    shape = tuple(len(a) for a in axes)
+    angles = None if rolls is None else 2.0 * np.pi * np.arange(int(rolls)) / int(rolls)
+    R = _rotations(d, angles, dim)
+    total = int(np.prod(shape)) * len(R)
+    if total > MOST:
+        raise InputError(f"{total} poses would be tried; {MOST} at most: take fewer cells or directions")
+    centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, dim)
+    task = None if dim == 2 or rolls is not None else "position_axis"
+    budget = Budget(starts=spend.starts, rng=spend.rng, threads=spend.threads)
+    at_once, rows = max(1, SLICE // len(R)), []
+    for i in range(0, len(centres), at_once):
+        p = centres[i : i + at_once]
+        X = np.zeros((len(p), len(R), 4, 4))
+        X[..., :3, :3], X[..., :dim, 3], X[..., 3, 3] = R, p[:, None], 1.0
+        found = reached(system, X.reshape(-1, 4, 4), name, task, budget)
+        of = (len(p), len(R))
+        rows.append([x.reshape(of) for x in (found.reached, found.solutions, found.manipulability, found.margin)])
+        if spend.progress is not None:
+            spend.progress(min(total, (i + at_once) * len(R)), total)
+    hit, solutions, w, far = (np.concatenate(x) for x in zip(*rows, strict=True))
+    mean = np.where((solutions == UNKNOWN).any(axis=1), np.nan, solutions.mean(axis=1))
+    best = [np.where(hit.any(axis=1), np.max(np.where(hit, x, -np.inf), axis=1), np.nan) for x in (w, far)]
+    return CapabilityMap(system, name, axes, d, angles, hit.reshape(*shape, len(d), -1),
+                         hit.mean(axis=1).reshape(shape), mean.reshape(shape), best[0].reshape(shape),
+                         best[1].reshape(shape))  # fmt: skip
+
+
+def _cells(box: ArrayLike, cells: Any, dim: int) -> tuple[Array, ...]:
+    """Centres of the cells along each axis. Errors: `InputError`."""
+    corners = numbers(box, "box")
+    if corners.shape != (2, dim) or not np.isfinite(corners).all() or not (corners[0] < corners[1]).all():
+        raise InputError(f"box has shape {corners.shape}; it must be two corners (2, {dim}), the lower one first")
+    counts = tuple(cells) if isinstance(cells, (tuple, list)) else (cells,) * dim
+    if len(counts) != dim or not all(is_whole(n) and 1 <= int(n) <= MOST for n in counts):
+        raise InputError(f"cells is {cells!r}; it must be a whole number from 1, or {dim} of them")
+    return tuple(low + (np.arange(int(n)) + 0.5) * (high - low) / int(n)
+                 for low, high, n in zip(*corners, counts, strict=True))  # fmt: skip
+
+
+def _directions(directions: Any, dim: int) -> Array:
+    """Unit vectors (d, 3). Errors: `InputError`."""
+    if is_whole(directions):
+        if not 1 <= int(directions) <= MOST:
+            raise InputError(f"directions is {directions}; it must be at least 1")
+        if dim == 3:
+            return spread_directions(int(directions))
+        turn = 2.0 * np.pi * np.arange(int(directions)) / int(directions)
+        return np.column_stack([np.cos(turn), np.sin(turn), np.zeros(len(turn))])
+    d = numbers(directions, "directions")
+    if d.ndim != 2 or d.shape[1] != dim or not len(d):
+        raise InputError(f"directions has shape {d.shape}; it must be (d, {dim}), or their number")
+    size = np.linalg.norm(d, axis=1, keepdims=True)
+    if not (np.isfinite(d).all() and (size > 0.0).all()):
+        raise InputError("directions must be finite, and not zero")
+    out = np.zeros((len(d), 3))
+    out[:, :dim] = d / size
+    return out
+
+
+def _rotations(d: Array, angles: Array | None, dim: int) -> Array:
+    """Rotations (k, 3, 3) of the tool, those of all angles about one direction after each other."""
+    if dim == 2:
+        zero, one = np.zeros(len(d)), np.ones(len(d))
+        return np.stack([d, np.column_stack([-d[:, 1], d[:, 0], zero]), np.column_stack([zero, zero, one])], axis=-1)
+    R = frame_of(d)
+    if angles is None:
+        return R
+    c, s = np.cos(angles), np.sin(angles)
+    about = np.zeros((len(angles), 3, 3))
+    about[:, 0, 0], about[:, 0, 1], about[:, 1, 0], about[:, 1, 1], about[:, 2, 2] = c, -s, s, c, 1.0
+    return (R[:, None] @ about).reshape(-1, 3, 3)

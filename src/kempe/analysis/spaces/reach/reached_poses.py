@@ -1,0 +1,187 @@
+"""Which of a list of poses a frame reaches, how well, and what blocks the others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.budget import Budget, Usual
+from kempe.calls import brief, explained, explained_methods
+from kempe.errors import InputError
+from kempe.kinematics.closure_rows import characteristic_length
+from kempe.kinematics.common.result import Report
+from kempe.solvers.analytic.ik_analytic import plan_of
+from kempe.solvers.common.targets import TASKS, axis_for, task_and_axis
+from kempe.spatial import Array
+from kempe.status import Status, named
+from kempe.words import counted
+
+if TYPE_CHECKING:
+    from kempe.model.system import FrameLike, System
+
+USUAL = Usual("reach.poses", starts=1000, rng=0, threads=None)
+UNKNOWN = -1
+"""In place of a number of solutions, where it is not known, or infinite."""
+SHOWN = 6
+"""Poses that the text lists."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reached:
+    """Of poses (n,): whether they are `reached`, by how many `solutions`, and the best of these.
+
+    `solutions` are those inside the limits, `UNKNOWN` where it is not certain that all are known. `manipulability` and
+    `margin` are the largest of those found, each by itself; `q` (n, nq) has the largest margin.
+    """
+
+    reached: np.ndarray
+    solutions: np.ndarray
+    manipulability: Array
+    margin: Array
+    q: Array
+    code: np.ndarray
+
+
+def manipulability(system: System, frame: str, q: Array, task: str) -> Array:
+    """Manipulability (...) at q (..., nq): sqrt(det(J J^T)) of the rows that count, lengths in characteristic lengths.
+
+    Of a chain with fewer joints than rows it is sqrt(det(J^T J)). Source: Yoshikawa, Int. J. Robotics Res. 4 (1985).
+    """
+    axes = np.flatnonzero(TASKS[task]) if system.dim == 3 else [r for r in (0, 1, 5) if TASKS[task][r]]
+    J = system.jacobian(q, frame, "body")[..., axes, :]
+    J[..., np.asarray(axes) < 3, :] /= float(characteristic_length(system))
+    J = J[..., np.abs(J).reshape(-1, J.shape[-1]).max(axis=0, initial=0.0) > 0.0]
+    wide = J.shape[-1] >= J.shape[-2]
+    G = J @ np.swapaxes(J, -1, -2) if wide else np.swapaxes(J, -1, -2) @ J
+    return np.sqrt(np.maximum(np.linalg.det(G), 0.0))
+
+
+def margin(system: System, q: Array) -> Array:
+    """How far (...) q (..., nq) is from the nearest limit, of half the range: 0 at it, 1 in the middle; inf without."""
+    at_q, at_v = system.structure.layout.vector_q, system.structure.layout.vector_v
+    low, high = system.lower[at_v], system.upper[at_v]
+    limited = np.isfinite(low) & np.isfinite(high) & (high > low)
+    if not limited.any():
+        return np.full(q.shape[:-1], np.inf)
+    x, low, high = q[..., at_q[limited]], low[limited], high[limited]
+    return (np.minimum(x - low, high - x) / (0.5 * (high - low))).min(axis=-1)
+
+
+def reached(system: System, targets: Array, frame: str, task: Any, budget: Budget) -> Reached:
+    """What is reached of `targets` (n, ...), as `System.ik` takes them."""
+    single = system.ik(targets, frame, task=task, budget=budget)
+    name = str(single.problem.name)
+    q, mask = single.q[:, None], np.array(single.success)[:, None]
+    solutions = np.where(mask[:, 0], UNKNOWN, np.where(np.isin(single.code, PROVEN), 0, UNKNOWN))
+    said, axis = task_and_axis(task)
+    if not isinstance(plan_of(system, frame, name, axis_for(axis, said)), str):
+        every = system.ik_all(targets, frame, task=task, limits=True)
+        solutions = np.where(every.complete, every.mask.sum(axis=-1), UNKNOWN)
+        q, mask = np.concatenate([q, every.q], axis=1), np.concatenate([mask, every.mask], axis=1)
+    w, far = np.full(mask.shape, np.nan), np.full(mask.shape, np.nan)
+    if mask.any():
+        w[mask], far[mask] = manipulability(system, frame, q[mask], name), margin(system, q[mask])
+    any_ = mask.any(axis=1)
+    best = np.argmax(np.where(mask, far, -np.inf), axis=1)
+    at = np.arange(len(q))
+    return Reached(any_, np.where(any_ & (solutions == 0), UNKNOWN, solutions),
+                   np.where(any_, np.max(np.where(mask, w, -1.0), axis=1), np.nan), far[at, best], q[at, best],
+                   np.where(any_, int(Status.SOLVED), single.code))  # fmt: skip
+
+
+PROVEN = [int(s) for s in Status if s.proof]
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class ReachStudy(Report):
+    """Which of a list of poses a frame reaches, how well, and what blocks the others.
+
+    All have a place for each pose (n,): `reached`; `solutions`, the number of configurations inside the limits (-1
+    where it is infinite or not certain); `manipulability` and `margin`, the best of those that were found (NaN where
+    there is none): the margin is how far, of half its range, a joint is from its nearest limit; `q` (n, nq) the
+    configuration with the largest margin, or the nearest to the pose; `codes` the outcomes, as numbers of `Status`.
+    """
+
+    __repr__ = brief
+
+    system: System
+    frame: str
+    reached: np.ndarray
+    solutions: np.ndarray
+    manipulability: Array
+    margin: Array
+    q: Array
+    codes: np.ndarray
+    targets: Array = field(repr=False)
+    task: Any = field(repr=False)
+    budget: Budget = field(repr=False)
+
+    @property
+    def code(self) -> Status:  # type: ignore[override]
+        """`SOLVED` where all are reached, `PARTLY` where some are."""
+        if self.reached.all():
+            return Status.SOLVED
+        return Status.PARTLY if self.reached.any() else Status.NOT_FOUND
+
+    @property
+    def status(self) -> str:
+        """How many are reached."""
+        n, of = int(self.reached.sum()), f"{self.system.name}, {self.frame}"
+        return f"{of}: {n} of {counted(len(self.reached), 'pose')} reached"
+
+    def reason(self, index: int) -> str:
+        """What blocks a pose, or how it is reached, as the sentence of `System.ik`. Errors: `InputError`."""
+        if not 0 <= index < len(self.reached):
+            raise InputError(f"index is {index}; there are {counted(len(self.reached), 'pose')}, from 0")
+        return str(self.system.ik(self.targets[index], self.frame, task=self.task, budget=self.budget).status)
+
+    @property
+    def reasons(self) -> dict[int, str]:
+        """What blocks the poses that are not reached, by their numbers from 0."""
+        return {i: self.reason(i) for i in np.flatnonzero(~self.reached).tolist()}
+
+    def _lines(self) -> list[str]:
+        if not self.reached.any():
+            lines = []
+        else:
+            worst = int(np.nanargmin(self.margin))
+            lines = [f"least margin to limits: {self.margin[worst]:.3g} (pose {worst})"] * bool(
+                np.isfinite(self.margin[worst]))  # fmt: skip
+            least = int(np.nanargmin(self.manipulability))
+            lines.append(f"least manipulability: {self.manipulability[least]:.3g} (pose {least})")
+        blocked = np.flatnonzero(~self.reached).tolist()
+        lines += [f"pose {i}: {self.reason(i)}" for i in blocked[:SHOWN]]
+        return lines + [f"... and {len(blocked) - SHOWN} more"] * (len(blocked) > SHOWN)
+
+    def _data(self) -> dict[str, Any]:
+        names = ("reached", "solutions", "manipulability", "margin", "q")
+        own = {n: getattr(self, n) for n in names} | {"codes": named(self.codes)}
+        return {"system": self.system.name, "frame": self.frame} | own | {"reasons": {
+            str(i): text for i, text in self.reasons.items()}}  # fmt: skip
+
+
+@explained
+def reach_poses(
+    system: System, targets: ArrayLike, frame: FrameLike, *, task: str | tuple[str, ArrayLike] | None = None,
+    budget: Budget | None = None,
+) -> ReachStudy:  # fmt: skip
+    """Which of a list of poses a frame reaches, how well, and what blocks the others, as a `ReachStudy`.
+
+    `targets` (n, 4, 4) are poses, or (n, 3) positions, in the ground frame, with `task` as `System.ik` takes them. A
+    pose counts as reached where `ik` or, of chains with finitely many solutions, `ik_all` finds one inside the limits.
+    Of the `budget` are read: starts (1000), rng (0), threads. Errors: `InputError`, `UnknownNameError`.
+    """
+    spend, name = USUAL.of(budget), system.structure.frame_name(frame)
+    X = np.asarray(targets, dtype=float)
+    if X.ndim < 2 or (X.ndim == 2 and X.shape == (4, 4)):
+        X = X[None]
+    if not np.isfinite(X).all():
+        bad = int(np.argwhere(~np.isfinite(X))[0, 0])
+        raise InputError(f"pose {bad} has entries that are not finite")
+    found = reached(system, X, name, task, spend)
+    return ReachStudy(system, name, found.reached, found.solutions, found.manipulability, found.margin, found.q,
+                      found.code, X, task, spend)  # fmt: skip

@@ -1,0 +1,1 @@
+"""Singular configurations: where a frame, inputs or loops lose rank."""

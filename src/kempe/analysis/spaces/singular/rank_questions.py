@@ -1,0 +1,159 @@
+"""Which matrices lose rank at the singular configurations of a frame, of inputs and of loops.
+
+Of a chain it is the Jacobian of the frame. Of closed loops C(q) = 0 with inputs a: the frame loses directions where
+[dC; J] does (type 1), the inputs no longer hold the mechanism where [dC; da] does (type 2), and it has more first-order
+freedoms than elsewhere where dC alone does (constraint singularity). Sources: Gosselin, Angeles, "Singularity analysis
+of closed-loop kinematic chains", IEEE Trans. Robotics and Automation 6 (1990); Zlatanov, Bonev, Gosselin, "Constraint
+singularities of parallel mechanisms", ICRA 2002.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.analysis.continuation.continuation import Closure, close
+from kempe.analysis.spaces.singular.rank_loss import ZERO, Matrices, RankLoss, generic_rank
+from kempe.errors import InputError
+from kempe.kinematics import closure_rows
+from kempe.kinematics.configuration import random
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+ROWS = {"pose": (0, 1, 2, 3, 4, 5), "position": (0, 1, 2), "orientation": (3, 4, 5)}
+"""What of a frame counts, as rows of its twist [linear; angular]."""
+PLANAR = (0, 1, 5)
+SERIAL, TYPE_1, TYPE_2, CONSTRAINT = "serial", "type 1", "type 2", "constraint"
+
+
+@dataclass(frozen=True, eq=False)
+class LostAndGained:
+    """What is lost and gained at one configuration, in a basis of twists [linear; angular], metres and radians.
+
+    `kinds` are those of which it is singular; empty where it is regular.
+    """
+
+    kinds: tuple[str, ...]
+    rank: int
+    lost: Array
+    gained: Array
+    self_motion: Array
+
+
+class RankQuestions:
+    """The questions about one frame of a system (None: only about its inputs), posed at configurations (k, nq)."""
+
+    def __init__(
+        self, system: System, frame: str | None, task: str, inputs: list[int] | None, rng: np.random.Generator,
+        starts: int,
+    ):  # fmt: skip
+        self.system, self.frame, self.inputs = system, frame, inputs
+        self.length = float(closure_rows.characteristic_length(system))
+        equations = Closure(system)
+        self.unit, self.loops = equations.unit, bool(len(equations.weight))
+        self.starts = random(system, rng, starts)
+        if self.loops:
+            found = [close(equations, q) for q in self.starts]
+            self.starts = np.array([q for q in found if q is not None]).reshape(-1, system.nq)
+        if not len(self.starts):
+            raise InputError(f"{system.name}: no configuration with closed loops was found in {starts} starts")
+        self.rows = [r for r in ROWS[task] if system.dim == 3 or r in PLANAR]
+        self.twists = np.eye(len(self.rows))
+        if frame is not None:
+            _, s, Vt = np.linalg.svd(self.task_jacobians(self.starts).swapaxes(1, 2).reshape(-1, len(self.rows)))
+            self.twists = Vt[: int(np.sum(s > ZERO * max(s[0], 1e-300)))].T
+            if not self.twists.size:
+                raise InputError(f"frame {frame!r} of {system.name} does not move: nothing of it can be lost")
+        moving = np.abs(self.task_jacobians(self.starts)).max(axis=(0, 1)) > 0.0 if frame is not None else False
+        self.frame_rank = 0 if frame is None else max(self._rank_of_frame(q) for q in self.starts)
+        self.columns = np.arange(system.nv) if self.loops else np.flatnonzero(moving)
+
+    def task_jacobians(self, q: Array) -> Array:
+        """Jacobians (k, m, nv) of what counts of the frame, without unit, in the basis of what it can ever do."""
+        assert self.frame is not None
+        J = self.system.jacobian(q, self.frame)[:, self.rows] * self.unit
+        J[:, [i for i, r in enumerate(self.rows) if r < 3]] /= self.length
+        return self.twists.T @ J
+
+    def _rank_of_frame(self, q: Array) -> int:
+        """How many independent twists the frame has at a closed configuration (nq,)."""
+        J = self.task_jacobians(q[None])[0]
+        N = _null(self.closures(q[None])[0]) if self.loops else np.eye(self.system.nv)
+        return _rank(J @ N, J)
+
+    def closures(self, q: Array) -> Array:
+        """Derivatives (k, c, nv) of the loops, without unit."""
+        return closure_rows.evaluate(self.system, q, True, scaled=True)[1]
+
+    def _of_chain(self, q: Array) -> Array:
+        return self.task_jacobians(q)[:, :, self.columns]
+
+    def _with_loops(self, q: Array) -> Array:
+        return np.concatenate([self.closures(q), self.task_jacobians(q)], axis=1)
+
+    def _with_inputs(self, q: Array) -> Array:
+        held = np.eye(self.system.nv)[self.inputs]
+        return np.concatenate([self.closures(q), np.broadcast_to(held, (len(q), *held.shape))], axis=1)
+
+    def problems(self) -> dict[str, RankLoss]:
+        """The questions by their kinds."""
+        found: dict[str, Matrices] = {}
+        if not self.loops:
+            found[SERIAL] = self._of_chain
+        else:
+            if self.frame is not None:
+                found[TYPE_1] = self._with_loops
+            if self.inputs is not None:
+                found[TYPE_2] = self._with_inputs
+            found[CONSTRAINT] = self.closures
+        return {kind: RankLoss(self.system, f, generic_rank(f(self.starts)), self.columns, self.unit)
+                for kind, f in found.items()}  # fmt: skip
+
+    def in_si(self, twists: Array) -> Array:
+        """Twists (k, 6) in metres and radians of columns (m, k) without unit: turn 1, or slide 1 without a turn."""
+        full = np.zeros((twists.shape[1], 6))
+        full[:, self.rows] = (self.twists @ twists).T
+        full[:, :3] *= self.length
+        turn, slide = np.linalg.norm(full[:, 3:], axis=1), np.linalg.norm(full[:, :3], axis=1)
+        size = np.where(turn > ZERO, turn, np.maximum(slide, 1e-300))
+        return full / size[:, None] + 0.0
+
+    def local(self, q: Array, problems: dict[str, RankLoss]) -> LostAndGained:
+        """What is lost and gained at a closed configuration (nq,)."""
+        kinds = [kind for kind, p in problems.items() if p.holds(q[None])[0]]
+        N = np.eye(self.system.nv)
+        if self.loops:
+            N = _null(self.closures(q[None])[0])
+        none = np.zeros((0, 6))
+        lost, gained, still, rank = none, none, np.zeros((0, self.system.nv)), N.shape[1]
+        if self.frame is not None:
+            J = self.task_jacobians(q[None])[0]
+            U, _, Vt = np.linalg.svd(J @ N)
+            rank = _rank(J @ N, J)
+            lost = self.in_si(U[:, rank:]) if rank < self.frame_rank else none
+            still = (N @ Vt[rank:].T).T * self.unit
+            still = still[np.abs(still[:, self.columns]).max(axis=1, initial=0.0) > ZERO]
+        if self.loops and self.inputs is not None:
+            free = _null(self._with_inputs(q[None])[0])
+            gained = none
+            if self.frame is not None:
+                W, s, _ = np.linalg.svd(J @ free, full_matrices=False)
+                gained = self.in_si(W[:, s > ZERO])
+        if CONSTRAINT in kinds:
+            kinds = [CONSTRAINT, *(k for k in kinds if k != CONSTRAINT)]
+        return LostAndGained(tuple(kinds), rank, lost, gained, still)
+
+
+def _rank(A: Array, whole: Array) -> int:
+    """The rank of what is left of a `whole` matrix."""
+    return int(np.sum(np.linalg.svd(A, compute_uv=False) > ZERO * max(np.linalg.norm(whole, 2), 1e-300)))
+
+
+def _null(A: Array) -> Array:
+    """Orthonormal basis (n, k) of the null space of A (m, n)."""
+    _, s, Vt = np.linalg.svd(A)
+    return Vt[int(np.sum(s > ZERO * max(s.max(initial=0.0), 1e-300))) :].T

@@ -1,0 +1,364 @@
+"""Singular configurations of a frame and of closed loops: found, distinguished, and how far the nearest is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.analysis.first_order.control import driven
+from kempe.analysis.spaces.singular.arm_names import names_of
+from kempe.analysis.spaces.singular.rank_loss import RankLoss
+from kempe.analysis.spaces.singular.rank_questions import CONSTRAINT, ROWS, SERIAL, LostAndGained, RankQuestions
+from kempe.budget import Budget, Usual
+from kempe.calls import brief, explained, explained_methods, flag, generator, known
+from kempe.errors import InputError
+from kempe.kinematics.common.result import Report
+from kempe.kinematics.configuration import as_q, circles
+from kempe.solvers.common.arguments import start_count
+from kempe.spatial import Array
+from kempe.status import Status
+from kempe.words import counted, joined
+
+if TYPE_CHECKING:
+    from kempe.model.system import FrameLike, System
+
+USUAL = Usual("singularities", starts=64, rng=0)
+SAME = 1e-5
+"""Difference of coordinates, in radians and metres, up to which they are the same."""
+MATTERS = 1e-4
+"""How far, of 1, a coordinate must be from the directions of the set, to matter."""
+BESIDE = 1e-3
+"""How far, in radians and characteristic lengths, a configuration may be from one that is more singular, to be it."""
+NEAR = 6
+"""Configurations of each set from which the nearest is searched for."""
+FULL_TURN = 2.0 * np.pi
+
+
+@dataclass(frozen=True, eq=False)
+class SingularSet:
+    """Configurations that are singular in the same way.
+
+    `kinds` are "serial" of a chain, and of closed loops some of "type 1", "type 2" and "constraint". `name` is
+    "shoulder", "elbow" or "wrist" where the arm has such, else "". `coordinates` are those that decide whether a
+    configuration is in the set, and `values` (k, n) theirs, where they are isolated; elsewhere it has no rows.
+    `dimension` is that of the set; `q` (m, nq) are the configurations that were found.
+    """
+
+    __repr__ = brief
+
+    kinds: tuple[str, ...]
+    name: str
+    coordinates: tuple[str, ...]
+    values: Array
+    dimension: int
+    q: Array
+    local: tuple[LostAndGained, ...] = field(repr=False)
+    """What is lost and gained at each of `q`."""
+
+    @property
+    def lost(self) -> tuple[Array, ...]:
+        """Twists (k, 6), [linear; angular] at the frame along the axes of the ground, that the frame has lost."""
+        return tuple(x.lost for x in self.local)
+
+    @property
+    def gained(self) -> tuple[Array, ...]:
+        """Twists (k, 6) that the frame has while all inputs are held."""
+        return tuple(x.gained for x in self.local)
+
+    @property
+    def self_motion(self) -> tuple[Array, ...]:
+        """Velocities (k, nv) that leave the frame where it is."""
+        return tuple(x.self_motion for x in self.local)
+
+    def __str__(self) -> str:
+        head = self.name or " and ".join(self.kinds)
+        if not len(self.values):
+            single = f": {counted(len(self.q), 'configuration')}" if self.dimension == 0 else ""
+            return f"{head} ({joined(self.coordinates)})" if self.coordinates else head + single
+        if len(self.coordinates) == 1:
+            return f"{head} ({self.coordinates[0]} = {' or '.join(f'{x:.4g}' for x in self.values[:, 0])})"
+        points = [f"({', '.join(f'{x:.4g}' for x in row)})" for row in self.values[:4]]
+        more = f" and {len(self.values) - 4} more" if len(self.values) > 4 else ""
+        return f"{head} ({', '.join(self.coordinates)} = {' or '.join(points)}{more})"
+
+    def data(self) -> dict[str, Any]:
+        """Its numbers and names."""
+        names = ("kinds", "name", "coordinates", "values", "dimension", "q", "lost", "gained", "self_motion")
+        return {n: [np.asarray(x) for x in v] if isinstance(v := getattr(self, n), tuple) and n in names[-3:] else v
+                for n in names}  # fmt: skip
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class NearestSingular(Report):
+    """The singular configuration `q` (nq,) that is nearest to one, of those found, at a `distance`.
+
+    Angles count in radians and lengths in characteristic lengths. `kinds`, `name`, and what is lost and gained there,
+    are as in `SingularSet`; `distances` are those of all sets, by their words.
+    """
+
+    __repr__ = brief
+
+    q: Array
+    distance: float
+    kinds: tuple[str, ...]
+    name: str
+    lost: Array
+    gained: Array
+    self_motion: Array
+    distances: dict[str, float]
+    code: Any = Status.SOLVED
+
+    @property
+    def status(self) -> str:
+        """Which is the nearest, and how far it is."""
+        if self.code is not Status.SOLVED:
+            return "no singular configuration was found"
+        what = self.name or " and ".join(self.kinds)
+        if self.distance < SAME:
+            return f"singular ({what}): {_changes(self.lost, self.gained)}"
+        return f"the nearest singular configuration found ({what}) is {self.distance:.4g} away"
+
+    def _lines(self) -> list[str]:
+        return [f"{name}: {x:.4g} away" for name, x in sorted(self.distances.items(), key=lambda row: row[1])]
+
+    def _data(self) -> dict[str, Any]:
+        names = ("q", "distance", "kinds", "name", "lost", "gained", "self_motion", "distances")
+        return {n: getattr(self, n) for n in names}
+
+
+def _changes(lost: Array, gained: Array) -> str:
+    said = [f"{counted(len(lost), 'direction')} lost"] if len(lost) else []
+    said += [f"{counted(len(gained), 'direction')} gained"] if len(gained) else []
+    return " and ".join(said) or "no direction of a frame lost or gained"
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Singularities(Report):
+    """The singular configurations of a frame of `system`, as `sets` that are singular in the same way.
+
+    They were found in so many `starts`; that a set is not among them is no proof that it does not exist.
+    """
+
+    __repr__ = brief
+
+    system: System
+    frame: str | None
+    task: str
+    sets: tuple[SingularSet, ...]
+    starts: int
+    limits: bool
+    questions: RankQuestions = field(repr=False)
+    problems: dict[str, RankLoss] = field(repr=False)
+
+    @property
+    def code(self) -> Status:  # type: ignore[override]
+        """The outcome: `NOT_FOUND` where none was found."""
+        return Status.SOLVED if self.sets else Status.NOT_FOUND
+
+    @property
+    def status(self) -> str:
+        """How many sets were found, and which."""
+        of = f"{self.system.name}, {self.frame} ({self.task})" if self.frame else self.system.name
+        within = " inside the limits" if self.limits else ""
+        if not self.sets:
+            return f"{of}: no singular configuration found{within}, from {counted(self.starts, 'start')}"
+        found = counted(len(self.sets), "set")
+        return f"{of}: {found} of singular configurations{within}, from {counted(self.starts, 'start')}"
+
+    def _lines(self) -> list[str]:
+        return [f"{s}: dimension {s.dimension}, {_changes(s.local[0].lost, s.local[0].gained)}" for s in self.sets]
+
+    def _data(self) -> dict[str, Any]:
+        own = {n: getattr(self, n) for n in ("frame", "task", "starts", "limits")}
+        return {"system": self.system.name} | own | {"sets": [s.data() for s in self.sets]}
+
+    def nearest(self, q: Any) -> NearestSingular:
+        """The nearest singular configuration to a closed one (nq,), of each set that was found; see `NearestSingular`.
+
+        It is a local minimum of the distance, found from several points of each set. Errors: `InputError`.
+        """
+        q = as_q(self.system, q)
+        if q.ndim != 1 or not np.isfinite(q).all():
+            raise InputError(
+                f"q has shape {q.shape}; it must be one configuration ({self.system.nq},) of finite numbers"
+            )
+        found = [self._nearest(s, q) for s in self.sets]
+        if not found:
+            none = np.zeros((0, 6))
+            return NearestSingular(q, np.inf, (), "", none, none, np.zeros((0, self.system.nv)), {}, Status.NOT_FOUND)
+        distances: dict[str, float] = {}
+        for s, (_, d) in zip(self.sets, found, strict=True):
+            distances[str(s)] = min(d, distances.get(str(s), np.inf))
+        i = int(np.argmin([d for _, d in found]))
+        there, distance = found[i]
+        local, s = self.questions.local(there, self.problems), self.sets[i]
+        return NearestSingular(there, distance, local.kinds or s.kinds, s.name, local.lost, local.gained,
+                               local.self_motion, distances)  # fmt: skip
+
+    def _nearest(self, s: SingularSet, q: Array) -> tuple[Array, float]:
+        problem = self.problems[s.kinds[-1]]
+        starts = s.q[np.argsort(self._apart(s.q, q))[:NEAR]]
+        led = problem.led(np.concatenate([[q], starts]), home=q)
+        led = led[np.isfinite(led).all(axis=1)]
+        if s.coordinates:  # a start near another set may have been led there
+            names, columns = self.system.structure.velocity_names, self.questions.columns
+            own = [tuple(names[i] for i in _deciding(problem, x, columns)) == s.coordinates for x in led]
+            led = led[np.array(own, dtype=bool)]
+            led = led[[name == s.name for name in names_of(self.system, self.frame, led)]] if s.name else led
+        if self.limits:
+            led = led[_inside(self.system, led)]
+        led = np.concatenate([led, starts])
+        far = self._apart(led, q)
+        i = int(np.argmin(far))
+        return led[i], float(far[i])
+
+    def _apart(self, x: Array, q: Array) -> Array:
+        """How far (k,) configurations x (k, nq) are from q, unlimited turns the short way."""
+        v = self.system.structure.layout.difference(q, x)
+        circle = circles(self.system)
+        v[:, circle] -= FULL_TURN * np.round(v[:, circle] / FULL_TURN)
+        return np.linalg.norm((v / self.questions.unit)[:, self.questions.columns], axis=1)
+
+
+@explained
+def singularities(
+    system: System, frame: FrameLike | None = None, task: str | None = None, *,
+    inputs: Iterable[str] | None = None, limits: bool = True, budget: Budget | None = None,
+) -> Singularities:  # fmt: skip
+    """The singular configurations of a frame, and of closed loops, that are found from random starts.
+
+    Of a chain they are those at which the Jacobian of the frame's `task` ("pose", "position", "orientation"; by
+    default the pose where three joints or, in space, four move the frame, else the position) has a smaller rank than
+    almost everywhere. Of closed loops see `kempe.analysis.spaces.singular.rank_questions`: type 1, where the frame has
+    lost directions; type 2, where it moves although all `inputs` (names of coordinates; by default what is marked as
+    actuated) are held; and constraint singularities, where the loops allow more than elsewhere.
+
+    Sets are distinguished by the coordinates that decide, and of six-joint arms by the names of their branches. With
+    `limits` only configurations inside them count. Of the `budget` are read: starts (64), rng (0).
+    Errors: `InputError`, `UnknownNameError`.
+    """
+    spend, limits = USUAL.of(budget), flag(limits, "limits")
+    name = None if frame is None else system.structure.frame_name(frame)
+    loops = bool(system.structure.closures or system.structure.relations or system.mechanism.constraints)
+    if name is None and not loops:
+        raise InputError(f"{system.name} is a chain: name a frame; there are: {', '.join(system.frame_names)}")
+    driving = driven(system, inputs)
+    if loops and name is None and not driving:
+        raise InputError(f"{system.name} has no actuated joint: name inputs, or a frame")
+    task = _task(system, name, task, loops)
+    questions = RankQuestions(system, name, task, driving if loops else None, generator(spend.rng),
+                              start_count(spend.starts))  # fmt: skip
+    problems = questions.problems()
+    found: dict[Any, list[tuple[Array, LostAndGained]]] = {}
+    for kind, problem in problems.items():
+        q = problem.led(questions.starts)
+        if CONSTRAINT in problems and kind != CONSTRAINT:
+            q = _sharpened(problems[CONSTRAINT], q[np.isfinite(q).all(axis=1)])
+        q = _turned(system, q[np.isfinite(q).all(axis=1)])
+        q = q[_inside(system, q)] if limits else q
+        names = names_of(system, name, q) if kind == SERIAL and task == "pose" else [""] * len(q)
+        for at, word in zip(q, names, strict=True):
+            local = questions.local(at, problems)
+            key = (local.kinds, word, () if questions.loops else _deciding(problem, at, questions.columns))
+            found.setdefault(key, []).append((at, local))
+    sets = [_set(system, key, rows, [problems[kind] for kind in key[0]]) for key, rows in found.items() if key[0]]
+    if any(
+        s.coordinates for s in sets
+    ):  # where several sets cross, their equations do not tell which coordinates decide
+        sets = [s for s in sets if s.coordinates]
+    sets.sort(key=lambda s: (s.kinds, s.coordinates, s.name))
+    return Singularities(system, name, task, tuple(sets), int(spend.starts or 0), limits, questions, problems)
+
+
+def _task(system: System, frame: str | None, task: str | None, loops: bool) -> str:
+    """The task by its name, or that which the chain is for. Errors: `InputError`."""
+    if task is not None:
+        return known("task", task, ROWS)
+    if frame is None or loops:
+        return "pose"
+    joints = np.abs(system.jacobian(system.random(0, 8), frame)).max(axis=(0, 1)) > 0.0
+    return "pose" if joints.sum() >= (3 if system.dim == 2 else 4) else "position"
+
+
+def _deciding(problem: RankLoss, q: Array, columns: np.ndarray) -> tuple[int, ...]:
+    """Velocity coordinates that change what a singular configuration is a singular one by."""
+    T = problem.tangents(q)
+    off = np.linalg.norm(np.eye(len(T)) - T @ T.T, axis=0)
+    return tuple(i for i in columns.tolist() if off[i] > MATTERS)
+
+
+def _sharpened(problem: RankLoss, q: Array) -> Array:
+    """Configurations (k, nq), those next to one where another rank is lost, too, as that one.
+
+    There the equations of a single loss are singular, and Newton's method comes near only.
+    """
+    other = problem.led(q)
+    near = np.abs(problem.between(q, other)).max(axis=1, initial=0.0) < BESIDE if len(q) else np.zeros(0, dtype=bool)
+    return np.where(near[:, None], other, q)
+
+
+def _set(system: System, key: Any, rows: list[tuple[Array, LostAndGained]], problems: list[RankLoss]) -> SingularSet:
+    kinds, name, deciding = key
+    q, names, columns = np.array([row[0] for row in rows]), system.structure.velocity_names, problems[0].columns
+    dimension = min(p.tangents(q[0]).shape[1] for p in problems) - (system.nv - len(columns))
+    place = np.full(system.nv, -1, dtype=np.int64)
+    place[system.structure.layout.vector_v] = system.structure.layout.vector_q
+    at = place[list(deciding)]
+    values = np.zeros((0, len(deciding)))
+    if deciding and dimension == len(columns) - len(deciding) and (at >= 0).all():
+        values = _distinct(system, q[:, at], deciding)
+    if dimension == 0:
+        keep = _distinct_rows(q)
+        rows, q = [rows[i] for i in keep], q[keep]
+    return SingularSet(kinds, name, tuple(names[i] for i in deciding), values, dimension, q,
+                       tuple(local for _, local in rows))  # fmt: skip
+
+
+def _distinct_rows(x: Array) -> list[int]:
+    keep: list[int] = []
+    for i, row in enumerate(x):
+        if not any(np.abs(np.sin(0.5 * (row - x[j]))).max(initial=0.0) < SAME for j in keep):
+            keep.append(i)
+    return keep
+
+
+def _distinct(system: System, x: Array, deciding: tuple[int, ...]) -> Array:
+    """Values (k, n) that differ, sorted; turns that differ by full turns are the same where they have no limits."""
+    circle = circles(system)[list(deciding)]
+    keep: list[Array] = []
+    for row in x[np.lexsort(np.round(x, 6).T[::-1])]:
+        if not any(np.where(circle, np.abs(np.sin(0.5 * (row - k))), np.abs(row - k)).max() < SAME for k in keep):
+            keep.append(np.where(np.abs(row) < 1e-9, 0.0, row))
+    return np.array(keep)
+
+
+def _turned(system: System, q: Array) -> Array:
+    """Configurations (k, nq) of which turns are led by full turns into (-pi, pi], or where that is outside, the limits.
+
+    Where relations tie turns to each other they stay as they are.
+    """
+    if system.structure.relations:
+        return q
+    layout, turning = system.structure.layout, system.structure.coordinates.turning[system.structure.layout.vector_v]
+    at_q, at_v = layout.vector_q[turning], layout.vector_v[turning]
+    x = q[:, at_q]
+    x = x - FULL_TURN * np.ceil((x - np.pi) / FULL_TURN - 1e-12)
+    for shift in (FULL_TURN, -FULL_TURN):
+        outside = (x < system.lower[at_v] - SAME) | (x > system.upper[at_v] + SAME)
+        moved = x + shift
+        fits = (moved >= system.lower[at_v] - SAME) & (moved <= system.upper[at_v] + SAME)
+        x = np.where(outside & fits, moved, x)
+    q[:, at_q] = x
+    return q
+
+
+def _inside(system: System, q: Array) -> np.ndarray:
+    """Whether configurations (k, nq) are inside the limits."""
+    at_q, at_v = system.structure.layout.vector_q, system.structure.layout.vector_v
+    x = q[:, at_q]
+    return ((x >= system.lower[at_v] - SAME) & (x <= system.upper[at_v] + SAME)).all(axis=1)

@@ -1,0 +1,143 @@
+"""Commands about what is reached: lists of poses, places of the base, singular configurations."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from kempe.budget import Budget
+from kempe.cli.app import (
+    OPEN,
+    Base,
+    Deg,
+    Dirs,
+    File,
+    Json,
+    Lenient,
+    PositionOnly,
+    Rng,
+    Root,
+    Xacro,
+    app,
+    load,
+    option,
+)
+from kempe.errors import InputError
+from kempe.views.terminal import guarded, leave, print_json, show
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+    from kempe.spatial import Array
+
+Poses = Annotated[str, typer.Argument(metavar="POSES", help="A .csv or .npy file, a pose a row, as targets of ik.")]
+Reaching = Annotated[str, option("--frame", "Body or frame that shall reach the poses.", "NAME")]
+Ranges = Annotated[
+    list[str], option("--box", "Where the base may be: x, y, z or yaw. Can be repeated.", "NAME=LOW,HIGH")
+]
+Cells = Annotated[int, option("--cells", "Values that are tried along each range (11).", "N")]
+Frame = Annotated[str | None, option("--frame", "Body or frame that loses directions.", "NAME")]
+FrameTask = Annotated[str | None, option("--task", "What counts: pose, position or orientation.", "TASK")]
+Inputs = Annotated[str | None, option("--inputs", "Driven coordinates of closed loops. Default: as FILE says.", "A,B")]
+From = Annotated[
+    list[str] | None,
+    option("--at", "Configuration from which the nearest is wanted; can be repeated.", "NAME=VALUE"),
+]
+Starts = Annotated[int | None, option("--starts", "Random starts of the search (64).", "N")]
+NoLimits = Annotated[bool, option("--no-limits", "Leave joint limits out.")]
+
+
+@app.command(rich_help_panel=OPEN)
+@guarded
+def singularities(
+    file: File, frame: Frame = None, task: FrameTask = None, inputs: Inputs = None, at: From = None,
+    starts: Starts = None, rng: Rng = None, no_limits: NoLimits = False, deg: Deg = False, json: Json = False,
+    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    lenient_limits: Lenient = False,
+) -> None:  # fmt: skip
+    """Find the singular configurations of a frame, or of closed loops, and how far the nearest is.
+
+    Example: kempe singularities puma560 --frame tool --at q5=0.2
+    """
+    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    from kempe.views.input import given
+
+    driving = None if inputs is None else [name.strip() for name in inputs.split(",") if name.strip()]
+    if driving == []:
+        raise InputError(f"--inputs names no joint; there are: {', '.join(system.joint_names)}")
+    q, closing = given.configuration(system, ",".join(at), None, deg) if at else (None, None)
+    if closing is not None and not closing:
+        raise InputError(f"--at cannot be closed: {closing.status}")
+    answer = system.singularities(frame, task, inputs=driving, limits=not no_limits,
+                                  budget=Budget(starts=starts, rng=rng))  # fmt: skip
+    nearest = None if q is None else answer.nearest(q)
+    if json:
+        print_json(answer.data() | ({} if nearest is None else {"nearest": nearest.data()}))
+    else:
+        show(str(answer) if nearest is None else f"{answer}\n{nearest}")
+    leave(answer)
+
+
+@app.command(rich_help_panel=OPEN)
+@guarded
+def reach(
+    file: File, poses: Poses, frame: Reaching, position_only: PositionOnly = False, starts: Starts = None,
+    rng: Rng = None, deg: Deg = False, json: Json = False, base: Base = None, root: Root = None,
+    package_dir: Dirs = None, xacro: Xacro = False, lenient_limits: Lenient = False,
+) -> None:  # fmt: skip
+    """Say which of a list of poses are reached, how well, and what blocks the others.
+
+    Example: kempe reach ur5 weld.csv --frame tool
+    """
+    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    X, position = _poses(system, poses, frame, deg)
+    task = "position" if position or position_only else None
+    answer = system.reach.poses(X, frame, task=task, budget=Budget(starts=starts, rng=rng))
+    print_json(answer.data()) if json else show(str(answer))
+    leave(answer)
+
+
+@app.command(rich_help_panel=OPEN)
+@guarded
+def place(
+    file: File, poses: Poses, frame: Reaching, box: Ranges, cells: Cells = 11, position_only: PositionOnly = False,
+    starts: Starts = None, rng: Rng = None, deg: Deg = False, json: Json = False, base: Base = None, root: Root = None,
+    package_dir: Dirs = None, xacro: Xacro = False, lenient_limits: Lenient = False,
+) -> None:  # fmt: skip
+    """Find where to put the base so that all poses of a list are reached.
+
+    Example: kempe place ur5 weld.csv --frame tool --box x=-1,1 --box y=-1,1 --box z=0.2
+    """
+    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    X, position = _poses(system, poses, frame, deg)
+    task = "position" if position or position_only else None
+    answer = system.reach.place(X, frame, _box(box, deg), cells, task=task, budget=Budget(starts=starts, rng=rng))
+    print_json(answer.data()) if json else show(str(answer))
+    leave(answer)
+
+
+def _poses(system: System, text: str, frame: str, deg: bool) -> tuple[Array, bool]:
+    """Poses (n, 4, 4) of a file, and whether only their position counts. Errors: `InputError`, `UnknownNameError`."""
+    from kempe.views import rows
+
+    system.structure.frame_name(frame)  # a wrong name is reported before any work
+    if not rows.is_file(text):
+        raise InputError(f"POSES is {text!r}; it must be a .csv or .npy file of poses, one a row")
+    X, position = rows.target(system, text, deg)
+    return X.reshape(-1, 4, 4), position
+
+
+def _box(words: list[str], deg: bool) -> dict[str, object]:
+    """Ranges by name: of a number that, of two a pair. Errors: `InputError`."""
+    from kempe.views import rows
+    from kempe.views.facts import DEGREE
+
+    out: dict[str, object] = {}
+    for word in words:
+        name, sign, value = word.partition("=")
+        if not sign:
+            raise InputError(f"--box {word!r} has no '='; write x=LOW,HIGH or x=VALUE")
+        factor = DEGREE if deg and name.strip() == "yaw" else 1.0
+        numbers = [x * factor for x in rows.numbers(value, f"--box {name}")]
+        out[name.strip()] = numbers[0] if len(numbers) == 1 else numbers
+    return out

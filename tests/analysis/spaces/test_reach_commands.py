@@ -1,0 +1,70 @@
+"""The commands about what is reached, beside the library."""
+
+from __future__ import annotations
+
+import pytest
+from command import Result
+
+import kempe
+
+
+def test_singularities_as_text_and_json():
+    run = Result("singularities", "puma560", "--frame", "tool", "--at", "q5=0.2", "--json")
+    data, answer = run.json(), kempe.load("puma560").singularities("tool")
+    assert run.code == 0 and [s["name"] for s in data["sets"]] == [s.name for s in answer.sets]
+    assert data["nearest"]["distances"]["wrist (q5 = 0)"] == pytest.approx(0.2, abs=1e-6)
+    text = Result("singularities", "two_link", "--frame", "e", "--at", "q2=10", "--deg")
+    assert text.code == 0 and "q2 = 0 or 3.142" in text.out and "0.1745 away" in text.out
+
+
+def test_singularities_of_loops():
+    data = Result("singularities", "four_bar", "--frame", "rocker", "--inputs", "A", "--json").json()
+    assert [(s["kinds"], len(s["q"])) for s in data["sets"]] == [(["type 1"], 4)]
+    none = Result("singularities", "four_bar", "--frame", "coupler", "--inputs", "A")
+    assert none.code == 1 and "no singular configuration found" in none.out
+
+
+def test_poses_of_a_file(tmp_path):
+    arm, path = kempe.load("ur5"), tmp_path / "weld.csv"
+    path.write_text("x,y,z,roll,pitch,yaw\n0.4,0.1,0.5,180,0,0\n0.5,0.1,0.4,180,0,0\n3,0,0,0,0,0\n")
+    run = Result("reach", "ur5", path, "--frame", "tool", "--deg", "--json")
+    data = run.json()
+    assert run.code == 1 and data["reached"] == [True, True, False] and data["solutions"] == [8, 8, 0]
+    assert "outside the workspace" in data["reasons"]["2"] and data["codes"][2] == "OUT_OF_REACH"
+    text = Result("reach", "ur5", path, "--frame", "tool", "--deg")
+    assert "2 of 3 poses reached" in text.out and "pose 2: outside" in text.out
+    box = ("--box", "x=-0.5,0.5", "--box", "yaw=90", "--cells", "3")
+    placed = Result("place", "ur5", path, "--frame", "tool", "--deg", *box, "--json").json()
+    assert placed["fixed"]["yaw"] == pytest.approx(1.5707963) and len(placed["fraction"]) == 3
+    assert max(placed["fraction"]) == pytest.approx(2 / 3) and set(placed["best"]) == {"x", "y", "z", "yaw"}
+    assert arm.name == data["system"]
+
+
+def test_wrong_files_and_boxes(tmp_path):
+    path = tmp_path / "weld.csv"
+    path.write_text("0.4,0.1,0.5,0,0,0\n")
+    for arguments, said in [
+        (("reach", "ur5", "0.4,0.1,0.5", "--frame", "tool"), "POSES"),
+        (("reach", "ur5", tmp_path / "none.csv", "--frame", "tool"), "no such file"),
+        (("reach", "ur5", path, "--frame", "hand"), "hand"),
+        (("place", "ur5", path, "--frame", "tool", "--box", "x"), "no '='"),
+        (("place", "ur5", path, "--frame", "tool", "--box", "x=a,b"), "is not a number"),
+        (("place", "ur5", path, "--frame", "tool", "--box", "w=0,1"), "w"),
+        (("place", "ur5", path, "--frame", "tool", "--box", "x=0,1", "--cells", "0"), "cells"),
+    ]:
+        run = Result(*arguments)
+        assert run.code == 2 and said in run.out + run.err, arguments
+
+
+@pytest.mark.parametrize(("arguments", "said"), [
+    (("singularities", "puma560"), "name a frame"),
+    (("singularities", "puma560", "--frame", "hand"), "hand"),
+    (("singularities", "four_bar", "--inputs", ","), "names no joint"),
+    (("singularities", "four_bar", "--inputs", "E"), "E"),
+    (("singularities", "puma560", "--frame", "tool", "--at", "q9=1"), "q9"),
+    (("singularities", "puma560", "--frame", "tool", "--starts", "0"), "starts"),
+])  # fmt: skip
+def test_wrong_calls_of_commands(arguments, said):
+    for more in ((), ("--json",)):
+        run = Result(*arguments, *more)
+        assert run.code == 2 and said in run.out + run.err

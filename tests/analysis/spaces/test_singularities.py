@@ -1,0 +1,251 @@
+"""Singular configurations against closed forms, geometry of lines, and the literature."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import kempe
+from kempe import Budget
+from kempe.errors import InputError, UnknownNameError
+from kempe.kinematics.closure_rows import residual
+
+PUMA = kempe.load("puma560")
+A2, A3, D4 = 0.4318, 0.0203, 0.4318
+"""Link lengths of the Puma in metres."""
+FEW = Budget(starts=24)
+
+
+def named(answer, name: str):
+    (found,) = [s for s in answer.sets if s.name == name]
+    return found
+
+
+def crossing(p: np.ndarray, d: np.ndarray) -> float:
+    """The smallest singular value of three lines of the plane through p (3, 2) along d (3, 2), in their coordinates."""
+    lines = np.column_stack([d, p[:, 0] * d[:, 1] - p[:, 1] * d[:, 0]])
+    return float(np.linalg.svd(lines / np.linalg.norm(d, axis=1)[:, None], compute_uv=False)[-1])
+
+
+@pytest.fixture(scope="module")
+def puma():
+    return PUMA.singularities("tool")
+
+
+def test_the_three_of_the_puma(puma):
+    """Paul, Stevenson, "Kinematics of robot wrists", 1983; Craig, section 5.8: by the lengths of the links."""
+    elbow, wrist, shoulder = (named(puma, n) for n in ("elbow", "wrist", "shoulder"))
+    assert elbow.coordinates == ("q3",) and wrist.coordinates == ("q5",) and shoulder.coordinates == ("q2", "q3")
+    assert abs(np.tan(elbow.values[0, 0])) == pytest.approx(D4 / A3, rel=1e-6)
+    assert wrist.values.ravel() == pytest.approx([0.0], abs=1e-9)
+    assert elbow.dimension == wrist.dimension == shoulder.dimension == 5
+    for q, still in zip(wrist.q, wrist.self_motion, strict=True):  # axes 4 and 6 turn against each other
+        assert np.abs(still[0, :3]).max() < 1e-6 and abs(still[0, 4]) < 1e-6 and still[0, 3] * still[0, 5] < 0.0, q
+
+
+def test_what_is_lost_is_out_of_the_jacobians_image(puma):
+    for found in puma.sets:
+        for q, lost, still in zip(found.q, found.lost, found.self_motion, strict=True):
+            J = PUMA.jacobian(q, "tool")
+            assert np.linalg.matrix_rank(J, tol=1e-6) == 6 - len(lost) and np.abs(J @ still.T).max() < 1e-6
+            assert np.linalg.matrix_rank(np.column_stack([J, lost.T]), tol=1e-4) == 6
+
+
+def test_the_shoulder_is_where_the_wrist_is_across_from_axis_1(puma):
+    """The wrist centre then moves along axis 2 only as axis 1 turns: its distance across is zero."""
+    for q in named(puma, "shoulder").q:
+        p, X = PUMA.fk(q, "link4")[:3, 3], PUMA.fk(q, "link1")
+        axis2 = PUMA.jacobian(q, "tool")[3:, 1]
+        assert abs(np.cross([0.0, 0.0, 1.0], axis2) @ (p - X[:3, 3])) < 1e-7
+
+
+def test_distances_to_the_nearest(puma):
+    """Of elbow and wrist they are differences of one joint; of the shoulder by trying 3000 pairs of q2 and q3."""
+    q = PUMA.q({"q2": 0.9, "q3": -1.0, "q4": 0.3, "q5": 0.7})
+    found = puma.nearest(q)
+    elbow = named(puma, "elbow").values[0, 0]
+    assert found.distances[str(named(puma, "elbow"))] == pytest.approx(q[2] - elbow, abs=1e-6)
+    assert found.distances[str(named(puma, "wrist"))] == pytest.approx(0.7, abs=1e-6)
+    q3 = np.linspace(PUMA.lower[2], PUMA.upper[2], 3001)
+    trial = np.repeat(q[None], 3001, axis=0)
+    trial[:, 2] = q3
+    trial[:, 1] = 0.0
+    p = PUMA.fk(trial, "link4")[:, :3, 3] - PUMA.fk(q, "link1")[:3, 3]
+    axis2 = PUMA.jacobian(q, "tool")[3:, 1]
+    ahead = np.cross([0.0, 0.0, 1.0], axis2)
+    # turning by q2 about axis 2 leads the wrist centre to above it where its part ahead is zero
+    part, up = p @ ahead, p[:, 2]
+    turn = np.arctan2(part, up)
+    options = []
+    for sign in (1.0, -1.0):
+        for k in (-1, 0, 1):
+            q2 = sign * turn + k * np.pi
+            there = trial.copy()
+            there[:, 1] = q2
+            good = np.abs((PUMA.fk(there, "link4")[:, :3, 3] - PUMA.fk(q, "link1")[:3, 3]) @ ahead) < 1e-9
+            good &= (q2 > PUMA.lower[1]) & (q2 < PUMA.upper[1])
+            options.append(np.hypot(q2 - q[1], q3 - q[2])[good].min(initial=np.inf))
+    assert found.distances[str(named(puma, "shoulder"))] == pytest.approx(min(options), abs=1e-5)
+    assert found.distance == min(found.distances.values())
+
+
+def test_a_singular_configuration_is_its_own_nearest(puma):
+    found = puma.nearest(PUMA.q({"q2": 0.3, "q3": 0.4, "q5": 0.0}))
+    assert found.distance < 1e-9 and found.name == "wrist" and found.status.startswith("singular (wrist)")
+
+
+def test_an_arm_of_two_links_is_singular_stretched_or_folded():
+    found = kempe.load("two_link").singularities("e")
+    assert found.task == "position" and len(found.sets) == 1
+    assert found.sets[0].values.ravel() == pytest.approx([0.0, np.pi], abs=1e-8)
+    assert np.abs(found.sets[0].self_motion[0]).max() > 0.1
+
+
+def test_shoulder_elbow_and_wrist_without_a_spherical_wrist():
+    """Of the UR5 by sin q3 = 0 and sin q5 = 0: Kufieta, "Force estimation in robotic manipulators", 2014."""
+    found = kempe.load("ur5").singularities("tool")
+    assert {s.name for s in found.sets} == {"shoulder", "elbow", "wrist"}
+    for name in ("elbow", "wrist"):
+        assert np.sin(named(found, name).values) == pytest.approx(0.0, abs=1e-7)
+
+
+@pytest.mark.parametrize("name", ["panda", "iiwa14", "gen3"])
+def test_of_redundant_arms_all_minors_vanish(name):
+    arm = kempe.load(name)
+    found = arm.singularities(arm.frame_names[-1])
+    assert found.sets
+    for s in found.sets:
+        J = arm.jacobian(s.q, arm.frame_names[-1])
+        minors = [np.linalg.det(np.delete(J, k, axis=2)) for k in range(7)]
+        assert np.abs(minors).max() < 1e-8
+
+
+def test_the_four_of_an_arm_with_spherical_shoulder_and_wrist():
+    """Kreutz-Delgado, Long, Seraji, "Kinematic analysis of 7-DOF manipulators", Int. J. Robotics Research 11 (1992)."""
+    found = {s.coordinates: s for s in kempe.load("iiwa14").singularities("tool").sets if len(s.lost[0]) == 1}
+    quarter = 0.5 * np.pi
+    assert set(found) == {("q4",), ("q2", "q3"), ("q5", "q6"), ("q2", "q6")}
+    assert found["q4",].values == pytest.approx(np.zeros((1, 1)), abs=1e-7) and found["q4",].dimension == 6
+    assert found["q2", "q3"].values == pytest.approx(np.array([[0.0, -quarter], [0.0, quarter]]), abs=1e-7)
+    assert found["q5", "q6"].values == pytest.approx(np.array([[-quarter, 0.0], [quarter, 0.0]]), abs=1e-7)
+    assert found["q2", "q6"].values == pytest.approx(np.zeros((1, 2)), abs=1e-7)
+
+
+@pytest.fixture(scope="module")
+def three_rrr():
+    arm = kempe.load("three_rrr")
+    return arm, arm.singularities("tool")
+
+
+def lines_of(arm, q):
+    """Points and directions of the three links that carry the platform of the planar robot."""
+    B, C = (np.array([arm.fk(q, f"link{k}")[:2, 3] for k in (1, 2, 3)]), [])
+    C = np.array([(arm.fk(q, f"link{k}") @ [0.3, 0.0, 0.0, 1.0])[:2] for k in (1, 2, 3)])
+    return B, C - B
+
+
+def test_legs_of_a_planar_robot_meet_or_are_parallel_where_it_gains_a_motion(three_rrr):
+    """Gosselin, Angeles 1990; Bonev, Zlatanov, Gosselin 2003: the lines of the three distal links are dependent."""
+    arm, found = three_rrr
+    sets = [s for s in found.sets if s.kinds == ("type 2",)]
+    assert len(sets) == 1 and sets[0].dimension == 2 and len(sets[0].q) > 10
+    for q, gained in zip(sets[0].q, sets[0].gained, strict=True):
+        p, d = lines_of(arm, q)
+        assert crossing(p, d) < 1e-7 and len(gained) == 1
+        assert np.abs(residual(arm, q)).max() < 1e-9
+        vx, vy, _, _, _, w = gained[0]  # the platform turns about the point in which the lines meet
+        at = arm.fk(q, "tool")[:2, 3] + np.array([-vy, vx]) / w
+        across = np.column_stack([-d[:, 1], d[:, 0]]) / np.linalg.norm(d, axis=1)[:, None]
+        assert np.abs(np.sum(across * (at - p), axis=1)).max() < 1e-5
+
+
+def test_a_leg_of_a_planar_robot_is_stretched_or_folded_where_it_loses_a_motion(three_rrr):
+    _, found = three_rrr
+    sets = [s for s in found.sets if s.kinds == ("type 1",)]
+    assert sets
+    for s in sets:
+        bend = s.q[:, [1, 4, 7]]
+        assert np.abs(np.sin(bend)).min(axis=1).max() < 1e-7
+
+
+def test_a_five_bar():
+    """Type 1: a leg is stretched or folded; type 2: the two distal links are in line."""
+    arm = kempe.load("five_bar")
+    found = arm.singularities("tip", "position")
+    one, two = (next(s for s in found.sets if s.kinds == (k,)) for k in ("type 1", "type 2"))
+    index = {n: i for i, n in enumerate(arm.coordinate_names)}
+    assert np.abs(np.sin(one.q[:, [index["B"], index["C"]]])).min(axis=1).max() < 1e-7
+    assert np.abs(np.sin(two.q[:, index["P"]])).max() < 1e-7
+    assert one.dimension == two.dimension == 1
+
+
+def test_dead_centres_of_a_four_bar():
+    """Where crank and coupler are in line, the rocker is at rest: by the law of cosines."""
+    bar = kempe.load("four_bar")
+    found = bar.singularities("rocker", inputs=["A"])
+    (dead,) = found.sets
+    assert dead.kinds == ("type 1",) and dead.dimension == 0 and len(dead.q) == 4
+    assert np.abs(np.sin(dead.q[:, 1])).max() < 1e-8
+    driven = bar.singularities("rocker", inputs=["D"])
+    assert [s.kinds for s in driven.sets] == [("type 1", "type 2")] and len(driven.sets[0].q) == 4
+    assert not bar.singularities("coupler", inputs=["A"]).sets  # the crank goes round
+
+
+def test_a_parallelogram_has_two_change_points():
+    found = kempe.load("parallelogram").singularities(inputs=["A"])
+    (flat,) = found.sets
+    assert "constraint" in flat.kinds and flat.dimension == 0 and len(flat.q) == 2
+    assert np.abs(np.sin(flat.q)).max() < 1e-7
+
+
+def leg_lines(arm, q):
+    """Plucker coordinates (6, 6) of the legs of the Stewart platform."""
+    feet = np.array([arm.fk(q, f"lower{k}")[:3, 3] for k in range(1, 7)])
+    heads = np.array([(arm.fk(q, f"upper{k}"))[:3, 3] for k in range(1, 7)])
+    d = (heads - feet) / np.linalg.norm(heads - feet, axis=1)[:, None]
+    return np.column_stack([d, np.cross(feet, d)])
+
+
+def test_a_hexapod_is_singular_with_its_platform_turned_by_90_degrees():
+    """Fichter, "A Stewart platform-based manipulator", Int. J. Robotics Research 5 (1986): similar hexagons, turned."""
+    arm = kempe.load("stewart")
+    X = arm.fk(arm.q("closed"), "tool")
+    q = arm.q("closed")
+    for turn in np.linspace(0.0, 0.5 * np.pi, 19)[1:]:
+        target = X.copy()
+        target[:3, :3] = [[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]]
+        q = arm.ik([kempe.tasks.Pose("tool", target)], start=q).expect().q
+    lines = leg_lines(arm, q)
+    assert np.linalg.svd(lines, compute_uv=False)[-1] < 1e-9
+    found = arm.singularities("tool", budget=FEW).nearest(q)
+    assert found.distance < 1e-6 and "type 2" in found.kinds and len(found.gained) == 1
+    assert np.abs(lines @ np.concatenate([found.gained[0, :3] - np.cross(found.gained[0, 3:], target[:3, 3]),
+                                          found.gained[0, 3:]])).max() < 1e-6  # fmt: skip
+
+
+def test_legs_of_a_hexapod_are_dependent_where_it_gains_a_motion():
+    """Merlet, "Singular configurations of parallel manipulators and Grassmann geometry", 1989."""
+    arm = kempe.load("stewart")
+    found = arm.singularities("tool", limits=False, budget=FEW)
+    two = next(s for s in found.sets if s.kinds == ("type 2",))
+    assert len(two.q) > 5
+    for q in two.q:
+        assert np.linalg.svd(leg_lines(arm, q), compute_uv=False)[-1] < 1e-6
+
+
+# ---- wrong calls
+
+
+def test_what_cannot_be_done_is_said():
+    with pytest.raises(InputError, match="is a chain: name a frame"):
+        PUMA.singularities()
+    with pytest.raises(UnknownNameError, match="task"):
+        PUMA.singularities("tool", "twist")
+    with pytest.raises(InputError, match="does not move"):
+        PUMA.singularities(PUMA.body_names[0])
+    with pytest.raises(InputError, match="has no actuated joint"):
+        kempe.load("four_bar").singularities()
+    with pytest.raises(InputError, match="budget has points"):
+        PUMA.singularities("tool", budget=Budget(points=3))
+    with pytest.raises(InputError, match="one configuration"):
+        PUMA.singularities("tool", budget=FEW).nearest(np.zeros((2, 6)))
