@@ -147,6 +147,19 @@ CASES = {
     "configuration_space": Case("configuration_space", lambda: LINKAGE.configuration_space, "SOLVED"),
     "configuration_space of a tree": Case("configuration_space", lambda: ARM.configuration_space, "SOLVED"),
     "configuration_space failing": Case("configuration_space", lambda: apart().configuration_space, "UNDETERMINED"),
+    "sample": Case("sample", lambda: ARM.configuration_space.sample(3, 0), "SOLVED"),
+    "sample of a curve": Case("sample", lambda: LINKAGE.configuration_space.sample(3, 0), "SOLVED"),
+    "sample in time": Case("sample", lambda: FIVE.configuration_space.sample(3, 0, budget=AT_ONCE), "OUT_OF_TIME"),
+    "sample failing": Case("sample", lambda: apart().configuration_space.sample(3), "NOT_FOUND"),
+    "components": Case("components", lambda: LINKAGE.configuration_space.components(), "SOLVED"),
+    "components failing": Case("components", lambda: apart().configuration_space.components(), "NONE_EXISTS"),
+    "components in space": Case("components", lambda: SPATIAL.configuration_space.components(), "PARTLY"),
+    "path": Case("path", lambda: ARM.configuration_space.path(Q, Q + 0.1), "SOLVED"),
+    "path along a curve": Case(
+        "path", lambda: LINKAGE.configuration_space.path(CLOSED, LINKAGE.trace(start=CLOSED).q[5]), "SOLVED"),
+    "path failing": Case("path", lambda: LINKAGE.configuration_space.path(*LINKAGE.assembly_modes({CRANK: 0.3}).q),
+                         "NONE_EXISTS"),  # fmt: skip
+    "task_space": Case("task_space", lambda: TWO.task_space("e"), "SOLVED"),
     "independent": Case("independent", lambda: LINKAGE.independent(CLOSED), "SOLVED"),
     "idealised": Case("idealised", lambda: rounded().idealised(), "SOLVED"),
     "mobility": Case("mobility", lambda: LINKAGE.mobility(), "SOLVED"),
@@ -180,15 +193,15 @@ CASES = {
 }  # fmt: skip
 
 REPORTING = {"workspace", "mobility", "classify", "idealised", "independent", "closed_form", "ik_plan", "loop_jacobian",
-             "configuration_space"}  # fmt: skip
+             "configuration_space", "components", "task_space"}  # fmt: skip
 REPORTS, ANSWERS = ([n for n, c in CASES.items() if (c.verb in REPORTING) == report] for report in (True, False))
 """Cases of the verbs that find something out about a system, and of those that give configurations."""
 NAMED = {"loop_jacobian": "jacobian", "ik_sweep": "sweep", "ik_plan": "plan"}
 """Verbs of families, by the names that the families give them."""
-OF_RESULTS = {"at", "close"}
+OF_RESULTS = {"at", "close", "sample", "components", "path"}
 """Verbs of results."""
 NO_RESULTS = {
-    "assembler", "constraints", "plot", "query", "structure", "loops", "inverse", "symbolic",
+    "assembler", "constraints", "plot", "plot_spaces", "query", "structure", "loops", "inverse", "symbolic",
     "with_limits", "with_parameters",
 }  # fmt: skip
 """Members of `System` that give a system, a set, poses, a bound form or a drawing."""

@@ -12,6 +12,7 @@ import sys
 from kempe.cli import system_commands  # isort: skip, the commands are listed in this order
 from kempe.cli import inverse_commands  # isort: skip
 from kempe.cli import loop_commands  # isort: skip
+from kempe.cli import space_commands  # isort: skip
 from kempe.cli import workspace_commands  # isort: skip
 from kempe.cli import library_commands  # isort: skip
 from kempe.cli.app import app
@@ -22,6 +23,7 @@ __all__ = [
     "library_commands",
     "loop_commands",
     "main",
+    "space_commands",
     "system_commands",
     "workspace_commands",
 ]

@@ -10,7 +10,7 @@ import numpy as np
 
 from kempe.calls import known
 from kempe.errors import InputError, shown
-from kempe.kernels.compiled import sampling
+from kempe.kernels.compiled import lane_positions
 from kempe.kinematics.common.parallel import over_chunks
 from kempe.kinematics.configuration import as_q
 from kempe.model.kept import kept
@@ -84,7 +84,7 @@ def in_form(
             return 0
         whole = rows.dtype == np.float64
         points = rows[start:stop] if whole else np.empty((stop - start, 3))
-        bad = sampling.positions(*table, flat[start:stop], points)
+        bad = lane_positions.positions(*table, flat[start:stop], points)
         if not whole:
             rows[start:stop] = points
         return bad

@@ -25,9 +25,10 @@ if TYPE_CHECKING:
     from kempe.analysis.mobility.mobility import Mobility
     from kempe.analysis.motion.drive import Drive
     from kempe.analysis.simulation.simulate import Simulation
+    from kempe.analysis.spaces.configuration.configuration_space import ConfigurationSpace
+    from kempe.analysis.spaces.configuration.task_space import TaskSpace
     from kempe.analysis.spaces.workspace.workspace import Workspace
     from kempe.budget import Budget
-    from kempe.kinematics.configuration_space import ConfigurationSpace
     from kempe.kinematics.designs import Designs
     from kempe.kinematics.forward import Query
     from kempe.model.namespaces import Inverse, Loops, Symbolic
@@ -97,9 +98,18 @@ class System(Compiled, FormerNames):
     @cached_property
     def configuration_space(self) -> ConfigurationSpace:
         """The set that `q` ranges over: its true dimension and its shape, such as T^2 x R, and the space around it."""
-        from kempe.kinematics.configuration_space import configuration_space
+        from kempe.analysis.spaces.configuration.configuration_space import configuration_space
 
         return configuration_space(self)
+
+    @explained
+    def task_space(
+        self, tasks: Any, q: Any = None, *, task: str | None = None, budget: Budget | None = None
+    ) -> TaskSpace:  # fmt: skip
+        """What of the configuration space is seen in a frame or in tasks; see `analysis.spaces.configuration`."""
+        from kempe.analysis.spaces.configuration.task_space import task_space
+
+        return task_space(self, tasks, q, task=task, budget=budget)
 
     @explained
     def workspace(
@@ -353,6 +363,15 @@ class System(Compiled, FormerNames):
         from kempe.views.plots import plot
 
         return plot(self, q, path=path, frames=frames, labels=labels, ax=ax, ghosts=ghosts)
+
+    @explained
+    def plot_spaces(
+        self, frame: FrameLike, *, points: ArrayLike = (), ax: Any = None, resolution: int = 240
+    ) -> tuple[Axes, Axes]:  # fmt: skip
+        """Pictures of configuration space and task space beside one another; see `kempe.views.space_pictures`."""
+        from kempe.views.space_pictures import plot_spaces
+
+        return plot_spaces(self, frame, points=points, ax=ax, resolution=resolution)
 
     # ---- other systems from this one
 

@@ -1,1 +1,1 @@
-"""Spaces of a system as sets: what of the task space is reached."""
+"""Spaces: all configurations of a system, what of them is seen in a task, what can be reached."""

@@ -14,7 +14,7 @@ import numpy as np
 from kempe import __version__
 from kempe.analysis.spaces.workspace.cell_map import Grid, grid_of
 from kempe.errors import InputError, KernelsError
-from kempe.kernels.compiled import VARIANT, sampling
+from kempe.kernels.compiled import VARIANT, lane_positions
 from kempe.kernels.forward.table_layout import Q_INDEX, rows_of
 from kempe.kinematics.configuration import circles, has_loops, sampling_box
 from kempe.kinematics.forms import chain_table
@@ -102,7 +102,9 @@ class Recipe:
         if self.plain:
             keys, bounds = self._drawn
             table = chain_table(self.system, self.frame)
-            sampling.count_cells(*table, keys, bounds, first, last - first, self.grid.packed, counts.view(np.int64))
+            lane_positions.count_cells(
+                *table, keys, bounds, first, last - first, self.grid.packed, counts.view(np.int64)
+            )
             return
         for piece in range(first // SLOW_PIECE, -(-last // SLOW_PIECE)):
             points = slow_positions(self.system, self.frame, self.seed, piece)
@@ -180,7 +182,7 @@ def recipe_of(system: System, frame: str, seed: int, cells: Any, box: Any) -> Re
     if is_plain_chain(system):
         points = np.empty((PILOT, 3))
         table = chain_table(system, frame)
-        sampling.random_positions(*table, keys_of(seed, system.nq), bounds_of(system), 0, points)
+        lane_positions.random_positions(*table, keys_of(seed, system.nq), bounds_of(system), 0, points)
     else:
         points = np.concatenate([slow_positions(system, frame, seed, k) for k in range(SLOW_PILOT // SLOW_PIECE)])
         points = points[~np.isnan(points[:, 0])]
@@ -201,8 +203,7 @@ def refuse_unlimited(system: System, frame: str) -> None:
     """Refuse coordinates that move a frame without end. Errors: `InputError` with their names."""
     layout, circle = system.structure.layout, circles(system)
     if is_plain_chain(system):
-        ints, _ = chain_table(system, frame)
-        used = set(rows_of(ints)[:, Q_INDEX].tolist())
+        used = set(rows_of(chain_table(system, frame)[0])[:, Q_INDEX].tolist())
     else:  # what is not driven may be held by loops
         driven = {c for j in system.structure.joints.values() if j.actuated
                   for c in system.structure.coordinates_of_joint(j.name)}  # fmt: skip

@@ -5,7 +5,7 @@ import pytest
 from primitive_tables import all_forms, random_table
 from scipy import stats
 
-from kempe.kernels.compiled import sampling
+from kempe.kernels.compiled import lane_positions
 from kempe.kernels.forward.table_layout import BALL, GENERAL, RX, RX_FLAT, SLIDE, TURN
 
 MASK = 2**64 - 1
@@ -48,7 +48,7 @@ def test_positions_are_those_of_the_poses(kind, form, n):
     rng = np.random.default_rng(n)
     table = random_table(rng, 5, chain=True, kinds=(kind,), forms=(form,))
     q, out = table.random_q(rng, n), np.full((n, 3), 7.0)
-    bad = sampling.positions(*table.pack(), q, out)
+    bad = lane_positions.positions(*table.pack(), q, out)
     assert bad == 0 and np.abs(out - positions_of(table, q)).max(initial=0.0) < 1e-13
 
 
@@ -60,7 +60,7 @@ def test_a_bad_configuration_leaves_the_others_alone(value):
     clean = positions_of(table, q)
     q[11] = value
     out = np.zeros((30, 3))
-    assert sampling.positions(*table.pack(), q, out) == 1
+    assert lane_positions.positions(*table.pack(), q, out) == 1
     assert np.isnan(out[11]).all() and np.abs(np.delete(out - clean, 11, axis=0)).max() < 1e-13
 
 
@@ -71,7 +71,7 @@ def test_samples_are_a_function_of_key_and_number(seed, n, first):
     rng = np.random.default_rng(seed)
     table = random_table(rng, 6, chain=True, forms=all_forms())
     bounds, out = limits(rng, table.nq), np.full((n, 3), 7.0)
-    sampling.random_positions(*table.pack(), KEYS[: table.nq], bounds, first, out)
+    lane_positions.random_positions(*table.pack(), KEYS[: table.nq], bounds, first, out)
     assert np.abs(out - positions_of(table, drawn(table, bounds, first, n))).max() < 1e-12
 
 
@@ -80,10 +80,10 @@ def test_cells_are_those_of_numpy(n):
     rng = np.random.default_rng(3)
     table = random_table(rng, 4, chain=True, forms=all_forms())
     bounds, points = limits(rng, table.nq), np.empty((n, 3))
-    sampling.random_positions(*table.pack(), KEYS[: table.nq], bounds, 9, points)
+    lane_positions.random_positions(*table.pack(), KEYS[: table.nq], bounds, 9, points)
     grid = np.array([[-1.0, 3.0, 6], [-0.5, 4.0, 5], [-2.0, 2.0, 7]])
     counts = np.zeros(6 * 5 * 7 // 2 + 1, dtype=np.int64)
-    sampling.count_cells(*table.pack(), KEYS[: table.nq], bounds, 9, n, grid, counts)
+    lane_positions.count_cells(*table.pack(), KEYS[: table.nq], bounds, 9, n, grid, counts)
     edges = [low + np.arange(int(k) + 1) / by for low, by, k in grid]
     wanted = np.histogramdd(points, bins=edges)[0].ravel()
     found = counts.view(np.uint32)[: 6 * 5 * 7 + 1]
@@ -96,9 +96,9 @@ def test_counts_of_pieces_add_up():
     bounds, grid = limits(rng, table.nq), np.array([[-2.0, 2.0, 8]] * 3)
     whole, parts = np.zeros((2, 8**3 // 2 + 1), dtype=np.int64)
     arguments = (*table.pack(), KEYS[: table.nq], bounds)
-    sampling.count_cells(*arguments, 0, 5000, grid, whole)
+    lane_positions.count_cells(*arguments, 0, 5000, grid, whole)
     for first, n in ((0, 1), (1, 1337), (1338, 3662)):
-        sampling.count_cells(*arguments, first, n, grid, parts)
+        lane_positions.count_cells(*arguments, first, n, grid, parts)
     assert np.array_equal(whole, parts) and whole.view(np.uint32).sum() == 5000
 
 
@@ -108,7 +108,7 @@ def test_a_slide_is_uniform():
     table = random_table(rng, 1, chain=True, kinds=(SLIDE,), forms=(GENERAL,))
     row = table.rows[0]
     out, bounds = np.empty((20000, 3)), np.tile([0.0, 1.0 / abs(row.multiplier)], (table.nq, 1))
-    sampling.random_positions(*table.pack(), KEYS[: table.nq], bounds, 0, out)
+    lane_positions.random_positions(*table.pack(), KEYS[: table.nq], bounds, 0, out)
     away = np.linalg.norm(out - positions_of(table, [np.zeros(table.nq)]), axis=1)
     assert stats.kstest(away, "uniform").pvalue > 0.01
 
@@ -118,7 +118,7 @@ def test_a_ball_turns_uniformly():
     rng = np.random.default_rng(6)
     table = random_table(rng, 1, chain=True, kinds=(BALL,), forms=(GENERAL,))
     out = np.empty((20000, 3))
-    sampling.random_positions(*table.pack(), KEYS[: table.nq], np.zeros((table.nq, 2)), 0, out)
+    lane_positions.random_positions(*table.pack(), KEYS[: table.nq], np.zeros((table.nq, 2)), 0, out)
     away = out - table.rows[0].X[:3, 3]
     radius = np.linalg.norm(away, axis=1).mean()
     assert all(stats.kstest(0.5 + 0.5 * x / radius, "uniform").pvalue > 0.01 for x in away.T)
