@@ -13,10 +13,20 @@ from kempe.cli import system_commands  # isort: skip, the commands are listed in
 from kempe.cli import inverse_commands  # isort: skip
 from kempe.cli import loop_commands  # isort: skip
 from kempe.cli import space_commands  # isort: skip
+from kempe.cli import workspace_commands  # isort: skip
 from kempe.cli import library_commands  # isort: skip
 from kempe.cli.app import app
 
-__all__ = ["app", "inverse_commands", "library_commands", "loop_commands", "main", "space_commands", "system_commands"]
+__all__ = [
+    "app",
+    "inverse_commands",
+    "library_commands",
+    "loop_commands",
+    "main",
+    "space_commands",
+    "system_commands",
+    "workspace_commands",
+]
 
 
 def main() -> None:

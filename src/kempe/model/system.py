@@ -15,6 +15,8 @@ from kempe.model.former_names import FormerNames
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
+    from pathlib import Path as FilePath
+
     from matplotlib.axes import Axes
 
     from kempe.analysis.continuation.path import Path as Motion
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from kempe.analysis.simulation.simulate import Simulation
     from kempe.analysis.spaces.configuration.configuration_space import ConfigurationSpace
     from kempe.analysis.spaces.configuration.task_space import TaskSpace
+    from kempe.analysis.spaces.workspace.workspace import Workspace
     from kempe.budget import Budget
     from kempe.kinematics.designs import Designs
     from kempe.kinematics.forward import Query
@@ -108,19 +111,32 @@ class System(Compiled, FormerNames):
 
         return task_space(self, tasks, q, task=task, budget=budget)
 
+    @explained
+    def workspace(
+        self, frame: FrameLike, *, n: float | None = None, cells: Any = None, box: Any = None, client: Any = None,
+        path: str | FilePath | None = None, budget: Budget | None = None,
+    ) -> Workspace:  # fmt: skip
+        """What a frame reaches, as a map of any number of samples; see `kempe.analysis.spaces.workspace.mapping`."""
+        from kempe.analysis.spaces.workspace.mapping import workspace
+
+        return workspace(self, frame, n=n, cells=cells, box=box, client=client, path=path, budget=budget)
+
     # ---- where everything is
 
     def fk(
         self, q: Any, frame: FrameLike | list | tuple | None = None, out: Array | None = None,
-        threads: int | None = None,
+        threads: int | None = None, form: str | None = None, dtype: Any = None,
     ) -> Array:  # fmt: skip
-        """Poses in the ground frame: (..., 4, 4) of one frame, (..., k, 4, 4) of several or of all bodies (None)."""
-        query = self._queries.get(frame) if frame.__class__ is str else None
+        """Poses in the ground frame: (..., 4, 4) of one frame, (..., k, 4, 4) of several or of all bodies (None).
+
+        `form` "3x4", "position" or "position_quat_wxyz" gives less of each; see `kempe.kinematics.forward.fk`.
+        """
+        query = self._queries.get(frame) if frame.__class__ is str and form is dtype is None else None
         if query is not None and q.__class__ is np.ndarray:  # the import below alone would double the time
             return query(None, q, out, threads)
         from kempe.kinematics.forward import fk
 
-        return fk(self, q, frame, out, threads)
+        return fk(self, q, frame, out, threads, form, dtype)
 
     def jacobian(self, q: Any, frame: FrameLike, in_frame: str = "world_aligned", threads: int | None = None) -> Array:
         """Jacobian (..., 6, nv), rows [linear; angular], of a frame; see `kempe.kinematics.forward.jacobian`."""
