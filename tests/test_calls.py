@@ -49,9 +49,16 @@ def is_pythons_own(error: TypeError) -> bool:
     return not any("/kempe/" in file for file in files)
 
 
+def written_to(function: Callable[..., Any]) -> int | None:
+    """The place of the argument that an answer is written to, if there is one."""
+    names = list(inspect.signature(function).parameters)
+    return names.index("out") if "out" in names else None
+
+
 def answered(call: wrong_calls.Call) -> None:
     """Make a wrong call: it may have an answer, or be refused with an error of Kempe's own."""
-    given = (*call.args, *call.options.values())
+    given = [x for k, x in enumerate(call.args) if k != written_to(call.function)]
+    given += [x for name, x in call.options.items() if name != "out"]
     before = [kept(x) for x in given]
     try:
         with warnings.catch_warnings():
@@ -80,6 +87,42 @@ def test_some_wrong_calls(hunt):
 def test_wrong_calls(hunt):
     """Of everything that is public, with arguments of any kind but the right one."""
     hunted(hunt, 2000)
+
+
+REFUSED = {
+    "a class for a function": (lambda: PUMA.assemble(also=type(None)), "which it does not take"),
+    "an array for a preference": (
+        lambda: PUMA.ik(X, "tool", prefer=np.zeros((2, 3))),
+        "prefer is array.*a function of q",
+    ),
+    "an infinite weight": (
+        lambda: PUMA.ik_step(PUMA.mid, np.zeros(6), "tool", 0.01, weights=np.inf),
+        "none negative or",
+    ),
+    "a number for rows": (lambda: kempe.from_dh(np.array(3.0)), "rows are array.*must be a list"),
+    "an empty parameter": (lambda: PUMA.inverse.sweep(X, "tool", ()), "the parameter is .*a name, or a name and"),
+    "more samples than memory": (lambda: PUMA.inverse.sweep(X, "tool", n=2**31), "from 2 to 10000000"),
+    "an equation beyond floats": (lambda: tasks.Equation(10**400), "its size must be at most 1e\\+100"),
+    "folders that are numbers": (lambda: kempe.read("four_bar", package_dirs=[1]), "must be a list of folders"),
+    "no symbol": (lambda: FOUR_BAR.symbolic.fk("crank", symbols={"A": None}), "its values must be symbols"),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_is_refused(what):
+    call, said = REFUSED[what]
+    with pytest.raises(InputError, match=said):
+        call()
+
+
+def test_a_mechanism_without_freedoms_has_one_mode_and_stays_where_it_is():
+    assert len(kempe.Mechanism("nothing").build().assembly_modes({}).q) == 1
+    ball = kempe.load("joint_spherical").simulate(2.0)
+    assert np.isfinite(ball.q).all()
+
+
+def test_one_folder_is_not_a_list_of_letters(tmp_path):
+    assert kempe.read("four_bar", package_dirs=str(tmp_path)).roots == (str(tmp_path),)
 
 
 # ---- options

@@ -17,7 +17,7 @@ import kempe
 from kempe import Budget, library
 from kempe.errors import InputError, KempeError
 from kempe.kinematics.common.result import Report, Result
-from kempe.model.namespaces import Inverse, Loops, Reach
+from kempe.model.namespaces import Inverse, Loops, ReachStudies
 from kempe.solvers.common.answer import Answer
 from kempe.solvers.common.proofs import Lengths, Limits
 from kempe.status import Status
@@ -162,6 +162,19 @@ CASES = {
     "configuration_space": Case("configuration_space", lambda: LINKAGE.configuration_space, "SOLVED"),
     "configuration_space of a tree": Case("configuration_space", lambda: ARM.configuration_space, "SOLVED"),
     "configuration_space failing": Case("configuration_space", lambda: apart().configuration_space, "UNDETERMINED"),
+    "sample": Case("sample", lambda: ARM.configuration_space.sample(3, 0), "SOLVED"),
+    "sample of a curve": Case("sample", lambda: LINKAGE.configuration_space.sample(3, 0), "SOLVED"),
+    "sample in time": Case("sample", lambda: FIVE.configuration_space.sample(3, 0, budget=AT_ONCE), "OUT_OF_TIME"),
+    "sample failing": Case("sample", lambda: apart().configuration_space.sample(3), "NOT_FOUND"),
+    "components": Case("components", lambda: LINKAGE.configuration_space.components(), "SOLVED"),
+    "components failing": Case("components", lambda: apart().configuration_space.components(), "NONE_EXISTS"),
+    "components in space": Case("components", lambda: SPATIAL.configuration_space.components(), "PARTLY"),
+    "path": Case("path", lambda: ARM.configuration_space.path(Q, Q + 0.1), "SOLVED"),
+    "path along a curve": Case(
+        "path", lambda: LINKAGE.configuration_space.path(CLOSED, LINKAGE.trace(start=CLOSED).q[5]), "SOLVED"),
+    "path failing": Case("path", lambda: LINKAGE.configuration_space.path(*LINKAGE.assembly_modes({CRANK: 0.3}).q),
+                         "NONE_EXISTS"),  # fmt: skip
+    "task_space": Case("task_space", lambda: TWO.task_space("e"), "SOLVED"),
     "independent": Case("independent", lambda: LINKAGE.independent(CLOSED), "SOLVED"),
     "idealised": Case("idealised", lambda: rounded().idealised(), "SOLVED"),
     "mobility": Case("mobility", lambda: LINKAGE.mobility(), "SOLVED"),
@@ -194,8 +207,8 @@ CASES = {
 }  # fmt: skip
 
 REPORTING = {"mobility", "classify", "idealised", "independent", "closed_form", "ik_plan", "loop_jacobian",
-             "configuration_space", "singularities", "reach.poses", "reach.place", "reach.capability",
-             "reach.planar"}  # fmt: skip
+             "configuration_space", "components", "task_space", "singularities", "reach.poses", "reach.place",
+             "reach.capability", "reach.planar"}  # fmt: skip
 REPORTS, ANSWERS = ([n for n, c in CASES.items() if (c.verb in REPORTING) == report] for report in (True, False))
 """Cases of the verbs that find something out about a system, and of those that give configurations."""
 NAMED = {
@@ -208,10 +221,11 @@ NAMED = {
     "reach.planar": "planar",
 }
 """Verbs of families, by the names that the families give them."""
-OF_RESULTS = {"at", "close"}
+OF_RESULTS = {"at", "close", "sample", "components", "path"}
 """Verbs of results."""
 NO_RESULTS = {
-    "assembler", "constraints", "plot", "query", "structure", "loops", "inverse", "reach", "symbolic",
+    "assembler", "constraints", "plot", "plot_spaces", "query", "structure", "loops", "inverse", "reach",
+    "symbolic",
     "with_limits", "with_parameters",
 }  # fmt: skip
 """Members of `System` that give a system, a set, poses, a bound form or a drawing."""
@@ -248,7 +262,7 @@ def test_every_verb_that_returns_a_result_is_in_the_table():
     plain = {"Array", "Any", "System", "str", "bool", "float", "int", "None", "dict", "tuple", "list", "Path", "Axes",
              "Callable", "Mapping", "Sequence"}  # fmt: skip
     verbs = set()
-    for owner in (kempe.System, Loops, Inverse, Reach):
+    for owner in (kempe.System, Loops, Inverse, ReachStudies):
         for name, member in vars(owner).items():
             function = member.fget if isinstance(member, property) else getattr(member, "func", member)
             if name[0] != "_" and callable(function) and set(re.findall(r"\w+", str(returned(function)))) - plain:

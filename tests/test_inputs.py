@@ -16,15 +16,15 @@ import pytest
 
 import kempe
 from kempe import spatial, tasks
+from kempe.analysis.spaces.configuration.configuration_space import ConfigurationSpace
 from kempe.errors import InputError, KempeError
-from kempe.kinematics.configuration_space import ConfigurationSpace
 from kempe.model import namespaces
 from kempe.model.compiled_system import Structure
 from kempe.model.former_names import FORMER
 
 FAMILIES: dict[str, type] = {
     "structure": Structure, "configuration_space": ConfigurationSpace, "loops": namespaces.Loops,
-    "inverse": namespaces.Inverse, "reach": namespaces.Reach, "symbolic": namespaces.Symbolic,
+    "inverse": namespaces.Inverse, "reach": namespaces.ReachStudies, "symbolic": namespaces.Symbolic,
 }  # fmt: skip
 API = (Path(__file__).parent.parent / "docs" / "api.md").read_text()
 
@@ -219,7 +219,18 @@ QS = ("q", "q0", "q1")
 PLACES = [(n, p) for n, f in OF_SYSTEMS.items() for p in QS if takes(f, p) and n not in NOT_REQUIRED]
 ARM_ONLY = {"self_motion", "arm_angle"}
 LOOP_ONLY = {"mechanical_advantage", "transmission_angle", "dead_points", "independent", "loop_jacobian"}
-ONE_Q = {"plot", "mobility", "self_motion", "ik_step", "q_dict", "local_dimension", "classify", "one_sided"}
+ONE_Q = {
+    "plot",
+    "mobility",
+    "self_motion",
+    "ik_step",
+    "q_dict",
+    "local_dimension",
+    "classify",
+    "one_sided",
+    "path",
+    "task_space",
+}
 """Verbs that take one configuration."""
 
 

@@ -24,6 +24,7 @@ from kempe_bench import (
     process,
     trees,
     whole,
+    workspaces,
 )  # fmt: skip
 from kempe_bench.bench import Bench
 from kempe_bench.timing import Table
@@ -37,6 +38,7 @@ SECTIONS: dict[str, Callable[[Bench], Table | None]] = {
     "assembly": loops.assembly, "success": loops.success,
     "dyads": cranks.dyads, "row": cranks.row, "dof": freedoms.dof, "mobility": freedoms.mobility,
     "classify": holding.classify, "laws": holding.laws,
+    "workspace": workspaces.binned,
     "startup": process.startup, "memory": process.memory,
 }  # fmt: skip
 """The parts of the benchmark, in their order."""

@@ -19,13 +19,14 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from kempe import convert
+    from kempe.analysis.spaces.workspace.workspace import open_workspace
     from kempe.budget import Budget, Tolerance
     from kempe.status import Status
 
 __version__ = "0.1.0"
 __all__ = [
     "Budget", "KempeError", "Mechanism", "Status", "System", "Tolerance", "constraints", "convert", "errors",
-    "from_dh", "from_screws", "load", "read", "spatial", "tasks",
+    "from_dh", "from_screws", "load", "open_workspace", "read", "spatial", "tasks",
 ]  # fmt: skip
 
 
@@ -69,6 +70,10 @@ def __getattr__(name: str) -> Any:
         from kempe.description.dh import dh
 
         return getattr(dh, name)
+    if name == "open_workspace":
+        from kempe.analysis.spaces.workspace.workspace import open_workspace
+
+        return open_workspace
     if name in ("Budget", "Tolerance"):
         from kempe import budget
 

@@ -13,6 +13,7 @@ import pytest
 from kinds_battery import EXAMPLES, run
 
 from kempe.constraints import KINDS
+from kempe.constraints.base import Constraint, kind
 from kempe.errors import InputError
 
 HERE = Path(__file__).parent
@@ -37,6 +38,7 @@ WITHOUT = """
 import sys
 sys.path.insert(0, {here!r})
 from kempe.constraints import KINDS
+from kempe.constraints.base import Constraint, kind
 from kempe.errors import InputError
 del KINDS[{name!r}]
 import kinds_battery
@@ -79,3 +81,11 @@ def test_a_switch_is_true_or_false(name, switch, given):
     made = EXAMPLES[name](3)
     with pytest.raises(InputError, match=f"{switch} of .* is .*; it must be True or False"):
         replace(made, **{switch: given})
+
+
+def test_a_kind_whose_fields_are_not_written_as_text_is_refused():
+    """What a field is, such as a frame, is read from its annotation."""
+    made = type("Odd", (Constraint,), {"__annotations__": {"frame": object}, "rows": lambda self, dim: ()})
+    with pytest.raises(InputError, match="Odd: its module must begin with: from __future__ import annotations"):
+        kind("odd")(made)
+    assert "odd" not in KINDS

@@ -12,11 +12,23 @@ import sys
 from kempe.cli import system_commands  # isort: skip, the commands are listed in this order
 from kempe.cli import inverse_commands  # isort: skip
 from kempe.cli import loop_commands  # isort: skip
+from kempe.cli import space_commands  # isort: skip
+from kempe.cli import workspace_commands  # isort: skip
 from kempe.cli import reach_commands  # isort: skip
 from kempe.cli import library_commands  # isort: skip
 from kempe.cli.app import app
 
-__all__ = ["app", "inverse_commands", "library_commands", "loop_commands", "main", "reach_commands", "system_commands"]
+__all__ = [
+    "app",
+    "inverse_commands",
+    "library_commands",
+    "loop_commands",
+    "main",
+    "reach_commands",
+    "space_commands",
+    "system_commands",
+    "workspace_commands",
+]
 
 
 def main() -> None:

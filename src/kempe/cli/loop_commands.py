@@ -179,7 +179,7 @@ def assemble(
     from kempe.views.input import given
 
     results(out)
-    _picture(plot)
+    picture(plot)
     values = given.known(system, known or [], deg)
     start = given.start(system, near, deg)
     answer: Any
@@ -196,7 +196,7 @@ def assemble(
             raise InputError(f"{plot}: one configuration is drawn, and the file of known values has several")
     written = []
     if plot is not None and np.size(answer.q):
-        _save(system.plot(answer.q[0] if modes else answer.q), plot)
+        save_picture(system.plot(answer.q[0] if modes else answer.q), plot)
         written.append(plot)
     if out is not None and (answer or np.any(getattr(answer, "success", False))):
         from kempe.views import rows
@@ -246,7 +246,7 @@ def trace(
     from kempe.views.input import given
 
     results(out)
-    _picture(plot)
+    picture(plot)
     names = [system.structure.frame_name(f) for f in frame or ()]
     held = given.known(system, hold or [], deg, frames=False)
     begin, closing = given.first(system, start, held, deg)
@@ -265,7 +265,7 @@ def trace(
         loop_report.write_path(out, shown, deg, branches)
         written.append(out)
     if plot is not None:
-        _save(_drawing(system, shown, names), plot)
+        save_picture(_drawing(system, shown, names), plot)
         written.append(plot)
     if json:
         _say(loop_report.path_facts(shown, deg), None, written)
@@ -296,9 +296,9 @@ def plot(
     from kempe.views.input import given
 
     names = [system.structure.frame_name(f) for f in frame or ()]
-    _picture(out)
+    picture(out)
     at, closing = given.configuration(system, q, posture, deg)
-    _save(system.plot(at, frames=names), out)
+    save_picture(system.plot(at, frames=names), out)
     say_written(out, json)
     if closing is not None and not closing:
         remark(str(closing.status))
@@ -316,7 +316,7 @@ def _open(closing: Assembly, deg: bool, json: bool) -> NoReturn:
     raise typer.Exit(INCOMPLETE)
 
 
-def _picture(path: Path | None) -> None:
+def picture(path: Path | None) -> None:
     """Refuse a picture that cannot be written, before any work."""
     if path is None:
         return
@@ -326,7 +326,8 @@ def _picture(path: Path | None) -> None:
     import kempe.views.drawing  # noqa: F401  it refuses where matplotlib is missing
 
 
-def _save(axes: Any, path: Path) -> None:
+def save_picture(axes: Any, path: Path) -> None:
+    """Write the figure of these axes to a file."""
     axes.figure.savefig(path, dpi=200, bbox_inches="tight")
 
 

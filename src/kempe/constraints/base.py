@@ -280,6 +280,8 @@ def kind(name: str, symbol: str = "mark", says: str = "") -> Callable[[_Kind], _
 
     def enter(cls: _Kind) -> _Kind:
         made = dataclass(frozen=True, eq=False)(cls)
+        if not all(isinstance(f.type, str) for f in fields(made)):
+            raise InputError(f"{made.__qualname__}: its module must begin with: from __future__ import annotations")
         taken = KINDS.get(name)
         if taken is not None and taken.__qualname__ != made.__qualname__:
             raise InputError(f"the kind {name!r} of constraint exists already: {taken.__qualname__}")

@@ -17,6 +17,7 @@ import numpy as np
 from kempe.calls import flag, listed
 from kempe.constraints.base import Bounded, Constraint, Names, Op, Row, kind
 from kempe.constraints.builder import renamed
+from kempe.constraints.reading import LARGEST
 from kempe.constraints.tape import RATE, TIME, Tape, quoted
 from kempe.constraints.text import from_text, read
 from kempe.errors import InputError, UnknownNameError, shown
@@ -82,6 +83,8 @@ def as_text(x: Any, what: str) -> str:
     if isinstance(x, Expression):
         return x.text
     if isinstance(x, (int, float, np.integer, np.floating)) and not isinstance(x, bool):
+        if abs(x) > LARGEST:
+            raise InputError(f"{what} is {shown(x)}; its size must be at most {LARGEST:g}")
         number = float(x)
         return str(int(number)) if number.is_integer() and abs(number) < 1e15 else repr(number)
     if not isinstance(x, str):

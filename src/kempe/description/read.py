@@ -22,7 +22,7 @@ from kempe.description.formats import (
     read_by,
 )
 from kempe.description.mechanism import Mechanism
-from kempe.description.source import SIZE_LIMIT, collecting_later, expanded, fail, no_file, shorten
+from kempe.description.source import SIZE_LIMIT, collecting_later, expanded, fail, folders_of, no_file, shorten
 from kempe.description.urdf.xacro import XACRO_ADVICE, expand_xacro
 from kempe.errors import DescriptionError, Fault, InputError, UnknownNameError, UnsupportedError, Where
 from kempe.library import names as library_models
@@ -69,7 +69,7 @@ def read(
     allowed = [name for name, f in FORMATS.items() if f.read]
     if format is not None and format not in allowed:
         raise InputError(f"format is {format!r}; it must be {joined(map(repr, allowed))}")
-    folders = tuple(expanded(d) for d in package_dirs)
+    folders = folders_of(package_dirs)
     options = {"base": base, "root": root, "lenient_limits": lenient_limits or None, "package_dirs": folders or None}
     given = {name: value for name, value in options.items() if value is not None}
     how = _How(None if format is None else FORMATS[format], given, folders)

@@ -8,10 +8,11 @@ import os
 import re
 import stat
 from bisect import bisect_right
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from kempe.errors import (
     PROBLEM_LIMIT,
@@ -21,6 +22,7 @@ from kempe.errors import (
     UnknownNameError,
     Where,
     hint,
+    shown,
 )
 
 SIZE_LIMIT = 32 * 2**20
@@ -167,15 +169,23 @@ def fail(message: str, where: Where, allowed: str = "", subject: str = "") -> De
     return DescriptionError(Fault(message, subject, where, allowed))
 
 
+def folders_of(given: Any) -> tuple[Path, ...]:
+    """Folders given as a list of paths, or a single path. Errors: `InputError`."""
+    paths = (given,) if isinstance(given, (str, Path)) or not isinstance(given, Iterable) else tuple(given)
+    if not all(isinstance(path, (str, Path)) for path in paths):
+        raise InputError(f"package_dirs is {shown(given)}; it must be a list of folders")
+    return tuple(expanded(path) for path in paths)
+
+
 def expanded(path: str | Path) -> Path:
     """The path of a file, a leading ``~`` replaced by the home folder. Errors: `InputError` for a URL."""
     text = os.fspath(path)
     scheme = _SCHEME.match(text)
     if scheme:
-        shown = shorten(text if "://" in text else text.replace(":/", "://", 1), 200)  # a Path keeps one slash
+        url = shorten(text if "://" in text else text.replace(":/", "://", 1), 200)  # a Path keeps one slash
         advice = {"file": "give the path alone, without file://", "package": "give the path of the file"}
         said = advice.get(text.partition(":")[0].lower(), "Kempe reads files of this machine: download it first")
-        raise InputError(f"{shown} is a URL; {said}")
+        raise InputError(f"{url} is a URL; {said}")
     try:
         return Path(text).expanduser()
     except RuntimeError:  # no such user, or no home

@@ -15,8 +15,8 @@ from kempe.kernels.compiled import bound, chain, maker, table_sweep
 from kempe.kernels.forward.table_layout import BODY, WORLD, WORLD_ALIGNED, fuse
 from kempe.kinematics.common.parallel import over_chunks
 from kempe.kinematics.configuration import as_q
+from kempe.kinematics.forms import chain_table, in_form
 from kempe.model.kept import kept
-from kempe.model.tree.gauge import regauge
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -120,7 +120,7 @@ class _ChainQuery:
         self.system, self.name = system, name
         self.ints, self.floats = system.structure.table.pack([name], system.structure.table.path(name))
         self.tables = {key: fuse(self.ints, self.floats, kind) for key, kind in IN_FRAMES.items()}
-        self.regauged = regauge(self.ints, self.floats)
+        self.regauged = chain_table(system, name)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _ChainQuery, (self.system, self.name)
@@ -189,7 +189,7 @@ def _packed(system: System, frames: tuple[str, ...] | None) -> tuple[np.ndarray,
 @explained
 def fk(
     system: System, q: Any, frame: FrameLike | list | tuple | None = None, out: Array | None = None,
-    threads: int | None = None,
+    threads: int | None = None, form: str | None = None, dtype: Any = None,
 ) -> Array:  # fmt: skip
     """Poses in the ground frame (the forward geometric model).
 
@@ -198,9 +198,15 @@ def fk(
     number, (..., n_bodies + 1, 4, 4), the ground included. `out`, where given, must be a C-contiguous float64 array of
     that shape. Large batches run in `threads` threads (default: as many as there are processors).
 
+    `form` says what takes the place of (4, 4): "3x4" the upper three rows, "position" three numbers,
+    "position_quat_wxyz" seven, "pose" (the same as None) all. `dtype` float32 halves what is written; it is computed in
+    float64. Only "position" of one frame is less work than a pose.
+
     A NaN, an infinity or a zero quaternion that a pose depends on is an `InputError`; in a batch the first three rows
     of such a pose are NaN and all others are right. Errors: `UnknownNameError` for names, `InputError` for shapes.
     """
+    if form is not None or dtype is not None:
+        return in_form(system, q, frame, out, threads, "pose" if form is None else form, dtype or np.float64)
     if frame is not None and not isinstance(frame, (list, tuple)):
         return _query(system, frame)(None, q, out, threads)
     key = None if frame is None else tuple(system.structure.frame_name(f) for f in frame)

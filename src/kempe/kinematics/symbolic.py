@@ -179,19 +179,19 @@ class _Leaves:
     """What the names and numbers of a description are in the formula, and the angles that were snapped."""
 
     def __init__(self, system: System, symbols: Mapping[str, Any], snap: float):
-        self.snap, self.snapped = snap, []
         mechanism = system.mechanism
-        self.locks = mechanism.locks
+        self.snap, self.snapped, self.locks = snap, [], mechanism.locks
         allowed = (*system.coordinate_names, *mechanism.parameters)
         for name in symbols:
             if name not in allowed:
                 raise UnknownNameError("coordinate or parameter", name, allowed, system.name)
         given = {k: sympy.sympify(v) for k, v in symbols.items()}
+        if None in given.values():
+            raise InputError(f"symbols is {symbols}; its values must be symbols, expressions or numbers")
         self.parameters = {n: given.get(n, sympy.Symbol(n)) for n in mechanism.parameters}
         self.coordinates = {n: given.get(n, sympy.Symbol(n)) for n in system.coordinate_names}
-        for name in mechanism.parameters:
-            if name in self.coordinates:
-                raise InputError(f"{name!r} is the name of a parameter and of a coordinate; rename one of them")
+        for name in self.parameters.keys() & self.coordinates.keys():
+            raise InputError(f"{name!r} is the name of a parameter and of a coordinate; rename one of them")
         turning = _turning(system)
         for name in system.structure.couplings:  # each comes after those that it depends on
             self.coordinates[name] = self._follower(system, name, name in turning)

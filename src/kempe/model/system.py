@@ -15,6 +15,8 @@ from kempe.model.former_names import FormerNames
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
+    from pathlib import Path as FilePath
+
     from matplotlib.axes import Axes
 
     from kempe.analysis.continuation.path import Path as Motion
@@ -23,12 +25,14 @@ if TYPE_CHECKING:
     from kempe.analysis.mobility.mobility import Mobility
     from kempe.analysis.motion.drive import Drive
     from kempe.analysis.simulation.simulate import Simulation
+    from kempe.analysis.spaces.configuration.configuration_space import ConfigurationSpace
+    from kempe.analysis.spaces.configuration.task_space import TaskSpace
     from kempe.analysis.spaces.singular.singularities import Singularities
+    from kempe.analysis.spaces.workspace.workspace import Workspace
     from kempe.budget import Budget
-    from kempe.kinematics.configuration_space import ConfigurationSpace
     from kempe.kinematics.designs import Designs
     from kempe.kinematics.forward import Query
-    from kempe.model.namespaces import Inverse, Loops, Reach, Symbolic
+    from kempe.model.namespaces import Inverse, Loops, ReachStudies, Symbolic
     from kempe.solvers.analytic.answers.solutions import Solutions
     from kempe.solvers.assembly.assembled import Assembly
     from kempe.solvers.assembly.charts import Chart
@@ -96,23 +100,45 @@ class System(Compiled, FormerNames):
     @cached_property
     def configuration_space(self) -> ConfigurationSpace:
         """The set that `q` ranges over: its true dimension and its shape, such as T^2 x R, and the space around it."""
-        from kempe.kinematics.configuration_space import configuration_space
+        from kempe.analysis.spaces.configuration.configuration_space import configuration_space
 
         return configuration_space(self)
+
+    @explained
+    def task_space(
+        self, tasks: Any, q: Any = None, *, task: str | None = None, budget: Budget | None = None
+    ) -> TaskSpace:  # fmt: skip
+        """What of the configuration space is seen in a frame or in tasks; see `analysis.spaces.configuration`."""
+        from kempe.analysis.spaces.configuration.task_space import task_space
+
+        return task_space(self, tasks, q, task=task, budget=budget)
+
+    @explained
+    def workspace(
+        self, frame: FrameLike, *, n: float | None = None, cells: Any = None, box: Any = None, client: Any = None,
+        path: str | FilePath | None = None, budget: Budget | None = None,
+    ) -> Workspace:  # fmt: skip
+        """What a frame reaches, as a map of any number of samples; see `kempe.analysis.spaces.workspace.mapping`."""
+        from kempe.analysis.spaces.workspace.mapping import workspace
+
+        return workspace(self, frame, n=n, cells=cells, box=box, client=client, path=path, budget=budget)
 
     # ---- where everything is
 
     def fk(
         self, q: Any, frame: FrameLike | list | tuple | None = None, out: Array | None = None,
-        threads: int | None = None,
+        threads: int | None = None, form: str | None = None, dtype: Any = None,
     ) -> Array:  # fmt: skip
-        """Poses in the ground frame: (..., 4, 4) of one frame, (..., k, 4, 4) of several or of all bodies (None)."""
-        query = self._queries.get(frame) if frame.__class__ is str else None
+        """Poses in the ground frame: (..., 4, 4) of one frame, (..., k, 4, 4) of several or of all bodies (None).
+
+        `form` "3x4", "position" or "position_quat_wxyz" gives less of each; see `kempe.kinematics.forward.fk`.
+        """
+        query = self._queries.get(frame) if frame.__class__ is str and form is dtype is None else None
         if query is not None and q.__class__ is np.ndarray:  # the import below alone would double the time
             return query(None, q, out, threads)
         from kempe.kinematics.forward import fk
 
-        return fk(self, q, frame, out, threads)
+        return fk(self, q, frame, out, threads, form, dtype)
 
     def jacobian(self, q: Any, frame: FrameLike, in_frame: str = "world_aligned", threads: int | None = None) -> Array:
         """Jacobian (..., 6, nv), rows [linear; angular], of a frame; see `kempe.kinematics.forward.jacobian`."""
@@ -219,11 +245,11 @@ class System(Compiled, FormerNames):
         return singularities(self, frame, task, inputs=inputs, limits=limits, budget=budget)
 
     @cached_property
-    def reach(self) -> Reach:
+    def reach(self) -> ReachStudies:
         """What a frame reaches: `poses`, `place`, `capability`, and exactly in the plane, `planar`."""
-        from kempe.model.namespaces import Reach
+        from kempe.model.namespaces import ReachStudies
 
-        return Reach(self)
+        return ReachStudies(self)
 
     # ---- closed loops
 
@@ -359,6 +385,15 @@ class System(Compiled, FormerNames):
         from kempe.views.plots import plot
 
         return plot(self, q, path=path, frames=frames, labels=labels, ax=ax, ghosts=ghosts)
+
+    @explained
+    def plot_spaces(
+        self, frame: FrameLike, *, points: ArrayLike = (), ax: Any = None, resolution: int = 240
+    ) -> tuple[Axes, Axes]:  # fmt: skip
+        """Pictures of configuration space and task space beside one another; see `kempe.views.space_pictures`."""
+        from kempe.views.space_pictures import plot_spaces
+
+        return plot_spaces(self, frame, points=points, ax=ax, resolution=resolution)
 
     # ---- other systems from this one
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 from kempe.solvers.analytic import ik_all
 from kempe.solvers.analytic.redundant import redundancy
 from kempe.solvers.assembly import assembly
@@ -10,11 +13,11 @@ from kempe.solvers.modes import modes
 from kempe.solvers.one_frame import inverse
 from kempe.solvers.paths import following, self_motion
 
-TABLE: dict[str, tuple[Solver, ...]] = {
+TABLE: Mapping[str, tuple[Solver, ...]] = MappingProxyType({
     "ik": inverse.SOLVERS, "ik_all": ik_all.SOLVERS, "ik_path": following.SOLVERS,
     "assemble": assembly.SOLVERS, "assembly_modes": modes.SOLVERS,
     "self_motion": self_motion.SOLVERS, "sweep": redundancy.SOLVERS,
-}  # fmt: skip
+})  # fmt: skip
 """The rows by verb: the first that does not refuse answers; `Answer.solver` names it, and why those before it did not.
 
 "self_motion" and "sweep" are requested a set that is continuous. "assembly modes", of `ik_all` for a frame that moves

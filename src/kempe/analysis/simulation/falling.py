@@ -85,7 +85,7 @@ def falling(system: System, q: Array, v: Array, duration: float) -> Falling:
                                "particle with independent slides")  # fmt: skip
     slides_v = np.flatnonzero(slides)
     place = dict(zip(system.structure.layout.vector_v.tolist(), system.structure.layout.vector_q.tolist(), strict=True))
-    slides_q = np.array([place[int(i)] for i in slides_v])
+    slides_q = np.array([place[int(i)] for i in slides_v], dtype=int)
     planes = _planes(system, body, q, slides_q, shape, samples)
     _turns(system, body, q, v, turning, duration)
     return Falling(system, body, slides_q, slides_v, basis, shape, planes)

@@ -1,1 +1,1 @@
-"""Spaces of configurations and of tasks: workspaces, singular configurations, what of a list of poses is reached."""
+"""Spaces: all configurations of a system, what of them is seen in a task, what can be reached."""

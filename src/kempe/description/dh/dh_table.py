@@ -44,7 +44,7 @@ def rows_of(rows: Any, columns: Sequence[str], known: tuple[str, ...]) -> tuple[
         if columns != ORDER:
             raise InputError("columns are given, but the table names its own; leave columns out")
         return _named(rows, list(names), known), ""
-    if isinstance(rows, (str, bytes)) or not isinstance(rows, Iterable):
+    if isinstance(rows, (str, bytes)) or not isinstance(rows, Iterable) or getattr(rows, "ndim", 1) == 0:
         raise InputError(f"rows are {rows!r}; they must be a list of rows, an array (n, 4) or a table by column name")
     plain, out = False, []
     for i, row in enumerate(rows, 1):

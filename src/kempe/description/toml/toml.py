@@ -14,7 +14,7 @@ from kempe.description.constrain import BETWEEN, between
 from kempe.description.dh.dh import add_dh, add_screws
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body
-from kempe.description.source import Source, decode, fail, shorten
+from kempe.description.source import Source, decode, fail, folders_of, shorten
 from kempe.description.toml.toml_document import PLACE, Document, joint_options
 from kempe.description.toml.toml_places import Path
 from kempe.errors import DescriptionError, InputError, UnknownNameError
@@ -41,7 +41,7 @@ def read_toml(text: str | bytes, source: str = "<text>", *, package_dirs: Iterab
     _TomlReader(document, mechanism).read()
     document.findings.finish()
     mechanism.notes = [*head["notes"], *mechanism.notes]
-    mechanism.roots = tuple(str(d) for d in package_dirs)
+    mechanism.roots = tuple(map(str, folders_of(package_dirs)))
     return mechanism
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from kempe.description.formats import URDF, by_contents
 from kempe.description.mechanism import Mechanism
-from kempe.description.source import Findings, fail, shorten
+from kempe.description.source import Findings, fail, folders_of, shorten
 from kempe.description.urdf.link_graph import choose_root
 from kempe.description.urdf.urdf_elements import ATTRIBUTES, numbers, read_joint, read_link
 from kempe.description.urdf.urdf_unknown import check_top, check_version, has_quaternions, strip_namespaces
@@ -89,7 +89,7 @@ def read_urdf(
     _note_unused(urdf)
     urdf.findings.finish()
     mechanism.notes = urdf.findings.notes
-    mechanism.roots = tuple(str(d) for d in package_dirs)
+    mechanism.roots = tuple(map(str, folders_of(package_dirs)))
     return mechanism
 
 

@@ -14,7 +14,7 @@ import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from kempe.description.source import SIZE_LIMIT, fail
+from kempe.description.source import SIZE_LIMIT, fail, folders_of
 from kempe.errors import DescriptionError, MissingExtraError, UnsupportedError, Where
 
 SECONDS = 20
@@ -94,7 +94,7 @@ def expand_xacro(
         raise MissingExtraError("xacrodoc", "xacro")
     if importlib.util.find_spec("resource") is None:
         raise UnsupportedError("xacro is expanded on Linux and macOS only, where a process can be limited")
-    where, path, package_dirs = Where(str(path)), Path(path).resolve(), tuple(package_dirs)
+    where, path, package_dirs = Where(str(path)), Path(path).resolve(), folders_of(package_dirs)
     settings = {
         "path": str(path),
         "arguments": {str(k): str(v) for k, v in (arguments or {}).items()},

@@ -41,9 +41,9 @@ class Whole:
         takes = f"of {len(self.frames)} poses (4, 4)" if self.frames else f"of q ({system.nq},)"
         if not callable(of.function):
             raise InputError(f"{of.label} is given {of.function!r}; it must be a function {takes}")
-        if self.frames and not _takes(of.function, len(self.frames)):
-            raise InputError(f"{of.label} is called with {len(self.frames)} poses, of {', '.join(self.frames)}, which "
-                             "it does not take")  # fmt: skip
+        if not _takes(of.function, len(self.frames) or 1):
+            given = f"{len(self.frames)} poses, of {', '.join(self.frames)}" if self.frames else f"q ({system.nq},)"
+            raise InputError(f"{of.label} is called with {given}, which it does not take")
         found = checked_value(self.label, self.raw, q := system.random(0))
         self.count = found.size
         if not self.count:
@@ -117,7 +117,7 @@ def _takes(function: Callable, n: int) -> bool:
     except TypeError:
         return False
     except ValueError:  # it has no signature
-        return True
+        return not isinstance(function, type)
     return True
 
 

@@ -176,7 +176,7 @@ class Clusters:
         start = np.cumsum(count) - count
         who = np.repeat(np.arange(len(q)), count)
         with_ = order[np.arange(len(who)) - start[who] + low[who]]
-        apart, step = np.empty(len(who)), max(1, MOST_AT_ONCE // max(q.shape[1], 12 * len(self.frames)))
+        apart, step = np.empty(len(who)), max(1, MOST_AT_ONCE // max(q.shape[1], 12 * len(self.frames), 1))
         for i in range(0, len(who), step):
             a, b = who[i : i + step], with_[i : i + step]
             apart[i : i + step] = self._apart(q[a], X[a], self.q[b], self.poses[b])

@@ -140,7 +140,7 @@ def by_tangents(problem: Problem) -> SelfMotion:
     if local.finite == 1:  # of curves that meet here, the one nearest to the direction
         found = np.concatenate([local.motions, -local.motions])
         wish = found[np.argmax(found @ wish)]
-    way = _Direction(local, wish, local.finite > 1, step, time, spend.progress)
+    way = _Direction(local, wish, local.finite > 1, float(step), time, spend.progress)
     forth = way.follow(q0, 1.0, steps)
     if forth.closed:
         return SelfMotion(system, _rolling(system, [q0, *forth.q]), local.finite, 0, True, ("", ""), demands)

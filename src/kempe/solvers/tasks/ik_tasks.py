@@ -53,7 +53,8 @@ STEPS = 60
 CHUNK, SERIAL_BELOW = 16, 32
 SLACK = 1.0 + 1e-6
 """By which part of a tolerance the check by the forward model may differ from the solver's own: rounding."""
-PREFER = ("nearest", "mid")
+PREFERRED = ("nearest", "mid", "manipulability")
+"""What can be preferred by name, besides a function of q."""
 USUAL = Usual("ik", starts=None, iterations=STEPS, time_limit=None, rng=0, threads=None)
 
 
@@ -212,6 +213,8 @@ def reach(problem: Problem) -> Reached:
     and Slotine, 1991). Errors: `InputError`, `UnknownNameError`.
     """
     system, prefer, spend = problem.system, problem.prefer, USUAL.of(problem.budget)
+    if not (prefer is None or callable(prefer) or (isinstance(prefer, str) and prefer in PREFERRED)):
+        raise InputError(f"prefer is {shown(prefer)}; it must be {', '.join(map(repr, PREFERRED))} or a function of q")
     tolerance = TOLERANCE if problem.tolerance is None else problem.tolerance
     starts, threads = spend.starts, spend.threads
     turns = prefer is None or prefer == "nearest"

@@ -20,14 +20,11 @@ SMALL = 1e-24
 
 
 def least(problem: Demands, prefer: Any) -> Callback:
-    """The function that is to be made least, as kernels call it. Errors: `InputError`."""
+    """The function that is to be made least, as kernels call it: "manipulability", or of q. Errors: `InputError`."""
     if prefer == "manipulability":
         callback = Callback(problem.system, 1, _with_differences(problem, lambda q: -log_manipulability(problem, q)))
-    elif callable(prefer):
-        callback = Callback(problem.system, 1, _of_user(problem, prefer))
     else:
-        allowed = "'nearest', 'mid', 'manipulability' or a function of q"
-        raise InputError(f"prefer is {prefer!r}; it must be {allowed}")
+        callback = Callback(problem.system, 1, _of_user(problem, prefer))
     callback.scale = problem.packed.scale
     return callback
 

@@ -185,7 +185,7 @@ def ik_step(
         raise InputError(f"q has shape {q.shape}, dt is {dt!r}, damping {damping!r}; needed are one configuration "
                          f"({system.nq},), a positive time and a number not negative")  # fmt: skip
     speed = speeds(system) if velocity_limits is None else _numbers(velocity_limits, system.nv, "velocity_limits")
-    w = _numbers(weights, 6, "weights") if weights is not None else None
+    w = _numbers(weights, 6, "weights", True) if weights is not None else None
     if frame is None:
         if keep_direction or w is not None:
             raise InputError("keep_direction and weights are for the twist of a frame; tasks have weights of their own")
@@ -307,13 +307,15 @@ def speeds(system: System) -> Array:
     return np.where(np.isfinite(given), given, usual)
 
 
-def _numbers(x: Any, n: int, what: str) -> Array:
+def _numbers(x: Any, n: int, what: str, finite: bool = False) -> Array:
     try:
         out = np.broadcast_to(reals(x, what, f"a number or ({n},) numbers"), (n,))
     except InputError:
         raise
     except ValueError:
         out = np.full(1, np.nan)
-    if not (out >= 0.0).all():
-        raise InputError(f"{what} is {x!r}; it must be a number or ({n},) numbers, none negative")
+    if not (out >= 0.0).all() or (finite and not np.isfinite(out).all()):
+        raise InputError(
+            f"{what} is {x!r}; it must be a number or ({n},) numbers, none negative{' or infinite' if finite else ''}"
+        )
     return out

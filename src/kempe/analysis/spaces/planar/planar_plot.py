@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.analysis.spaces.planar.curves import Piece
+from kempe.analysis.spaces.planar.plane_curves import PlanePiece
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -47,6 +47,6 @@ def plot(workspace: PlanarWorkspace, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def drawn(piece: Piece) -> Array:
+def drawn(piece: PlanePiece) -> Array:
     """Points (k,) along a piece, close enough for a picture."""
     return piece.at(np.linspace(0.0, 1.0, max(2, int(abs(piece.sweep) / FINE) + 2)))

@@ -36,7 +36,7 @@ SLICE = 20_000
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class Placement(Report):
+class BasePlacement(Report):
     """Places of the base, as a map over `axes` (name to values), and how well a list of poses is reached from each.
 
     Over the axes, in their order: `fraction` of the poses that are reached; `margin` and `manipulability`, the least
@@ -113,7 +113,7 @@ def base_pose(places: Array) -> Array:
 def place_base(
     system: System, targets: ArrayLike, frame: FrameLike, box: Mapping[str, Any], cells: int | Mapping[str, int] = 11,
     *, task: str | tuple[str, ArrayLike] | None = None, budget: Budget | None = None,
-) -> Placement:  # fmt: skip
+) -> BasePlacement:  # fmt: skip
     """Where to put the base so that a frame reaches all `targets` (n, 4, 4), which stay where they are.
 
     The `box` names coordinates of the base, "x", "y", "z" in metres and "yaw" in radians, with a pair (low, high) that
@@ -145,7 +145,7 @@ def place_base(
         if spend.progress is not None:
             spend.progress(min(total, (i + at_once) * len(X)), total)
     fraction, far, w = (np.concatenate(x).reshape(shape) for x in zip(*rows, strict=True))
-    return Placement(system, name, len(X), axes, fixed, fraction, far, w)
+    return BasePlacement(system, name, len(X), axes, fixed, fraction, far, w)
 
 
 def _without_progress(budget: Budget) -> Budget:

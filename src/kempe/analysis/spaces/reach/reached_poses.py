@@ -30,7 +30,7 @@ SHOWN = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Reached:
+class ReachedPoses:
     """Of poses (n,): whether they are `reached`, by how many `solutions`, and the best of these.
 
     `solutions` are those inside the limits, `UNKNOWN` where it is not certain that all are known. `manipulability` and
@@ -70,7 +70,7 @@ def margin(system: System, q: Array) -> Array:
     return (np.minimum(x - low, high - x) / (0.5 * (high - low))).min(axis=-1)
 
 
-def reached(system: System, targets: Array, frame: str, task: Any, budget: Budget) -> Reached:
+def reached(system: System, targets: Array, frame: str, task: Any, budget: Budget) -> ReachedPoses:
     """What is reached of `targets` (n, ...), as `System.ik` takes them."""
     single = system.ik(targets, frame, task=task, budget=budget)
     name = str(single.problem.name)
@@ -87,7 +87,7 @@ def reached(system: System, targets: Array, frame: str, task: Any, budget: Budge
     any_ = mask.any(axis=1)
     best = np.argmax(np.where(mask, far, -np.inf), axis=1)
     at = np.arange(len(q))
-    return Reached(any_, np.where(any_ & (solutions == 0), UNKNOWN, solutions),
+    return ReachedPoses(any_, np.where(any_ & (solutions == 0), UNKNOWN, solutions),
                    np.where(any_, np.max(np.where(mask, w, -1.0), axis=1), np.nan), far[at, best], q[at, best],
                    np.where(any_, int(Status.SOLVED), single.code))  # fmt: skip
 

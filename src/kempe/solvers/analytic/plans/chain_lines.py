@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -114,7 +115,7 @@ def lines_of(system: System, frame: str) -> Lines:
     return scaled(h, o, tip, even)
 
 
-def _carried(placements: list[np.ndarray]) -> tuple[Array, Array, Array]:
+def _carried(placements: Iterable[np.ndarray]) -> tuple[Array, Array, Array]:
     """Directions and points (n, 3) of the axes and the pose (4, 4) of the tip, from placements (12,) one by one."""
     poses = list(itertools.accumulate(map(_pose, placements), np.matmul))
     X = np.array(poses[:-1])

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from kempe.budget import Budget, Usual
 from kempe.calls import explained
-from kempe.errors import InputError, UnknownNameError, UnsupportedError
+from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
 from kempe.reals import is_whole, reals
 from kempe.rigid import EXACT, arrays, rotation_error
 from kempe.solvers.analytic.ik_all import chain_lines, ik_all, plan_for
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
 ARM_ANGLE = "arm_angle"
 
-SAMPLES = 256
-"""Values of a joint at which all solutions are requested, as starts of the curves between them."""
+SAMPLES, MOST_SAMPLES = 256, 10_000_000
+"""Values of a joint at which all solutions are requested, as starts of the curves between: usually, and at most."""
 USUAL = Usual("ik_sweep", points=SAMPLES)
 
 
@@ -68,7 +68,10 @@ def ik_sweep(
     """
     name = system.structure.frame_name(frame)
     said, axis = task_and_axis(task)
-    parameter, reference = parameter if isinstance(parameter, (tuple, list)) else (parameter, None)
+    with_reference = isinstance(parameter, (tuple, list))
+    if with_reference and len(parameter) != 2:
+        raise InputError(f"the parameter is {shown(parameter)}; it must be a name, or a name and a direction")
+    parameter, reference = parameter if with_reference else (parameter, None)
     _count(USUAL.of(budget).points)
     direction = axis_for(axis, said)
     targets, lead, is_position = targets_of(system, arrays(target, "target"), said, direction)
@@ -146,8 +149,8 @@ def _refuse_no_rotation(R: Array) -> None:
 
 
 def _count(n: object) -> int:
-    if not is_whole(n) or n < 2:
-        raise InputError(f"the number of samples is {n!r}; it must be a whole number, at least 2")
+    if not is_whole(n) or not 2 <= n <= MOST_SAMPLES:
+        raise InputError(f"the number of samples is {n!r}; it must be a whole number from 2 to {MOST_SAMPLES}")
     return int(n)
 
 

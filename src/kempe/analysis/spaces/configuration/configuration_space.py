@@ -16,6 +16,10 @@ from kempe.status import Status
 
 if TYPE_CHECKING:
     from kempe.analysis.mobility.mobility import Mobility
+    from kempe.analysis.spaces.configuration.components import Components
+    from kempe.analysis.spaces.configuration.connection import Connection
+    from kempe.analysis.spaces.configuration.sampling import Sample
+    from kempe.budget import Budget
     from kempe.model.system import System
 
 
@@ -62,6 +66,28 @@ class ConfigurationSpace(Report):
     def distance(self, q0: Any, q1: Any) -> Array:
         """Length (...) of the straight way from `q0` to `q1`; unlimited joints turn the short way."""
         return distance(self.system, q0, q1)
+
+    # ---- all of it
+
+    def sample(
+        self, n: int, rng: np.random.Generator | int | None = None, *, budget: Budget | None = None
+    ) -> Sample:  # fmt: skip
+        """Random configurations (n, nq), uniform in a stated measure; see `spaces.configuration.sampling.sample`."""
+        from kempe.analysis.spaces.configuration.sampling import sample
+
+        return sample(self.system, n, rng, budget=budget)
+
+    def components(self, *, budget: Budget | None = None) -> Components:
+        """Its connected components, or a lower bound of their number; see `spaces.configuration.components`."""
+        from kempe.analysis.spaces.configuration.components import components
+
+        return components(self.system, budget=budget)
+
+    def path(self, q0: Any, q1: Any, *, budget: Budget | None = None) -> Connection:
+        """A continuous motion between two configurations; see `spaces.configuration.connection.path`."""
+        from kempe.analysis.spaces.configuration.connection import path
+
+        return path(self.system, q0, q1, budget=budget)
 
     # ---- what it is
 

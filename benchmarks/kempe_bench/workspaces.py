@@ -1,0 +1,66 @@
+"""Maps of workspaces: samples a second, beside a plain script of numpy; two threads beside one."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from kempe_bench.bench import Bench
+from kempe_bench.timing import Case, Table, measure
+
+ARMS = {"puma560": "tool", "panda": "tool"}
+SAMPLES, BY_HAND, CELLS = 2_000_000, 20_000, 256
+ONE, TWO, NUMPY = "Kempe, one thread", "Kempe, two threads", "numpy, by hand"
+
+
+def binned(bench: Bench) -> Table:
+    """Nanoseconds a sample, drawn, placed and counted in 256^3 cells."""
+    import kempe
+    from kempe.analysis.spaces.workspace.counting_runs import Threads
+    from kempe.analysis.spaces.workspace.recipe import recipe_of
+    from kempe.solvers.common.clock import TimeLimit
+
+    table = Table("Maps of workspaces: drawn, placed and counted, by samples", "ns", ratios=True)
+    for name, frame in ARMS.items():
+        system = kempe.load(name)
+        recipe = recipe_of(system, frame, 0, CELLS, None)
+        threads = {who: Threads(recipe, k) for who, k in ((ONE, 1), (TWO, 2))}
+        said = {"n": 32 * SAMPLES, "clock": TimeLimit(None), "said": lambda done: None}
+        timed = [Case(who, name, "t.count(0, n, clock, said)", {"t": t, **said}, 32 * SAMPLES)
+                 for who, t in threads.items()]  # fmt: skip
+        timed.append(Case(NUMPY, name, "by_hand(system, frame, n, box)", {
+            "by_hand": by_hand, "system": system, "frame": frame, "n": BY_HAND,
+            "box": list(zip(recipe.grid.low, recipe.grid.high, strict=True)),
+        }, BY_HAND))  # fmt: skip
+        table.rows += measure(timed, 1e9)
+    table.at_most(f"one thread, ns a sample of {next(iter(ARMS))}", table.best(ONE, "puma560"), 50.0)
+    one, two = table.best(ONE, "puma560"), table.best(TWO, "puma560")
+    if one and two:
+        table.at_least("two threads, times one", one / two, 1.8)
+    table.remarks.append(f"{CELLS}^3 cells; numpy by hand multiplies matrices of all joints, and sorts by histogramdd")
+    return table
+
+
+def by_hand(system, frame: str, n: int, box: list[tuple[float, float]]) -> np.ndarray:
+    """The same map as one would write it with numpy alone: matrices of joints, then a histogram."""
+    table = system.structure.table
+    rows = table.path(frame)
+    q = np.random.default_rng(0).uniform(system.lower, system.upper, (n, system.nq))
+    X = np.broadcast_to(np.eye(4), (n, 4, 4))
+    for row in rows:
+        angle = table.multiplier[row] * q[:, table.iq[row]] + table.offset[row]
+        s, c = np.sin(angle), np.cos(angle)
+        turn = np.zeros((n, 4, 4))
+        turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1] = c, -s, s, c
+        turn[:, 2, 2] = turn[:, 3, 3] = 1.0
+        X = X @ table.placement[row] @ turn
+    points = (X @ table.at[frame][1])[:, :3, 3]
+    edges = [np.linspace(low, high, CELLS + 1) for low, high in box]
+    at = [np.searchsorted(e, p, side="right") - 1 for e, p in zip(edges, points.T, strict=True)]
+    inside = np.logical_and.reduce([(0 <= k) & (k < CELLS) for k in at])
+    flat = np.ravel_multi_index([k[inside] for k in at], (CELLS,) * 3)
+    counts = np.zeros(CELLS**3, dtype=np.uint32)
+    np.add.at(counts, flat, 1)
+    assert math.isclose(float(counts.sum()), float(inside.sum()))
+    return counts

@@ -1,0 +1,220 @@
+"""Random configurations, uniform in a stated measure: product of coordinates, arc length, volume on a manifold."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kempe.analysis.spaces.configuration.components import components
+from kempe.analysis.spaces.configuration.manifold import Manifold
+from kempe.analysis.spaces.configuration.random_walk import Walkers
+from kempe.budget import Budget, Usual
+from kempe.calls import brief, explained, explained_methods, generator
+from kempe.errors import InputError, UnsupportedError, shown
+from kempe.kinematics.configuration import circles, has_loops, random
+from kempe.kinematics.one_sided import one_sided_rows
+from kempe.reals import is_whole
+from kempe.solvers.common.answer import Configurations
+from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp
+from kempe.spatial import Array
+from kempe.words import counted
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+MOST = 10**7
+"""Configurations at most."""
+CHUNK = 1 << 16
+"""Configurations that are drawn, and judged by one-sided constraints, at once."""
+WALKERS, STARTS = 1000, 4
+"""Walkers at most, and starts that are assembled for each."""
+FITTED, FIRST, EACH = 60, 140, 40
+"""Steps whose length is fitted, steps before the first configuration is kept, and between two of one walker."""
+FAR = 1e3
+"""Characteristic lengths at which a slide that can be there counts as one that runs away."""
+USUAL = Usual("sample", time_limit=TIME_LIMIT, progress=None)
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class Sample(Configurations):
+    """Random configurations `q` (n, nq), uniform in the `measure` that the sentence states.
+
+    `exact` says that they are drawn independently from that measure (on curves: of the components that were found); a
+    random walk only comes near to it. `taken` is the share of proposals, or of steps of the walk, that were taken.
+    """
+
+    __repr__ = brief
+
+    also = ("measure", "exact", "taken", "interrupted", "late")
+
+    q: Array
+    measure: str
+    exact: bool
+    reason: str
+    taken: float
+    wanted: int
+    system: System = field(repr=False)
+    interrupted: bool = False
+    late: bool = False
+
+    @property
+    def success(self) -> bool:
+        """Whether there are as many as were requested."""
+        return len(self.q) == self.wanted
+
+
+def _made(system: System, n: int, q: Array, measure: str, exact: bool, how: str, taken: float = 1.0) -> Sample:
+    said = f"{counted(len(q), 'configuration')}{'' if len(q) == n else f' of {n}'}, uniform in {measure}: {how}"
+    return Sample(q, measure, exact, said, taken, n, system)
+
+
+@explained
+def sample(
+    system: System, n: int, rng: np.random.Generator | int | None = None, *, budget: Budget | None = None
+) -> Sample:  # fmt: skip
+    """Random configurations (n, nq), uniform in a stated measure, within limits and on all constraints.
+
+    Of a tree: the product of the coordinates, rotations of balls by Haar's measure; independent draws, rejected where a
+    one-sided constraint does not hold. With loops or relations the measure is the length, area or volume that closed
+    configurations have in the space of all coordinates (radians and characteristic lengths): with one freedom along the
+    traced curves by arc length, else by a random walk (Zappa, Holmes-Cerfon and Goodman, 2018) from random assemblies,
+    which is uniform in the limit of many steps on each component; the shares of components that it does not join are
+    those of the random assemblies. Of the `budget` are read: time_limit (120 s), progress(done, n). Errors:
+    `InputError` for n, and for slides that nothing bounds, by name: nothing is uniform there.
+    """
+    if not is_whole(n) or not 1 <= n <= MOST:
+        raise InputError(f"n is {shown(n)}; it must be a whole number, at least 1 and at most {MOST}")
+    rng, spend, n = generator(rng), USUAL.of(budget), int(n)
+    time = TimeLimit(spend.time_limit)
+
+    def check(done: int) -> None:
+        time.check()
+        if spend.progress is not None:
+            spend.progress(done, n)
+
+    if not has_loops(system):
+        return _of_tree(system, n, rng, check)
+    mobility = system.mobility()
+    if not mobility.closed or mobility.dof is None:
+        return _made(
+            system, n, np.empty((0, system.nq)), "no measure", False, f"none is known: {mobility.sentence}", 0.0
+        )
+    if mobility.dof == 0:
+        return _of_points(system, n, rng)
+    if mobility.dof == 1:
+        return _of_curves(system, n, rng, spend)
+    return _by_walk(system, n, rng, mobility.dof, mobility.q, check)
+
+
+def _of_tree(system: System, n: int, rng: np.random.Generator, check: Callable[[int], None]) -> Sample:
+    v = system.structure.layout.vector_v
+    bounded = (np.isfinite(system.lower) & np.isfinite(system.upper)) | circles(system)
+    _refuse([system.structure.velocity_names[i] for i in v if not bounded[i]])
+    rows, found, drawn, why = one_sided_rows(system), [], 0, None
+    try:
+        while sum(map(len, found)) < n:
+            check(sum(map(len, found)))
+            q = random(system, rng, min(n, CHUNK))
+            drawn += len(q)
+            found.append(q[(rows.beyond(q, declared=True) <= 0.0).all(axis=1)] if rows.declared else q)
+    except BROKEN_OFF as error:
+        why = error
+    q = np.concatenate([np.empty((0, system.nq)), *found])
+    taken = len(q) / max(1, drawn)
+    how = "drawn independently" + (f", {taken:.2g} of them within one-sided constraints" if rows.declared else "")
+    return _broken(_made(system, n, q[:n], "the product of the coordinates", True, how, taken), why)
+
+
+def _of_points(system: System, n: int, rng: np.random.Generator) -> Sample:
+    modes = system.assembly_modes()
+    q = modes.q[rng.integers(len(modes.q), size=n)] if len(modes.q) else modes.q
+    how = f"{counted(len(modes.q), 'assembly mode')} of a structure that does not move; {modes.status}"
+    return _made(system, n, q, "the count of assembly modes", modes.complete, how)
+
+
+def _of_curves(system: System, n: int, rng: np.random.Generator, spend: Budget) -> Sample:
+    found = components(system, budget=Budget(time_limit=spend.time_limit))
+    paths = [p for c in found.parts for p in c.paths if len(p) > 1]
+    for path in paths:
+        if not path.closed and any("no end" in end or "runs away" in end for end in path.ends):
+            raise InputError(f"{system.name} moves along a curve without end ({path.ends[1]}): nothing is uniform "
+                             "there; limits bound it (with_limits)")  # fmt: skip
+    if not paths:
+        return _made(system, n, np.empty((0, system.nq)), "arc length", False, found.status, 0.0)
+    length = np.array([p.length for p in paths])
+    which = rng.choice(len(paths), size=n, p=length / length.sum())
+    at = rng.random(n) * length[which]
+    q = np.empty((n, system.nq))
+    for k, path in enumerate(paths):
+        q[which == k] = path.at(at[which == k])
+    q = Manifold(system, 1).metric.representatives(q, None)
+    how = f"drawn independently along {counted(len(paths), 'traced curve')} of total length {length.sum():.6g}"
+    how += "" if found.complete else "; curves may have been missed"
+    return _broken(_made(system, n, q, "arc length", bool(found.complete), how), None, found.late)
+
+
+def _by_walk(
+    system: System, n: int, rng: np.random.Generator, dim: int, home: Array, check: Callable[[int], None]
+) -> Sample:  # fmt: skip
+    manifold = Manifold(system, dim)
+    _refuse(_run_away(system))
+    why, kept = None, []
+    walkers = Walkers(manifold, _starts(manifold, min(n, WALKERS), home, rng), rng)
+    if not len(walkers.q):
+        raise UnsupportedError(f"{system.name}: no regular configuration was found from which to walk")
+    try:
+        walkers.fit(FITTED, lambda: check(0))
+        walkers.walk(FIRST, lambda: check(0))
+        while sum(map(len, kept)) < n:
+            if kept:
+                walkers.walk(EACH, lambda: check(sum(map(len, kept))))
+            kept.append(manifold.metric.representatives(walkers.q, None))
+    except BROKEN_OFF as error:
+        why = error
+    q = np.concatenate([np.empty((0, system.nq)), *kept])[:n]
+    measure = "area" if dim == 2 else f"volume of dimension {dim}"
+    each = walkers.steps // len(walkers.q)
+    how = f"a random walk of {each} steps from each of {len(walkers.q)} assemblies, {walkers.taken:.2g} of them taken"
+    return _broken(_made(system, n, q, measure, False, how, walkers.taken), why)
+
+
+def _starts(manifold: Manifold, count: int, home: Array, rng: np.random.Generator) -> Array:
+    """Closed configurations (k, nq) inside the limits, from random ones."""
+    q, ok = manifold.closed(random(manifold.system, rng, STARTS * count))
+    q = q[ok]
+    q = manifold.metric.representatives(q, None)
+    q = q[manifold.inside(q)] if len(q) else q
+    if not len(q):
+        q = home[None] if manifold.inside(home[None])[0] else q
+    return np.resize(q, (count, q.shape[1])) if len(q) else q
+
+
+def _run_away(system: System) -> list[str]:
+    """Names of slides that close the loops at a thousand characteristic lengths: nothing bounds them."""
+    names, turning = system.structure.velocity_names, system.structure.coordinates.turning
+    manifold, out = Manifold(system, 1), []
+    for iq, iv in zip(system.structure.layout.vector_q, system.structure.layout.vector_v, strict=True):
+        if turning[iv] or (np.isfinite(system.lower[iv]) and np.isfinite(system.upper[iv])):
+            continue
+        far = [s * FAR * manifold.metric.length for s in (-1.0, 1.0) if system.lower[iv] <= s * FAR <= system.upper[iv]]
+        if any(system.assemble({system.coordinate_names[iq]: x}, limits=False, budget=Budget(starts=4)) for x in far):
+            out.append(names[iv])
+    return out
+
+
+def _refuse(names: list[str]) -> None:
+    if names:
+        said = f"{', '.join(map(repr, names))} {'is' if len(names) == 1 else 'are'} not bounded on both sides"
+        cure = f"with_limits({{{names[0]!r}: (low, high)}}) bounds it"
+        raise InputError(f"{said}, and nothing is uniform there: {cure}")
+
+
+def _broken(answer: Sample, why: BaseException | None, late: bool = False) -> Sample:
+    if why is None and not late:
+        return answer
+    return replace(answer, late=late or isinstance(why, TimeUp), interrupted=isinstance(why, KeyboardInterrupt),
+                   reason=f"{answer.reason} (stopped early)")  # fmt: skip

@@ -1,0 +1,166 @@
+"""The task space: what of the configuration space is seen in a task, by counts, ranks and bounds of its image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.analysis.spaces.configuration.manifold import Manifold
+from kempe.budget import Budget, Usual
+from kempe.calls import brief, explained, explained_methods, generator
+from kempe.constraints import Pose, Position
+from kempe.constraints.base import Constraint
+from kempe.errors import InputError
+from kempe.kinematics import closure_rows
+from kempe.kinematics.common.result import Cells, Report
+from kempe.kinematics.configuration import as_q, has_loops, random
+from kempe.kinematics.tasks.packed import count, jacobian
+from kempe.solvers.assembly.charts import tangent_space
+from kempe.solvers.common.arguments import start_count
+from kempe.spatial import Array
+from kempe.words import counted
+
+if TYPE_CHECKING:
+    from kempe.model.system import FrameLike, System
+
+FULL = 1e-7
+"""Singular value, as a part of the largest, up to which a direction of the task counts as lost."""
+KINDS = {"pose": Pose, "position": Position}
+USUAL = Usual("task_space", starts=64, rng=0)
+
+
+@explained_methods
+@dataclass(frozen=True, eq=False)
+class TaskSpace(Report):
+    """What of a configuration space of dimension `n` is seen in a task of `m` constraints.
+
+    `rank` is the number of directions in which the task can be moved at `q` (nq,), `generic_rank` the largest that was
+    found at random configurations: the dimension of the image, of which the rank can only be a lower bound. The system
+    is redundant for the task by `redundancy` freedoms. `image` has, for a frame, the least and largest coordinates
+    [m] of its origin at the random configurations, by axis: what is reached is at least as wide.
+    """
+
+    __repr__ = brief
+
+    system: System = field(repr=False)
+    task: str
+    m: int
+    n: int
+    rank: int
+    generic_rank: int
+    q: Array
+    image: dict[str, tuple[float, float]] = field(default_factory=dict)
+    samples: int = 0
+
+    @property
+    def redundancy(self) -> int:
+        """Freedoms that are left where the task holds, at generic configurations."""
+        return self.n - self.generic_rank
+
+    @property
+    def dependent(self) -> int:
+        """Constraints of the task that cannot be set independently, at generic configurations."""
+        return self.m - self.generic_rank
+
+    @property
+    def singular(self) -> bool:
+        """Whether the task loses directions at `q` that it has elsewhere."""
+        return self.rank < self.generic_rank
+
+    @property
+    def status(self) -> str:
+        """How m, n and the rank compare, and what follows for solutions."""
+        k, m, n = self.generic_rank, self.m, self.n
+        counts = f"m = n = {n}" if m == n else f"m = {m} {'<' if m < n else '>'} n = {n}"
+        if m > n:
+            said = f"no solution unless the {m} constraints are dependent: what can be reached has dimension {k}"
+        elif k < m:
+            said = f"{counted(m - k, 'constraint')} of the task cannot be set independently"
+        elif n > k:
+            said = f"redundant by {counted(n - k, 'freedom')}: infinitely many configurations reach what is reached"
+        else:
+            said = "isolated configurations reach what is reached, but for singular ones"
+        here = f"; at this q the rank is {self.rank}, a singular configuration" if self.singular else ""
+        return f"{self.task}: {counts}, rank {k}; {said}{here}"
+
+    def _headline(self) -> str:
+        return f"{self.system.name}: {self.status}"
+
+    def _cells(self) -> Cells:
+        return (), [(f"{axis} [m]", f"from {a:.6g} to {b:.6g}, at least") for axis, (a, b) in self.image.items()]
+
+    def _data(self) -> dict[str, Any]:
+        names = ("task", "m", "n", "rank", "generic_rank", "redundancy", "dependent", "singular", "image", "samples")
+        at = dict(zip(self.system.coordinate_names, self.q.tolist(), strict=True))
+        return {"system": self.system.name} | {name: getattr(self, name) for name in names} | {"q": at}
+
+
+@explained
+def task_space(
+    system: System, tasks: Any, q: Any = None, *, task: str | None = None, budget: Budget | None = None
+) -> TaskSpace:  # fmt: skip
+    """What of the configuration space is seen in tasks: m, n and ranks, and bounds of the image.
+
+    `tasks` is a frame, whose pose counts (or, with ``task="position"``, its position), a task of `kempe.tasks` or a
+    list of them. Ranks are those of the task's rates by the velocities that loops leave, at `q` (nq,) (by default a
+    configuration that was drawn) and, for the generic rank, at random configurations. Of the `budget` are read: starts
+    (64 random configurations), rng (0). Errors: `InputError`, `UnknownNameError`.
+
+    >>> from kempe import load
+    >>> print(task_space(load("two_link"), "e", task="position").status)
+    position of 'e': m = n = 2, rank 2; isolated configurations reach what is reached, but for singular ones
+    """
+    spend = USUAL.of(budget)
+    wanted, name, frame = _wanted(system, tasks, task)
+    drawn = _drawn(system, start_count(spend.starts) or 1, generator(spend.rng))
+    at = drawn[0] if q is None else as_q(system, q)
+    if at.shape != (system.nq,) or not np.isfinite(at).all():
+        raise InputError(f"q has shape {at.shape}; it must be one configuration ({system.nq},) of finite numbers")
+    (ranks, n), m = _ranks(system, wanted, np.concatenate([at[None], drawn])), sum(count(system, t) for t in wanted)
+    rank, generic = int(ranks[0]), int(ranks.max())
+    image = {}
+    if frame is not None:
+        p = system.fk(drawn, frame)[:, :3, 3]
+        image = {axis: (float(p[:, i].min()), float(p[:, i].max())) for i, axis in enumerate("xyz"[: system.dim])}
+    return TaskSpace(system, name, m, n, rank, generic, at.copy(), image, len(drawn))
+
+
+def _wanted(system: System, tasks: Any, task: str | None) -> tuple[list[Constraint], str, FrameLike | None]:
+    """The tasks, what they are called, and the frame if it is one of a frame."""
+    if isinstance(tasks, Constraint) or (isinstance(tasks, (list, tuple)) and tasks):
+        if task is not None:
+            raise InputError("task says what counts of a frame; with tasks of kempe.tasks leave it out")
+        given = [tasks] if isinstance(tasks, Constraint) else list(tasks)
+        return given, ", ".join(getattr(t, "label", repr(t)) for t in given), None
+    name: Any = tasks
+    frame = system.structure.frame_name(name)
+    kind = "pose" if task is None else task
+    if kind not in KINDS:
+        raise InputError(f"task is {task!r}; it must be one of {', '.join(map(repr, KINDS))}")
+    X = system.fk(system.mid, frame)
+    return [Pose(frame, X) if kind == "pose" else Position(frame, X[:3, 3])], f"{kind} of {frame!r}", frame
+
+
+def _drawn(system: System, count: int, rng: np.random.Generator) -> Array:
+    """Random configurations (k, nq), closed where there are loops."""
+    q = random(system, rng, count)
+    if not has_loops(system):
+        return q
+    q, ok = Manifold(system, 1).closed(q)
+    if not ok.any():
+        raise InputError(f"{system.name} was not closed from {count} random starts: it has no configuration to look at")
+    return q[ok]
+
+
+def _ranks(system: System, wanted: list[Constraint], q: Array) -> tuple[np.ndarray, int]:
+    """Ranks (k,) of the tasks over the velocities that loops leave at q (k, nq), and the least number of freedoms."""
+    J, out, n = np.concatenate([jacobian(system, t, q) for t in wanted], axis=-2), [], system.nv
+    N, scale = np.eye(system.nv), closure_rows.scales(system)
+    for x, rates in zip(q, J, strict=True):
+        N = tangent_space(system, x)[0] if has_loops(system) else N
+        n = min(n, N.shape[1])
+        s = np.linalg.svd(rates @ (scale[:, None] * N), compute_uv=False)
+        out.append(int((s > FULL * max(float(s.max(initial=0.0)), 1e-300)).sum()))
+    return np.array(out), n

@@ -1,0 +1,134 @@
+"""Maps as Zarr (version 3): counts with named axes, their middles in metres, and what made them. xarray opens them."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.analysis.spaces.workspace.cell_map import CellMap, Grid
+from kempe.analysis.spaces.workspace.sample_parts import DiskError, checksum_of
+from kempe.errors import InputError, KempeError, MissingExtraError
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+FORMAT = "kempe workspace 1"
+CHUNK = 64
+"""Cells of a chunk along each axis, at most."""
+
+
+class DamagedError(KempeError, OSError):
+    """A map on disk is not what was written."""
+
+
+@dataclass(frozen=True)
+class Stored:
+    """What a file of a map holds: the map, numbers of samples, what made it, and the system's description as TOML."""
+
+    map: CellMap
+    samples: int
+    outside: int
+    left_out: int
+    said: dict[str, Any]
+    toml: str | None
+
+
+def zarr_library() -> Any:
+    """The package zarr. Errors: `MissingExtraError`."""
+    try:
+        import zarr
+    except ImportError:
+        raise MissingExtraError("zarr", "scale") from None
+    return zarr
+
+
+def description_of(system: System) -> str | None:
+    """The system as TOML text, to be read again; None where it holds what no file can, such as functions."""
+    from kempe.description.toml.toml_writer import write_toml
+
+    try:
+        return write_toml(system.mechanism)
+    except KempeError:
+        return None
+
+
+def write_map(path: Path, stored: Stored) -> None:
+    """Write a map, which is then there whole or not at all. Errors: `DiskError`, `MissingExtraError`, `InputError`."""
+    zarr = zarr_library()
+    if path.exists() and not is_map(path):
+        raise InputError(f"{path}: there is something else than a map; take another path")
+    beside = path.with_name(path.name + ".new")
+    try:
+        shutil.rmtree(beside, ignore_errors=True)
+        group = zarr.open_group(str(beside), mode="w", zarr_format=3)
+        group.attrs.update(_attributes(stored))
+        axes, counts = stored.map.axes, stored.map.counts
+        chunks = tuple(min(CHUNK, k) for k in counts.shape)
+        kind = np.uint32 if counts.max(initial=0) < 2**32 else np.uint64
+        array = group.create_array(
+            "counts", shape=counts.shape, dtype=kind, chunks=chunks, dimension_names=tuple(axes),
+            attributes={"long_name": "samples in the cell", "units": "1"},
+        )  # fmt: skip
+        array[...] = counts.astype(kind)
+        for name, middles in axes.items():
+            array = group.create_array(
+                name, shape=middles.shape, dtype=np.float64, chunks=middles.shape, dimension_names=(name,),
+                attributes={"units": stored.map.unit, "long_name": f"{name} in the ground frame"},
+            )  # fmt: skip
+            array[...] = middles
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that not all readers of Zarr know the one file of all descriptions
+            zarr.consolidate_metadata(str(beside))
+        former = path.with_name(path.name + ".former")
+        shutil.rmtree(former, ignore_errors=True)
+        if path.exists():
+            os.replace(path, former)
+        os.replace(beside, path)
+        shutil.rmtree(former, ignore_errors=True)
+    except OSError as error:
+        shutil.rmtree(beside, ignore_errors=True)
+        raise DiskError(f"{path} cannot be written: {error.strerror or error}") from error
+
+
+def _attributes(stored: Stored) -> dict[str, Any]:
+    numbers = {"samples": stored.samples, "outside": stored.outside, "left_out": stored.left_out}
+    made = {**stored.said, **numbers, "checksum": checksum_of(stored.map.counts), "toml": stored.toml}
+    return {"title": f"workspace of {stored.said['frame']}", "format": FORMAT, "kempe": json.dumps(made)}
+
+
+def is_map(path: Path) -> bool:
+    """Whether there is a map at the path, sound or not."""
+    try:
+        return json.loads((path / "zarr.json").read_text(encoding="utf-8"))["attributes"]["format"] == FORMAT
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+
+
+def read_map(path: Path) -> Stored:
+    """The map at a path. Errors: `InputError` where there is none, `DamagedError` where it is not what was written."""
+    zarr = zarr_library()
+    if not path.exists():
+        raise InputError(f"{path}: there is no such map")
+    if not is_map(path):
+        raise InputError(f"{path}: this is no map of a workspace ({FORMAT!r} is not written in its zarr.json)")
+    again = "make it again by the same call"
+    try:
+        group = zarr.open_group(str(path), mode="r", zarr_format=3)
+        made = json.loads(group.attrs["kempe"])
+        counts = np.asarray(group["counts"][...])
+        grid = Grid(*(tuple(made[k]) for k in ("low", "high", "cells", "axes")))
+    except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
+        raise DamagedError(f"{path} is damaged ({type(error).__name__}: {error}); {again}") from error
+    if counts.shape != grid.shape or checksum_of(counts) != made["checksum"]:
+        raise DamagedError(f"{path} is damaged: the counts are not those that were written; {again}")
+    numbers = (int(made.pop(k)) for k in ("samples", "outside", "left_out"))
+    made.pop("checksum")
+    toml = made.pop("toml")
+    return Stored(CellMap(grid, counts), *numbers, made, toml)

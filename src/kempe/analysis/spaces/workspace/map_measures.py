@@ -1,0 +1,106 @@
+"""What a map and the inverse model say together: the measure of what is reached, single points, the boundary."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy import ndimage, spatial
+
+from kempe.analysis.spaces.workspace.cell_map import CellMap
+from kempe.budget import Budget
+from kempe.errors import MissingExtraError
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+POINTS = {"inner": 500, "near": 2000, "far": 500}
+"""Random points of each kind of cells whose places the inverse model is to reach, for the measure."""
+SIGMAS = 2.0
+"""Standard errors that the error of a measure is."""
+
+
+def layers(occupied: np.ndarray) -> dict[str, np.ndarray]:
+    """Cells by what a map says: `inner` and all around them occupied; `far`: nothing around; `near`: the others."""
+    around = np.ones((3,) * occupied.ndim, dtype=bool)
+    inner = ndimage.binary_erosion(occupied, around)
+    far = ~ndimage.binary_dilation(occupied, around)
+    return {"inner": inner, "near": ~(inner | far), "far": far}
+
+
+def reached(system: System, frame: str, points: Array, seed: int) -> np.ndarray:
+    """Whether the inverse model finds configurations within all limits and constraints for points (n, 3)."""
+    if not len(points):
+        return np.zeros(0, dtype=bool)
+    answer = system.ik(points[:, : system.dim], frame, task="position", budget=Budget(rng=seed))
+    return np.asarray(answer.success, dtype=bool)
+
+
+def measured(system: System, frame: str, cells: CellMap, seed: int) -> tuple[float, float]:
+    """The measure of what is reached inside the box, and `SIGMAS` standard errors of it.
+
+    Random points in three layers of the map are decided by the inverse model; the layers make the error small, they
+    prove nothing (stratified sampling: Cochran 1977, chapter 5; variances after Agresti and Coull 1998).
+    """
+    rng, cell = np.random.default_rng([seed, 1]), math.prod(cells.cell)
+    value, variance = 0.0, 0.0
+    for name, mask in layers(cells.occupied).items():
+        chosen = np.flatnonzero(mask)
+        if len(chosen):
+            points = _within(cells, rng.choice(chosen, POINTS[name]), rng)
+            hits, n = int(reached(system, frame, points, seed).sum()), POINTS[name]
+            whole, part = len(chosen) * cell, (hits + 2.0) / (n + 4.0)
+            value += whole * hits / n
+            variance += whole**2 * part * (1.0 - part) / (n + 4.0)
+    return value, SIGMAS * math.sqrt(variance)
+
+
+def _within(cells: CellMap, numbers: np.ndarray, rng: np.random.Generator) -> Array:
+    """Random points (n, 3), one in each of the cells."""
+    grid = cells.grid
+    at = np.stack(np.unravel_index(numbers, grid.shape), axis=-1)
+    return grid.whole(np.array(grid.low)[grid.kept] + (at + rng.random(at.shape)) * grid.size)
+
+
+def decided(system: System, frame: str, cells: CellMap, points: Array, seed: int) -> np.ndarray:
+    """Whether each of points (n, 3) is reached: by the map in inner cells, else by the inverse model."""
+    grid = cells.grid
+    at, inside = grid.places(points[:, grid.kept])
+    off = [k for k in range(3) if k not in grid.kept]
+    middle = 0.5 * (np.array(grid.low) + grid.high)
+    inside &= (np.abs(points - middle)[:, off] <= 1e-9 * (1.0 + np.abs(middle[off]))).all(axis=1)
+    out = inside & layers(cells.occupied)["inner"][tuple(at.T)]
+    out[~out] = reached(system, frame, points[~out], seed)
+    return out
+
+
+def to_boundary(cells: CellMap, points: Array) -> Array:
+    """Distance [m] of points (n, d) from the middle of the nearest boundary cell, negative outside."""
+    grid, occupied = cells.grid, cells.occupied
+    edge = occupied & ~ndimage.binary_erosion(occupied, ndimage.generate_binary_structure(occupied.ndim, 1))
+    middles = np.array(grid.low)[grid.kept] + (np.argwhere(edge) + 0.5) * grid.size
+    far, _ = spatial.cKDTree(middles).query(points)
+    at, inside = grid.places(points)
+    return np.where(inside & occupied[tuple(at.T)], far, -far)
+
+
+def boundary_of(cells: CellMap) -> Any:
+    """The boundary between cells with and without samples, through the middles between them; see `Workspace.boundary`.
+
+    Errors: `MissingExtraError` without scikit-image.
+    """
+    grid, filled = cells.grid, np.pad(cells.occupied, 1).astype(float)
+    origin = np.array(grid.low)[grid.kept] - 0.5 * grid.size
+    if filled.ndim == 1:
+        ends = np.flatnonzero(np.diff(filled))
+        return (origin + (ends[:, None] + 0.5) * grid.size).ravel()
+    try:
+        from skimage import measure
+    except ImportError:
+        raise MissingExtraError("scikit-image", "scale") from None
+    if filled.ndim == 2:
+        return [origin + line * grid.size for line in measure.find_contours(filled, 0.5)]
+    corners, triangles, _, _ = measure.marching_cubes(filled, 0.5)
+    return origin + corners * grid.size, triangles

@@ -1,0 +1,202 @@
+"""The verb `workspace`: any number of samples in fixed memory, in threads or on a cluster, stopped and gone on with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.analysis.spaces.workspace.cell_map import CellMap
+from kempe.analysis.spaces.workspace.counting_runs import Pace, Threads
+from kempe.analysis.spaces.workspace.map_files import (
+    DamagedError,
+    Stored,
+    description_of,
+    is_map,
+    read_map,
+    write_map,
+    zarr_library,
+)
+from kempe.analysis.spaces.workspace.recipe import Recipe, recipe_of
+from kempe.analysis.spaces.workspace.sample_parts import SampleParts, refuse_other
+from kempe.analysis.spaces.workspace.workspace import Workspace, of_stored
+from kempe.budget import Budget, Usual
+from kempe.calls import explained
+from kempe.errors import InputError, shown
+from kempe.reals import is_real
+from kempe.solvers.common.arguments import seed_number
+from kempe.solvers.common.clock import BROKEN_OFF, TimeLimit
+
+if TYPE_CHECKING:
+    from kempe.model.system import FrameLike, System
+
+MOST = 2**62
+USUAL = Usual("workspace", rng=0, threads=None, time_limit=None, progress=None)
+FEW_SAMPLES = 10**5, 10**7
+"""Samples where none are requested: with loops or constraints, and without."""
+TREES = 16
+"""SampleParts into which the work of a cluster is divided: what is done is written down part by part."""
+LARGEST_PART = 2**31
+
+
+@explained
+def workspace(
+    system: System, frame: FrameLike, *, n: float | None = None, cells: Any = None, box: Any = None,
+    client: Any = None, path: str | Path | None = None, budget: Budget | None = None,
+) -> Workspace:  # fmt: skip
+    """The places that a frame reaches, by `n` random configurations within the limits: a `Workspace`.
+
+    Their positions are counted in `cells` (a number along the longest edge, or one for each axis; 256 in the plane and
+    64 in space) of a `box` (d, 2) [m]; without one, of the box of the first positions, a tenth wider. Coordinates are
+    uniform within their limits, angles without limits in a full turn, quaternions uniform. Configurations of a system
+    with loops are random ones brought to where all loops are closed, and what violates a declared constraint is left
+    out; that is a thousand times slower (n is 1e7, with loops 1e5). Memory does not depend on n.
+
+    Samples are a function of the seed (the `rng` of the `budget`, 0) and their number, so the same map comes of any
+    number of threads or workers. With a `client`, a `distributed.Client` or the address of a scheduler, the workers
+    of a Dask cluster do the work. With a `path`, what is done is written beside it as it goes, and the map to it at the
+    end: the same call goes on after any interruption, and with a larger `n` adds to a map that is there.
+
+    Of the `budget` are read: rng, threads, time_limit (none), progress(samples, n, samples a second, seconds left). An
+    interrupt from the keyboard or the time limit returns what was done. Errors: `InputError` for a frame that does not
+    move, slides without limits, and what belongs to another map; `KernelsError` for a map of other kernels;
+    `DiskError`; `UnknownNameError`; `MissingExtraError` without the extra [scale], for `client` and `path`.
+    """
+    name, spend = system.structure.frame_name(frame), USUAL.of(budget)
+    clock = TimeLimit(spend.time_limit)
+    if n is not None and not (is_real(n) and 1 <= n <= MOST and n == int(n)):
+        raise InputError(f"n is {shown(n)}; it must be a whole number of samples, from 1 to {MOST:.2g}")
+    if client is not None:
+        from kempe.analysis.spaces.workspace.on_cluster import connected
+
+        client = connected(client)
+    recipe = recipe_of(system, name, seed_number(spend.rng), cells, box)
+    count = int(n or FEW_SAMPLES[recipe.plain])
+    store = _Memory(recipe) if path is None else _Disk(recipe, Path(path))
+    if isinstance(store, _Disk) and store.found is not None and store.found.samples >= count:
+        return of_stored(system, store.found, store.found.samples)
+    done, broken = store.samples(count), None
+    pace = Pace(spend.progress, done, count)
+    each = recipe.part
+    try:
+        if client is None:
+            runs = _local(recipe, store.missing(count, min(max(each, count // 64), LARGEST_PART)), spend, clock, pace)
+        else:
+            from kempe.analysis.spaces.workspace.on_cluster import parts_of
+
+            runs = parts_of(client, recipe, store.missing(count, max(each, count // TREES)), each, clock.check)
+        for first, last, counts in runs:
+            if last > first:
+                store.add(first, last, counts)
+            pace(store.samples(count), at_once=True)
+    except BROKEN_OFF as error:
+        broken = error
+    stored = store.stored(count)
+    early = {"interrupted": isinstance(broken, KeyboardInterrupt), "late": stored.samples < count,
+             "redone": store.redone}  # fmt: skip
+    if broken is None:
+        store.finish(stored)
+    return of_stored(system, stored, count, **early | {"late": early["late"] and not early["interrupted"]})
+
+
+def _local(
+    recipe: Recipe, ranges: list[tuple[int, int]], spend: Budget, clock: TimeLimit, pace: Pace
+) -> Iterator[tuple[int, int, np.ndarray]]:  # fmt: skip
+    """Counts of ranges, by threads of this process: (first, last, counts), the last one shorter if it is broken off.
+
+    Errors: what broke it off, after what was done by then.
+    """
+    threads, before = Threads(recipe, spend.threads), pace.before
+    for first, last in ranges:
+        counts, stop, broken = threads.count(first, last, clock, lambda k, a=before - first: pace(a + k))
+        yield first, stop, counts
+        before += stop - first
+        if broken is not None:
+            raise broken
+
+
+class _Memory:
+    """Counts that are held in memory only."""
+
+    redone = 0
+
+    def __init__(self, recipe: Recipe):
+        self.recipe, self.done = recipe, 0
+        self.counts = np.zeros(recipe.entries, dtype=np.uint64)
+
+    def missing(self, n: int, most: int) -> list[tuple[int, int]]:
+        """Ranges of at most `most` samples that make up the first n."""
+        return [(first, min(first + most, n)) for first in range(0, n, most)]
+
+    def samples(self, n: int) -> int:
+        """How many of the first n samples are counted."""
+        return self.done
+
+    def add(self, first: int, last: int, counts: np.ndarray) -> None:
+        """Add the counts of a range."""
+        self.counts += counts
+        self.done += last - first
+
+    def stored(self, n: int) -> Stored:
+        """The map of what was added."""
+        return _stored(self.recipe, self.counts, self.done)
+
+    def finish(self, stored: Stored) -> None:
+        """Keep nothing: the answer has it all."""
+
+
+class _Disk:
+    """Counts in parts beside a path, and the map at the path when all is done."""
+
+    def __init__(self, recipe: Recipe, path: Path):
+        zarr_library()
+        if not path.parent.is_dir():
+            raise InputError(f"{path}: there is no folder {str(path.parent)!r}")
+        self.recipe, self.path, self.found, self.redone = recipe, path, None, 0
+        self.parts = SampleParts(path, recipe.said(), recipe.entries)
+        if path.exists() and not is_map(path):
+            raise InputError(f"{path}: there is something else than a map; take another path")
+        if path.exists():
+            try:
+                self.found = read_map(path)
+                refuse_other(self.found.said, recipe.said(), str(path))
+            except DamagedError:
+                self.redone = 1
+        self.parts.begin()
+        self.redone += self.parts.damaged
+        if self.found is not None and not self.parts.done:
+            counts = np.zeros(recipe.entries, dtype=np.uint64)
+            counts[: recipe.grid.count] = self.found.map.counts.ravel()
+            counts[recipe.grid.count : recipe.grid.count + 2] = self.found.outside, self.found.left_out
+            self.parts.add(0, self.found.samples, counts)
+
+    def missing(self, n: int, most: int) -> list[tuple[int, int]]:
+        """Ranges of at most `most` samples that are left of the first n."""
+        return self.parts.missing(n, most, self.recipe.piece)
+
+    def samples(self, n: int) -> int:
+        """How many of the first n samples are counted."""
+        return sum(p.last - p.first for p in self.parts.done if p.last <= n)
+
+    def add(self, first: int, last: int, counts: np.ndarray) -> None:
+        """Write the counts of a range."""
+        self.parts.add(first, last, counts)
+
+    def stored(self, n: int) -> Stored:
+        """The map of what was written."""
+        parts = [p for p in self.parts.done if p.last <= n]
+        return _stored(self.recipe, self.parts.total(parts), self.samples(n))
+
+    def finish(self, stored: Stored) -> None:
+        """Write the map, and drop the parts."""
+        write_map(self.path, stored)
+        self.parts.clear()
+
+
+def _stored(recipe: Recipe, counts: np.ndarray, samples: int) -> Stored:
+    grid = recipe.grid
+    cells = CellMap(grid, counts[: grid.count].reshape(grid.shape))
+    outside, left_out = (int(x) for x in counts[grid.count : grid.count + 2])
+    return Stored(cells, samples, outside, left_out, recipe.said(), description_of(recipe.system))

@@ -1,0 +1,220 @@
+"""What a map is made of, and the counts of any range of its samples: pure, and the same wherever it is done."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import threading
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe import __version__
+from kempe.analysis.spaces.workspace.cell_map import Grid, grid_of
+from kempe.errors import InputError, KernelsError
+from kempe.kernels.compiled import VARIANT, lane_positions
+from kempe.kernels.forward.table_layout import Q_INDEX, rows_of
+from kempe.kinematics.configuration import circles, has_loops, sampling_box
+from kempe.kinematics.forms import chain_table
+from kempe.kinematics.forward import fk
+from kempe.kinematics.one_sided import one_sided_rows
+from kempe.model.tree.characteristic_length import characteristic_length
+from kempe.spatial import Array
+from kempe.words import joined
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+PIECE, SLOW_PIECE = 2**20, 1024
+"""Samples that one thread counts before it looks up: by the kernel, and with what closes loops or obeys constraints."""
+PART, SLOW_PART = 10**8, 10**5
+"""Samples of a task, a few seconds; and of systems with loops or constraints."""
+PILOT, SLOW_PILOT = 2**17, 2**11
+"""Samples whose positions say where the box is."""
+AFTER = 2
+"""Counts after those of the cells: of samples outside the box, and of those left out."""
+FAR = 1e7
+"""Coordinates from which on a limit is none: sines lose their digits there."""
+_one_at_a_time = threading.Lock()
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A system, a frame, a seed and a grid: all that the counts of samples number `first` to `last` depend on.
+
+    `variant` are the kernels that make them: others round otherwise, and are refused.
+    """
+
+    system: System
+    frame: str
+    seed: int
+    grid: Grid
+    variant: str = VARIANT
+    version: str = __version__
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Recipe, (self.system, self.frame, self.seed, self.grid, self.variant, self.version)
+
+    @cached_property
+    def plain(self) -> bool:
+        """Whether samples are independent coordinates: no loop moves the frame, no constraint is declared."""
+        return is_plain_chain(self.system)
+
+    @property
+    def piece(self) -> int:
+        """Samples that one thread counts at once."""
+        return PIECE if self.plain else SLOW_PIECE
+
+    @property
+    def part(self) -> int:
+        """Samples that one task of a cluster counts, and after which what is done is written down."""
+        return PART if self.plain else SLOW_PART
+
+    @property
+    def entries(self) -> int:
+        """Length of the counts of 32 bits: cells, what is outside, what was left out, filled up to an even number."""
+        return (self.grid.count + AFTER + 1) // 2 * 2
+
+    def said(self) -> dict[str, Any]:
+        """What is written beside a map, and must be the same for counts to be added."""
+        grid = {k: list(x) for k, x in asdict(self.grid).items()}
+        return {"system": self.system.structure.content_hash, "frame": self.frame, "seed": self.seed, **grid,
+                "variant": self.variant, "version": self.version}  # fmt: skip
+
+    @property
+    def digest(self) -> str:
+        """A short name for all that the counts depend on."""
+        return hashlib.sha256(json.dumps(self.said(), sort_keys=True).encode()).hexdigest()[:16]
+
+    def check(self) -> None:
+        """Refuse to count with kernels that would round otherwise. Errors: `KernelsError`."""
+        if (self.variant, self.version) != (VARIANT, __version__):
+            raise KernelsError(
+                f"the map is made by the kernels {self.variant!r} of Kempe {self.version}, and here run {VARIANT!r} of "
+                f"{__version__}, which round otherwise: set KEMPE_KERNELS={self.variant} and install that version, or "
+                f"make the map anew"
+            )
+
+    def count(self, first: int, last: int, counts: np.ndarray) -> None:
+        """Add the samples `first` to `last` to counts (entries,) of uint32, which threads may share."""
+        if self.plain:
+            keys, bounds = self._drawn
+            table = chain_table(self.system, self.frame)
+            lane_positions.count_cells(
+                *table, keys, bounds, first, last - first, self.grid.packed, counts.view(np.int64)
+            )
+            return
+        for piece in range(first // SLOW_PIECE, -(-last // SLOW_PIECE)):
+            points = slow_positions(self.system, self.frame, self.seed, piece)
+            points = points[max(0, first - piece * SLOW_PIECE) : last - piece * SLOW_PIECE]
+            kept = points[~np.isnan(points[:, 0])]
+            with _one_at_a_time:
+                np.add.at(counts, self.grid.flat(kept), np.uint32(1))
+                counts[self.grid.count + 1] += np.uint32(len(points) - len(kept))
+
+    @cached_property
+    def _drawn(self) -> tuple[np.ndarray, Array]:
+        return keys_of(self.seed, self.system.nq), bounds_of(self.system)
+
+
+def counted(recipe: Recipe, first: int, last: int) -> np.ndarray:
+    """The counts (entries,) of the samples `first` to `last`, in one thread. Errors: `KernelsError`."""
+    recipe.check()
+    counts = np.zeros(recipe.entries, dtype=np.uint32)
+    for start in range(first, last, recipe.piece):
+        recipe.count(start, min(start + recipe.piece, last), counts)
+    return counts
+
+
+# ---- what is drawn
+
+
+def is_plain_chain(system: System) -> bool:
+    """Whether every configuration within the limits is one of the system."""
+    return not has_loops(system) and not system._mechanism.constraints
+
+
+def keys_of(seed: int, count: int) -> np.ndarray:
+    """Keys (count,) of the random sequences of the coordinates, from a seed: SplitMix64 twice."""
+    return np.array([_mix(_mix(seed, 0), k) for k in range(count)], dtype=np.uint64).view(np.int64)
+
+
+def _mix(state: int, counter: int) -> int:
+    """Number `counter` of SplitMix64 from `state` (Steele, Lea and Flood 2014)."""
+    mask = 2**64 - 1
+    z = (state + 0x9E3779B97F4A7C15 * (counter + 1)) & mask
+    z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) & mask
+    z = ((z ^ (z >> 27)) * 0x94D049BB133111EB) & mask
+    return z ^ (z >> 31)
+
+
+def bounds_of(system: System) -> Array:
+    """Lower end and range (nq, 2) of what is drawn of each coordinate; quaternions have none."""
+    low, high = sampling_box(system)
+    layout, out = system.structure.layout, np.zeros((system.nq, 2))
+    out[layout.vector_q, 0] = low[layout.vector_v]
+    out[layout.vector_q, 1] = (high - low)[layout.vector_v]
+    return out
+
+
+def slow_positions(system: System, frame: str, seed: int, piece: int) -> Array:
+    """Positions (SLOW_PIECE, 3) of one piece of samples of a system with loops or constraints.
+
+    Random configurations are brought to where loops are closed; NaN where that fails, or a constraint is violated.
+    """
+    q = system.random(np.random.Generator(np.random.Philox(key=[seed, piece])), SLOW_PIECE)
+    good = np.ones(len(q), dtype=bool)
+    if has_loops(system):
+        answer = system.assemble(None, q)
+        q, good = answer.q, np.asarray(answer.success, dtype=bool)
+    rows = one_sided_rows(system)
+    good &= (rows.beyond(np.where(good[:, None], q, system.mid)) == 0.0).all(axis=1)
+    points = np.full((len(q), 3), np.nan)
+    points[good] = fk(system, q[good], frame, form="position")
+    return points
+
+
+def recipe_of(system: System, frame: str, seed: int, cells: Any, box: Any) -> Recipe:
+    """The recipe of a map. Errors: `InputError` for a frame that does not move, unlimited slides, wrong boxes."""
+    refuse_unlimited(system, frame)
+    if is_plain_chain(system):
+        points = np.empty((PILOT, 3))
+        table = chain_table(system, frame)
+        lane_positions.random_positions(*table, keys_of(seed, system.nq), bounds_of(system), 0, points)
+    else:
+        points = np.concatenate([slow_positions(system, frame, seed, k) for k in range(SLOW_PILOT // SLOW_PIECE)])
+        points = points[~np.isnan(points[:, 0])]
+        if not len(points):
+            raise InputError(f"of {SLOW_PILOT} random configurations of {system.name!r} none could be closed within "
+                             "the limits and constraints")  # fmt: skip
+    if not np.isfinite(points).all():
+        raise InputError(f"positions of {frame!r} are not finite: a limit is too large")
+    extent = np.stack([points.min(axis=0), points.max(axis=0)])
+    length = characteristic_length(system) or 1.0
+    if not (extent[1] - extent[0] > 1e-9 * length).any():
+        where = ", ".join(f"{x:.6g}" for x in extent[0][: system.dim])
+        raise InputError(f"frame {frame!r} does not move: it is always at ({where})")
+    return Recipe(system, frame, seed, grid_of(extent, cells, box, length, system.dim))
+
+
+def refuse_unlimited(system: System, frame: str) -> None:
+    """Refuse coordinates that move a frame without end. Errors: `InputError` with their names."""
+    layout, circle = system.structure.layout, circles(system)
+    if is_plain_chain(system):
+        used = set(rows_of(chain_table(system, frame)[0])[:, Q_INDEX].tolist())
+    else:  # what is not driven may be held by loops
+        driven = {c for j in system.structure.joints.values() if j.actuated
+                  for c in system.structure.coordinates_of_joint(j.name)}  # fmt: skip
+        used = {k for k, name in enumerate(system.coordinate_names) if name in driven}
+    names = []
+    for at, v in zip(layout.vector_q.tolist(), layout.vector_v.tolist(), strict=True):
+        ends = system.lower[v], system.upper[v]
+        if at in used and not circle[v] and not all(abs(x) < FAR for x in ends):
+            names.append(repr(system.structure.velocity_names[v]))
+    if names:
+        raise InputError(
+            f"{joined(names)} {'has' if len(names) == 1 else 'have'} no limits, and so the frame {frame!r} no end of "
+            f"places: give limits, such as system.with_limits({{{names[0]}: (-1.0, 1.0)}})"
+        )

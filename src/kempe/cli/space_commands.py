@@ -1,0 +1,84 @@
+"""The command about the spaces of a system: configuration space, its components and samples, task space, picture."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+
+from kempe.budget import Budget
+from kempe.cli.app import (
+    CLOSED,
+    Base,
+    Dirs,
+    File,
+    Json,
+    Lenient,
+    Out,
+    Root,
+    TimeLimit,
+    Xacro,
+    app,
+    load,
+    option,
+    results,
+    say_written,
+)
+from kempe.cli.loop_commands import Picture, picture, save_picture
+from kempe.errors import InputError
+from kempe.views.terminal import INCOMPLETE, guarded, print_json
+
+
+@app.command(rich_help_panel=CLOSED)
+@guarded
+def spaces(
+    file: File,
+    frame: Annotated[str | None, option("--frame", "Frame whose task space is wanted.", "NAME")] = None,
+    position_only: Annotated[bool, option("--position-only", "Only its position counts, not its pose.")] = False,
+    sample: Annotated[
+        int | None, option("--sample", "So many random configurations, uniform in a stated measure.", "N")
+    ] = None,
+    rng: Annotated[int, option("--rng", "Number that fixes what is random (0).", "N")] = 0,
+    time_limit: TimeLimit = None, plot: Picture = None, out: Out = None, json: Json = False,
+    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    lenient_limits: Lenient = False,
+) -> None:  # fmt: skip
+    """Say what the configuration space is: dimension, components, samples; and the task space of a frame.
+
+    With --plot both spaces of a system with two coordinates are drawn beside one another (--frame says of what).
+
+    Example: kempe spaces two_link --frame e --sample 1000 -o q.csv --plot spaces.png
+    """
+    if out is not None and sample is None:
+        raise InputError(f"{out}: --sample says how many configurations are written")
+    if plot is not None and frame is None:
+        raise InputError(f"{plot}: --frame says whose task space is drawn")
+    if position_only and frame is None:
+        raise InputError("--position-only is about the task space of a frame: --frame names it")
+    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    results(out)
+    picture(plot)
+    space, budget = system.configuration_space, Budget(time_limit=time_limit)
+    found: dict[str, Any] = {"configuration_space": space, "components": space.components(budget=budget)}
+    if frame is not None:
+        found["task_space"] = system.task_space(frame, task="position" if position_only else "pose")
+    if sample is not None:
+        found["sample"] = space.sample(sample, rng, budget=budget)
+    written = []
+    if plot is not None:
+        save_picture(system.plot_spaces(frame or "")[0], plot)
+        written.append(plot)
+    if out is not None:
+        from kempe.views import rows
+
+        rows.write_configurations(out, system, found["sample"].q)
+        written.append(out)
+    if json:
+        print_json({k: x.data() for k, x in found.items()} | {"written": [str(path) for path in written]})
+    else:
+        for k, x in found.items():
+            print(f"{k.replace('_', ' ')}: {x}")
+        for path in written:
+            say_written(path, False)
+    if found["components"].late or not found.get("sample", space):
+        raise typer.Exit(INCOMPLETE)

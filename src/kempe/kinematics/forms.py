@@ -1,0 +1,102 @@
+"""Forms in which the forward model is written: whole poses, their upper three rows, positions, with quaternions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from kempe.calls import known
+from kempe.errors import InputError, shown
+from kempe.kernels.compiled import lane_positions
+from kempe.kinematics.common.parallel import over_chunks
+from kempe.kinematics.configuration import as_q
+from kempe.model.kept import kept
+from kempe.model.tree.gauge import regauge
+from kempe.spatial import Array, matrix_to_quat_wxyz
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+FEW = 2048
+"""Configurations whose poses are held at once: a block that stays in the cache."""
+SERIAL_BELOW = 20_000
+
+
+class Form(NamedTuple):
+    """What of a pose is written: an array of this `shape`, as `of` makes it from poses (..., 4, 4)."""
+
+    shape: tuple[int, ...]
+    of: Callable[[Array], Array]
+
+
+FORMS = {
+    "pose": Form((4, 4), lambda X: X),
+    "3x4": Form((3, 4), lambda X: X[..., :3, :]),
+    "position": Form((3,), lambda X: X[..., :3, 3]),
+    "position_quat_wxyz": Form(
+        (7,), lambda X: np.concatenate([X[..., :3, 3], matrix_to_quat_wxyz(X[..., :3, :3])], axis=-1)
+    ),
+}
+"""The forms by their names."""
+TYPES = ("float64", "float32")
+
+
+@kept
+def chain_table(system: System, frame: str) -> tuple[np.ndarray, Array]:
+    """The chain that leads to a frame, packed for the kernels of chains in its cheapest form."""
+    return regauge(*system.structure.table.pack([frame], system.structure.table.path(frame)))
+
+
+def in_form(
+    system: System, q: Any, frame: Any, out: Array | None, threads: int | None, form: str, dtype: Any
+) -> Array:  # fmt: skip
+    """The forward model in a form and a type of numbers; see `forward.fk`. Errors: as there."""
+    from kempe.kinematics.forward import fk
+
+    wanted = FORMS[known("form", form, FORMS)]
+    try:
+        kind = np.dtype(dtype)
+    except TypeError:
+        kind = np.dtype(object)
+    if kind.name not in TYPES:
+        raise InputError(f"dtype is {shown(dtype)}; allowed: {', '.join(TYPES)}")
+    q = as_q(system, q)
+    several = frame is None or isinstance(frame, (list, tuple))
+    lead = q.shape[:-1] + ((len(system.body_names if frame is None else frame),) if several else ())
+    out = _taken(out, (*lead, *wanted.shape), kind)
+    if q.ndim == 1:
+        out[...] = wanted.of(fk(system, q, frame))
+        return out
+    flat = q.reshape(math.prod(q.shape[:-1]), system.nq)
+    rows = out.reshape(len(flat), *out.shape[q.ndim - 1 :])
+    if np.may_share_memory(q, out):
+        flat = flat.copy()
+    direct = form == "position" and not several
+    table = chain_table(system, system.structure.frame_name(frame)) if direct else None
+
+    def work(start: int, stop: int) -> int:
+        if table is None:
+            rows[start:stop] = wanted.of(fk(system, flat[start:stop], frame, threads=1))
+            return 0
+        whole = rows.dtype == np.float64
+        points = rows[start:stop] if whole else np.empty((stop - start, 3))
+        bad = lane_positions.positions(*table, flat[start:stop], points)
+        if not whole:
+            rows[start:stop] = points
+        return bad
+
+    over_chunks(work, len(flat), 8 * FEW if direct else FEW, threads, SERIAL_BELOW)
+    return out
+
+
+def _taken(out: Array | None, shape: tuple[int, ...], kind: np.dtype) -> Array:
+    """`out`, checked, or a new array where it is None."""
+    if out is None:
+        return np.empty(shape, dtype=kind)
+    if isinstance(out, np.ndarray) and out.shape == shape and out.dtype == kind and out.flags.carray:
+        return out
+    given = f"{out.dtype} array of shape {out.shape}" if isinstance(out, np.ndarray) else type(out).__name__
+    raise InputError(f"out is a {given}; it must be a writable, C-contiguous {kind} array of shape {shape}")

@@ -1,0 +1,94 @@
+"""Pictures of workspaces with matplotlib: how often each cell was reached, in the plane or on slices.
+
+Importing it needs the extra [view]. Errors: `MissingExtraError` without matplotlib.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.colors import LogNorm
+
+from kempe.calls import numbers
+from kempe.errors import InputError
+from kempe.spatial import Array
+from kempe.views.drawing import page, style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from kempe.analysis.spaces.workspace.workspace import Workspace
+
+COLOURS = "cividis_r"
+"""Darker is more often: it reads in grey, and for those who see fewer colours."""
+PAIRS = ((0, 1, 2), (0, 2, 1), (1, 2, 0))
+"""For each slice the axis to the right, the one upwards, and the one that is cut."""
+
+
+def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
+    """Axes with the counts of a workspace, white where no sample fell; ``.figure.savefig("name.png")`` writes it.
+
+    In the plane one axes; in space an array of three, slices through the point `at` (3,) [m], by default the middle of
+    what is reached. `ax` are the axes to draw on, as many. Errors: `InputError`.
+    """
+    grid, counts = workspace.map.grid, workspace.map.counts
+    d = len(grid.axes)
+    if d == 1:
+        raise InputError("the workspace is a piece of a line: there is nothing to draw; see `.boundary`")
+    if d == 2:
+        if at is not None:
+            raise InputError("at is for slices of a workspace in space")
+        axes = page.new_figure(5.6, 4.6).add_subplot() if ax is None else ax
+        _slice(workspace, axes, counts, 0, 1, counts.max(initial=1))
+        _bar(axes, [axes])
+        return axes
+    point = numbers(at, "at", 3) if at is not None else workspace.map.points.mean(axis=0)
+    place, inside = grid.places(np.asarray(point))
+    if point.shape != (3,) or not inside:
+        raise InputError(f"at is {at!r}; it must be one point (3,) inside the box")
+    if ax is None:
+        figure = page.new_figure(11.0, 3.4)
+        figure.set_layout_engine("constrained")
+        axes = figure.subplots(1, 3)
+    else:
+        axes = np.ravel(ax)
+        if len(axes) != 3:
+            raise InputError(f"ax are {len(axes)} axes; three slices need three")
+    layers = [np.take(counts, place[cut], axis=cut) for *_, cut in PAIRS]
+    most = max(int(layer.max(initial=1)) for layer in layers)
+    for one, layer, (right, up, cut) in zip(axes, layers, PAIRS, strict=True):
+        _slice(workspace, one, layer, right, up, most)
+        name, here = grid.axes[cut], grid.centres(grid.axes[cut])[place[cut]]
+        one.set_title(f"{name} = {here:.3g} m", size=style.FONT, color=style.INK)
+    _bar(axes[0], list(axes))
+    return axes
+
+
+def _slice(workspace: Workspace, ax: Axes, counts: np.ndarray, right: int, up: int, most: int) -> None:
+    """Draw the counts of one slice, and the line around its cells with samples."""
+    grid, names = workspace.map.grid, workspace.map.grid.axes
+    shown = np.ma.masked_equal(counts, 0).T
+    low, high = (np.array(x)[grid.kept] for x in (grid.low, grid.high))
+    extent = (low[right], high[right], low[up], high[up])
+    ax.imshow(shown, origin="lower", extent=extent, cmap=COLOURS, norm=LogNorm(1, max(int(most), 2)),
+              interpolation="nearest", gid="counts")  # fmt: skip
+    filled = np.pad(counts > 0, 1).astype(float).T
+    x, y = (_around(grid.centres(names[k]), float(grid.size[k])) for k in (right, up))
+    if filled.any():
+        ax.contour(x, y, filled, levels=[0.5], colors=style.INK, linewidths=0.8)
+    ax.set_xlabel(f"{names[right]} [m]", size=style.FONT, color=style.INK)
+    ax.set_ylabel(f"{names[up]} [m]", size=style.FONT, color=style.INK)
+    ax.tick_params(labelsize=style.FONT - 1, colors=style.GROUND)
+    ax.set_aspect("equal")
+
+
+def _around(middles: Array, size: float) -> Array:
+    """Middles of cells with one more on each side."""
+    return np.concatenate([[middles[0] - size], middles, [middles[-1] + size]])
+
+
+def _bar(first: Axes, axes: list[Any]) -> None:
+    bar = first.figure.colorbar(first.images[0], ax=axes, shrink=0.85)
+    bar.set_label("samples in a cell", size=style.FONT, color=style.INK)
+    bar.ax.tick_params(labelsize=style.FONT - 1)

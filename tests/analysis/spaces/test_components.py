@@ -1,0 +1,177 @@
+"""Connected components, against counts by brute force: grids whose neighbours are joined, and Grashof's rule."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from linkages import four_bar
+from scipy.ndimage import label
+
+import kempe
+from kempe import Budget, Mechanism, Status
+from kempe.analysis.spaces.configuration.single_loop import polygon_of, rod_count
+
+
+def polygon(lengths: list[float]) -> kempe.System:
+    """A planar loop of bars, the first of which is the ground."""
+    m = Mechanism("polygon", dim=2)
+    bodies = [m.ground, *(m.body(f"b{k}") for k in range(1, len(lengths)))]
+    m.revolute("j1", m.ground, bodies[1])
+    for k in range(1, len(lengths) - 1):
+        m.revolute(f"j{k + 1}", bodies[k], bodies[k + 1], at=(lengths[k], 0.0))
+    m.revolute("j0", bodies[-1], m.ground, at=(lengths[-1], 0.0), child_at=(lengths[0], 0.0))
+    return m.build()
+
+
+def grashof(lengths: list[float]) -> int:
+    s, p, q, longest = sorted(lengths)
+    return 0 if longest > s + p + q else 2 if s + longest < p + q else 1
+
+
+def glued(regions: np.ndarray) -> np.ndarray:
+    """Numbers of regions of a grid that is a torus: its first row lies beside the last, as the first column does."""
+    while True:
+        before = regions.copy()
+        for here, there in ((regions[0], regions[-1]), (regions[:, 0], regions[:, -1])):
+            for k in np.flatnonzero((here > 0) & (there > 0) & (here != there)):
+                regions[regions == max(here[k], there[k])] = min(here[k], there[k])
+        if np.array_equal(before, regions):
+            return regions
+
+
+def by_grid(five: list[float], n: int = 240) -> int:
+    """Components of a loop of five bars, from a grid of two angles.
+
+    At each point the last two bars close the loop in two mirrored ways, which meet where these bars are in line: the
+    space is two copies of the region that can be reached, glued along its edge. Where the region has an edge, its two
+    copies are joined.
+    """
+    ground, a, b, c, d = five
+    x = 2.0 * np.pi * (np.arange(n) + 0.5) / n
+    t, u = np.meshgrid(x, x, indexing="ij")
+    far = np.hypot(a * np.cos(t) + b * np.cos(u) - ground, a * np.sin(t) + b * np.sin(u))
+    inside = (far <= c + d) & (far >= abs(c - d))
+    regions = glued(np.asarray(label(inside)[0]))
+    edge = inside & ~(np.roll(inside, 1, 0) & np.roll(inside, -1, 0) & np.roll(inside, 1, 1) & np.roll(inside, -1, 1))
+    return sum(1 if (edge & (regions == k)).any() else 2 for k in np.unique(regions[inside]))
+
+
+def test_four_bars_are_counted_by_grashofs_rule(hunt):
+    rng = hunt.rng()
+    for _ in range(hunt.cases(40)):
+        lengths = rng.uniform(0.1, 1.0, 4).tolist()
+        loop = polygon_of(polygon(lengths))
+        assert not isinstance(loop, str) and loop.count == grashof(lengths)
+
+
+def test_five_bars_are_counted_as_a_grid_counts_them(hunt):
+    rng, seen = hunt.rng(), set()
+    for _ in range(hunt.cases(40)):
+        lengths = (rng.uniform(0.1, 1.0, 5) ** 2).tolist()
+        x = np.sort(lengths)[::-1]
+        if abs(x[1] + x[2] - 0.5 * x.sum()) < 0.05 or abs(x[0] - 0.5 * x.sum()) < 0.05:
+            continue  # too near to where the number changes for the grid
+        answer = polygon(lengths).configuration_space.components()
+        assert answer.complete and answer.count == by_grid(lengths), lengths
+        seen.add(answer.count)
+    assert seen == {0, 1, 2}
+
+
+@pytest.mark.parametrize("lengths", [[0.4, 0.1, 0.5, 0.4], [0.5, 0.3, 0.3, 0.4], [0.3, 0.1, 0.3, 0.1]])
+def test_curves_that_are_traced_are_as_many_as_the_theorem_says(lengths):
+    answer = polygon(lengths).configuration_space.components()
+    assert answer.complete and answer.code == Status.SOLVED
+    assert len(answer.parts) == answer.count == grashof(lengths)
+    assert len(answer.singular) == (2 if lengths[0] == lengths[2] else 0)
+
+
+def test_the_sides_of_two_components_never_meet(hunt):
+    """Of five bars of which three are long, every random closed configuration and all along a walk keep their side."""
+    system = polygon([1.0, 0.1, 0.9, 1.0, 0.1])
+    loop = polygon_of(system)
+    assert not isinstance(loop, str) and loop.count == 2
+    sample = system.configuration_space.sample(40, hunt.rng())
+    side = loop.side(sample.q)
+    assert set(side) == {-1, 1}
+    for q, own in zip(sample.q, side, strict=True):
+        path = system.trace(start=q, hold={"j1": q[0]}, budget=Budget(points=60))
+        assert (loop.side(path.q) == own).all()
+
+
+def test_aligned_polygons_are_closed_and_on_one_line():
+    loop = polygon_of(polygon([0.4, 0.1, 0.2, 0.2, 0.1]))
+    assert not isinstance(loop, str)
+    q = loop.aligned()
+    assert len(q) == 2  # 4 + 1 = 2 + 2 + 1 with the first or the last of the ones on the left
+    for x in q:
+        ends = loop.system.fk(x, "b4")[:2, :3] @ np.array([0.1, 0.0, 0.0]) + loop.system.fk(x, "b4")[:2, 3]
+        assert np.allclose(ends, [0.4, 0.0], atol=1e-12)
+        assert np.allclose(loop.system.fk(x)[:, 1, 3], 0.0, atol=1e-12)
+
+
+def rssr(crank: float, coupler: float, rocker: float, x: float, y: float, z: float) -> kempe.System:
+    return kempe.load("rssr").with_parameters(crank=crank, coupler=coupler, rocker=rocker, x=x, y=y, z=z)
+
+
+def rods_by_grid(system: kempe.System, rod: float, n: int = 720) -> int:
+    """Components of crank angle by rocker angle where the balls are a rod apart: cells through which the curve goes."""
+    m = system.mechanism
+    A, D, B, C = (m.joints[k] for k in "ADBC")
+    at = 2.0 * np.pi * np.arange(n + 1) / n
+    turn = np.zeros((n + 1, 4, 4))
+    turn[:, 0, 0] = turn[:, 1, 1] = np.cos(at)
+    turn[:, 1, 0], turn[:, 0, 1] = np.sin(at), -np.sin(at)
+    turn[:, 2, 2] = turn[:, 3, 3] = 1.0
+
+    def circle(joint, ball, body):
+        where = (ball.X_PF if ball.parent == body else ball.X_CM).evaluate(m.parameters)[:, 3]
+        X = joint.X_PF.evaluate(m.parameters) @ turn @ np.linalg.inv(joint.X_CM.evaluate(m.parameters))
+        return (X @ where)[:, :3]
+
+    p, r = circle(A, B, "crank"), circle(D, C, "rocker")
+    f = np.linalg.norm(p[:, None] - r[None], axis=-1) - rod
+    corner = np.stack([f[:-1, :-1], f[1:, :-1], f[:-1, 1:], f[1:, 1:]])
+    cells = (corner.min(axis=0) < 0.0) & (corner.max(axis=0) > 0.0)
+    return len(set(np.unique(glued(np.asarray(label(cells, np.ones((3, 3)))[0])))) - {0})
+
+
+def test_two_cranks_and_a_rod_are_counted_as_a_grid_counts_them(hunt):
+    rng, seen = hunt.rng(), []
+    for _ in range(hunt.cases(60)):
+        crank, rocker, x, y, z = rng.uniform(0.05, 0.4, 5)
+        rod = rng.uniform(0.2, 0.8)
+        system = rssr(crank, rod, rocker, x, y, z)
+        found = rod_count(system)
+        if isinstance(found, str):
+            continue
+        seen.append(found[0])
+        assert found[0] == rods_by_grid(system, rod), (crank, rod, rocker, x, y, z)
+    assert set(seen) >= {0, 1, 2}
+
+
+def test_curves_of_cranks_and_a_rod_are_traced_with_the_spin_left_out():
+    answer = kempe.load("rssr").configuration_space.components()
+    assert (answer.count, answer.complete, answer.idle, len(answer.parts)) == (2, True, 1, 2)
+
+
+def test_without_a_theorem_the_number_is_a_lower_bound():
+    answer = kempe.load("watt_six_bar").configuration_space.components()
+    assert answer.code == Status.PARTLY and not answer and "lower bound" in answer.status
+    # crank-rocker loop A: two assemblies, each with both of the second dyad: brute force over the crank's angle
+    system = kempe.load("watt_six_bar")
+    modes = {len(system.assembly_modes({"A": x})) for x in np.linspace(-3.0, 3.0, 13)}
+    assert answer.count <= max(modes) and len(answer.parts) == answer.count
+
+
+def test_limits_cut_curves_and_the_count_is_a_lower_bound_then():
+    system = four_bar().with_limits({"A": (-1.0, 1.0)})
+    answer = system.configuration_space.components()
+    assert not answer.complete and answer.count == 2 and not any(p.paths[0].closed for p in answer.parts)
+
+
+def test_structures_trees_and_loops_that_cannot_close():
+    assert kempe.load("two_link").configuration_space.components().count == 1
+    apart = polygon([9.0, 1.0, 1.0, 1.0]).configuration_space.components()
+    assert apart.code == Status.NONE_EXISTS and apart.complete and "longer than all" in apart.status
+    triangle = polygon([1.0, 1.0, 1.0]).configuration_space.components()
+    assert triangle.count == 2 and triangle.complete

@@ -1,0 +1,179 @@
+"""Maps made by worker processes of a Dask cluster: killed, late, failing once; the same counts as of one process."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+import kempe
+from kempe import Budget
+from kempe.analysis.spaces.workspace import recipe, sample_parts
+from kempe.errors import InputError, KempeError
+
+dask = pytest.importorskip("dask", reason="dask is not installed (extra scale)")
+distributed = pytest.importorskip("distributed", reason="distributed is not installed (extra scale)")
+pytest.importorskip("zarr", reason="zarr is not installed (extra scale)")
+ARM = kempe.load("puma560")
+
+
+@contextmanager
+def running(workers):
+    """A scheduler in this process, worker processes, and a client."""
+    settings = {"distributed.scheduler.allowed-failures": 3, "distributed.comm.timeouts.connect": "5s"}
+    with dask.config.set(settings), distributed.LocalCluster(
+        n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None, memory_limit=None
+    ) as cluster, distributed.Client(cluster) as client:  # fmt: skip
+        yield cluster, client
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    with running(2) as pair:
+        yield pair
+
+
+@pytest.fixture(autouse=True)
+def small_tasks(monkeypatch):
+    monkeypatch.setattr(recipe, "PART", 500_000)
+
+
+def made(n, **more):
+    return ARM.workspace("tool", n=n, cells=24, **more)
+
+
+def checksum(n):
+    return sample_parts.checksum_of(made(n).map.counts)
+
+
+def kill(cluster, rng):
+    """End one worker process that is running, as the system would: its nanny starts another."""
+    pids = [nanny.pid for nanny in cluster.workers.values() if nanny.pid]
+    if pids:
+        try:
+            os.kill(int(rng.choice(pids)), signal.SIGKILL)
+        except ProcessLookupError as gone:
+            return gone
+    return None
+
+
+def test_a_cluster_makes_the_same_map(cluster):
+    n = 40 * 500_000 + 17
+    workspace = made(n, client=cluster[1])
+    assert workspace.samples == n and sample_parts.checksum_of(workspace.map.counts) == checksum(n)
+
+
+def test_with_loops_too(cluster, monkeypatch):
+    monkeypatch.setattr(recipe, "SLOW_PART", 1500)
+    bar = kempe.load("five_bar")
+    one, many = (bar.workspace("tip", n=5000, cells=24, client=c) for c in (None, cluster[1]))
+    assert np.array_equal(one.map.counts, many.map.counts) and one.left_out == many.left_out
+
+
+def test_a_killed_worker_and_a_late_one(cluster, tmp_path):
+    n, rng, path = 80 * 500_000, np.random.default_rng(1), tmp_path / "map.zarr"
+    local, client = cluster
+    done = []
+
+    def disturb():
+        time.sleep(0.3)
+        done.append(kill(local, rng))
+        local.scale(3)
+
+    thread = threading.Thread(target=disturb)
+    thread.start()
+    workspace = made(n, client=client, path=path)
+    thread.join()
+    local.scale(2)
+    assert done and workspace.samples == n
+    assert sample_parts.checksum_of(kempe.open_workspace(path).map.counts) == checksum(n)
+
+
+def test_a_task_that_fails_once(cluster):
+    local, client = cluster
+
+    def fail_once():
+        from kempe.analysis.spaces.workspace import recipe
+
+        class Once(recipe.Recipe):
+            failed = False
+
+        count = recipe.Recipe.count
+
+        def failing(self, first, last, counts):
+            if not Once.failed:
+                Once.failed = True
+                raise OSError("a worker that fails once")
+            count(self, first, last, counts)
+
+        recipe.Recipe.count = failing
+
+    client.run(fail_once)
+    n = 8 * 500_000
+    assert sample_parts.checksum_of(made(n, client=client, budget=Budget(rng=4)).map.counts) == (
+        sample_parts.checksum_of(made(n, budget=Budget(rng=4)).map.counts)
+    )
+
+
+def test_a_task_that_always_fails_says_why_and_loses_nothing(cluster, tmp_path, monkeypatch):
+    said = recipe.Recipe.__reduce__
+    path = tmp_path / "map.zarr"
+    monkeypatch.setattr(recipe.Recipe, "__reduce__", lambda self: (said(self)[0], (*said(self)[1][:4], "v9", "0")))
+    with pytest.raises(KempeError, match="'v9'"):
+        made(10**6, client=cluster[1], path=path, budget=Budget(rng=5))
+    monkeypatch.undo()
+    assert made(10**6, path=path, budget=Budget(rng=5)).samples == 10**6
+
+
+def test_the_time_limit_gives_tasks_up(cluster):
+    workspace = made(3 * 10**8, client=cluster[1], budget=Budget(time_limit=1.5, rng=6))
+    assert workspace.late and workspace.map.counts.sum() == workspace.samples < 3 * 10**8
+
+
+def test_schedulers_that_are_not_there(monkeypatch):
+    from kempe.analysis.spaces.workspace import on_cluster
+
+    monkeypatch.setattr(on_cluster, "PATIENCE", 0.5)
+    with pytest.raises(InputError, match="no scheduler answers at 'tcp://127.0.0.1:1'"):
+        made(10**6, client="tcp://127.0.0.1:1")
+    with pytest.raises(InputError, match="must be a distributed.Client"):
+        made(10**6, client=3)
+
+
+def test_a_client_that_was_closed(cluster):
+    client = distributed.Client(cluster[0], set_as_default=False)
+    client.close()
+    with pytest.raises(InputError, match="closed: it has no scheduler"):
+        made(10**6, client=client)
+
+
+@pytest.mark.slow
+def test_workers_killed_twenty_times(tmp_path):
+    n, rng, kills = 1500 * 500_000, np.random.default_rng(0), []
+    stop = threading.Event()
+    with running(2) as (local, client):
+
+        def disturb():
+            while len(kills) < 20 and not stop.wait(rng.uniform(0.1, 1.0)):
+                kills.append(kill(local, rng))
+                if len(kills) == 5:
+                    local.scale(3)
+
+        thread = threading.Thread(target=disturb)
+        thread.start()
+        whole = []
+        while len(kills) < 20:  # as many maps as that takes
+            path = tmp_path / f"map{len(whole)}.zarr"
+            made(n, client=client, path=path)
+            whole.append(path)
+        stop.set()
+        thread.join()
+    wanted = checksum(n)
+    assert len(kills) == 20 and [sample_parts.checksum_of(kempe.open_workspace(p).map.counts) for p in whole] == (
+        [wanted] * len(whole)
+    )

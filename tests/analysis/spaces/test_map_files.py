@@ -1,0 +1,268 @@
+"""Maps on disk: stopped and gone on with, damaged, full disks, opened by xarray, made anew bit for bit."""
+
+from __future__ import annotations
+
+import errno
+import itertools
+import json
+import math
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from reached_sets import shell, two_bars
+
+import kempe
+from kempe import Budget, Status
+from kempe.analysis.spaces.workspace import counting_runs, map_files, recipe, sample_parts
+from kempe.errors import InputError, KempeError, KernelsError
+
+pytest.importorskip("zarr", reason="zarr is not installed (extra scale)")
+ARM = two_bars(0.5, 0.3)
+N = 400_000
+
+
+@pytest.fixture(autouse=True)
+def small_parts(monkeypatch):
+    """Parts and pieces of a size for tests."""
+    monkeypatch.setattr(recipe, "PART", 50_000)
+    monkeypatch.setattr(recipe, "PIECE", 10_000)
+
+
+def made(path=None, n=N, **more):
+    return ARM.workspace("tip", n=n, cells=64, path=path, **more)
+
+
+def interrupted_after(samples, kind=KeyboardInterrupt):
+    """A budget whose progress raises when so many samples are done."""
+
+    def said(done, *_):
+        if done >= samples:
+            raise kind
+
+    return Budget(progress=said)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_one_thread_and_many_make_the_same_map(threads):
+    assert np.array_equal(made(budget=Budget(threads=threads)).map.counts, made().map.counts)
+
+
+def test_threads_that_share_memory_make_the_same_map(monkeypatch):
+    monkeypatch.setattr(counting_runs, "SHARED_BYTES", 1)
+    assert np.array_equal(made(budget=Budget(threads=4)).map.counts, made().map.counts)
+
+
+def test_a_seed_is_a_map_and_another_is_another():
+    assert not np.array_equal(made(budget=Budget(rng=1)).map.counts, made().map.counts)
+
+
+def test_a_map_depends_on_its_seed_only(hunt):
+    """Not on threads, not on how often and where the work was interrupted."""
+    rng = hunt.rng()
+    for _ in range(hunt.cases(12)):
+        system = shell(*rng.uniform(0.1, 1.0, 2)) if rng.random() < 0.5 else two_bars(*rng.uniform(0.1, 1.0, 2))
+        n, seed, cells = int(rng.integers(1, 300_000)), int(rng.integers(10**6)), int(rng.integers(2, 60))
+        recipe_ = recipe.recipe_of(system, "tip", seed, cells, None)
+        cuts = [0, *sorted(rng.integers(0, n, 5).tolist()), n]
+        parts = sum(recipe.counted(recipe_, a, b).astype(np.uint64) for a, b in itertools.pairwise(cuts))
+        budget = Budget(rng=seed, threads=int(rng.integers(1, 6)))
+        whole = system.workspace("tip", n=n, cells=cells, budget=budget)
+        assert np.array_equal(whole.map.counts.ravel(), parts[: whole.map.counts.size])
+        assert whole.outside == parts[whole.map.counts.size]
+
+
+def test_an_interrupted_map_is_gone_on_with(tmp_path, monkeypatch):
+    monkeypatch.setattr(counting_runs, "WAKE", 0.0)
+    path = tmp_path / "map.zarr"
+    first = made(path, budget=interrupted_after(120_000))
+    assert first.code is Status.INTERRUPTED and 120_000 <= first.samples < N and not path.exists()
+    assert first.map.counts.sum() == first.samples
+    drawn = []
+    whole = made(path, budget=Budget(progress=lambda done, *_: drawn.append(done)))
+    assert whole.code is Status.SOLVED and drawn[0] > first.samples and whole.samples == N
+    assert np.array_equal(whole.map.counts, made().map.counts)
+    assert path.is_dir() and not path.with_name("map.zarr.parts").exists()
+
+
+def test_a_finished_map_is_opened_and_grows(tmp_path):
+    path = tmp_path / "map.zarr"
+    made(path, 100_000)
+    assert made(path, 50_000).samples == 100_000
+    grown = made(path, N)
+    assert grown.samples == N and np.array_equal(grown.map.counts, made().map.counts)
+
+
+def test_parts_are_merged(tmp_path, monkeypatch):
+    monkeypatch.setattr(sample_parts, "MANY", 2)
+    path = tmp_path / "map.zarr"
+    made(path, budget=interrupted_after(310_000))
+    files = sorted(p.name for p in (tmp_path / "map.zarr.parts").iterdir())
+    assert len(files) <= 5
+    assert np.array_equal(made(path).map.counts, made().map.counts)
+
+
+@pytest.mark.parametrize("how", ["changed", "cut", "gone", "list"])
+def test_damaged_parts_are_found_and_drawn_again(tmp_path, how):
+    path = tmp_path / "map.zarr"
+    made(path, budget=interrupted_after(160_000))
+    folder = tmp_path / "map.zarr.parts"
+    part = sorted(folder.glob("*.npy"))[1]
+    if how == "list":
+        (folder / "parts.json").write_text("{")
+    elif how == "gone":
+        part.unlink()
+    else:
+        data = bytearray(part.read_bytes())
+        data[-5000] ^= 1
+        part.write_bytes(data[:-900] if how == "cut" else data)
+    whole = made(path)
+    assert whole.redone == 1 and np.array_equal(whole.map.counts, made().map.counts)
+
+
+def test_a_damaged_map_is_found_and_made_again(tmp_path):
+    path = tmp_path / "map.zarr"
+    made(path)
+    chunk = max((p for p in path.rglob("*") if p.is_file() and "counts" in p.parts), key=lambda p: p.stat().st_size)
+    data = bytearray(chunk.read_bytes())
+    data[len(data) // 2] ^= 16
+    chunk.write_bytes(data)
+    with pytest.raises(map_files.DamagedError, match="make it again"):
+        kempe.open_workspace(path)
+    again = made(path)
+    assert again.redone == 1 and np.array_equal(again.map.counts, made().map.counts)
+    assert np.array_equal(kempe.open_workspace(path).map.counts, again.map.counts)
+
+
+def test_a_full_disk_midway_loses_nothing(tmp_path, monkeypatch):
+    path, write, written = tmp_path / "map.zarr", np.save, []
+
+    def full(stream, counts):
+        written.append(1)
+        if len(written) == 3:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write(stream, counts)
+
+    monkeypatch.setattr(np, "save", full)
+    with pytest.raises(KempeError, match="the disk is full; what was written before stands"):
+        made(path)
+    listed = json.loads((tmp_path / "map.zarr.parts" / "parts.json").read_text())["parts"]
+    assert [part[:2] for part in listed] == [[0, 50_000], [50_000, 100_000]]
+    assert not list((tmp_path / "map.zarr.parts").glob("*.new"))
+    assert np.array_equal(made(path).map.counts, made().map.counts)
+
+
+def test_a_small_disk_is_refused_early(tmp_path, monkeypatch):
+    usage = shutil.disk_usage(tmp_path)._replace(free=1000)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage)
+    with pytest.raises(KempeError, match="are free on this disk"):
+        made(tmp_path / "map.zarr")
+
+
+@pytest.mark.parametrize(("words", "other"), [
+    ("system", lambda path: two_bars(0.5, 0.31).workspace("tip", n=N, cells=64, path=path)),
+    ("frame", lambda path: ARM.workspace("second", n=N, cells=64, path=path)),
+    ("seed", lambda path: made(path, budget=Budget(rng=3))),
+    ("cells", lambda path: ARM.workspace("tip", n=N, cells=32, path=path)),
+], ids=lambda x: x if isinstance(x, str) else "")  # fmt: skip
+@pytest.mark.parametrize("whole", [True, False])
+def test_maps_of_something_else_are_refused(tmp_path, words, other, whole):
+    path = tmp_path / "map.zarr"
+    made(path, budget=None if whole else interrupted_after(100_000))
+    with pytest.raises(InputError, match=f"belongs to another map: its {words}"):
+        other(path)
+    assert np.array_equal(made(path).map.counts, made().map.counts)
+
+
+def test_kernels_that_round_otherwise_are_refused_by_name():
+    one = recipe.recipe_of(ARM, "tip", 0, 16, None)
+    foreign = recipe.Recipe(one.system, one.frame, 0, one.grid, "v9")
+    with pytest.raises(KernelsError, match="'v9'.*KEMPE_KERNELS=v9"):
+        recipe.counted(foreign, 0, 100)
+
+
+def test_a_map_of_other_kernels_is_refused(tmp_path, monkeypatch):
+    path = tmp_path / "map.zarr"
+    made(path, budget=interrupted_after(100_000))
+    monkeypatch.setattr(recipe.Recipe, "said", lambda self: {**SAID(self), "variant": "v9"})
+    with pytest.raises(InputError, match="its variant is .* and here it is 'v9'"):
+        made(path)
+
+
+SAID = recipe.Recipe.said
+
+
+def test_opened_without_kempe(tmp_path):
+    xarray = pytest.importorskip("xarray", reason="xarray is not installed (extra scale)")
+    system = shell(0.5, 0.3)
+    workspace = system.workspace("tip", n=20_000, cells=(10, 12, 14))
+    data = xarray.open_zarr(workspace.save(tmp_path / "map.zarr"))
+    assert data.counts.dims == ("x", "y", "z") and data.counts.shape == (10, 12, 14)
+    assert data.x.attrs["units"] == "m" and np.array_equal(data.y, workspace.map.axes["y"])
+    assert np.array_equal(data.counts, workspace.map.counts)
+    made_of = json.loads(data.attrs["kempe"])
+    assert (
+        made_of["system"] == system.structure.content_hash
+        and made_of["seed"] == 0
+        and made_of["variant"] == recipe.VARIANT
+    )
+
+
+def test_written_and_opened(tmp_path):
+    workspace = made(n=20_000)
+    opened = kempe.open_workspace(workspace.save(tmp_path / "map.zarr"))
+    assert opened.system == ARM and opened.data() == workspace.data()
+    assert opened.contains([0.6, 0.0]) and np.array_equal(opened.map.axes["x"], workspace.map.axes["x"])
+    with pytest.raises(InputError, match="belongs to another map: its system"):
+        kempe.open_workspace(tmp_path / "map.zarr", two_bars(1, 1))
+
+
+@pytest.mark.parametrize("what", ["nothing", "folder", "file"])
+def test_what_is_no_map(tmp_path, what):
+    path = tmp_path / "map.zarr"
+    if what == "folder":
+        path.mkdir()
+    elif what == "file":
+        path.write_text("x")
+    with pytest.raises(InputError, match="map"):
+        kempe.open_workspace(path)
+
+
+def test_what_stands_at_the_path_is_kept(tmp_path):
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "x").write_text("precious")
+    with pytest.raises(InputError, match="something else than a map"):
+        made(tmp_path / "data")
+    with pytest.raises(InputError, match="something else than a map"):
+        made(n=100).save(tmp_path / "data")
+    with pytest.raises(InputError, match="no folder"):
+        made(tmp_path / "none" / "map.zarr")
+    assert (tmp_path / "data" / "x").read_text() == "precious"
+
+
+SCRIPT = """
+import kempe
+from kempe.analysis.spaces.workspace import recipe
+recipe.PART, recipe.PIECE = 2_000_000, 100_000
+kempe.load("puma560").workspace("tool", n=40_000_000, cells=32, path={path!r})
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGINT])
+def test_a_process_that_is_ended_at_any_moment(tmp_path, ending):
+    path, rng = tmp_path / "map.zarr", np.random.default_rng(0)
+    for _ in range(6):
+        process = subprocess.Popen([sys.executable, "-c", SCRIPT.format(path=str(path))], stderr=subprocess.DEVNULL)
+        time.sleep(rng.uniform(0.3, 1.5))
+        process.send_signal(ending)
+        process.wait()
+    subprocess.run([sys.executable, "-c", SCRIPT.format(path=str(path))], check=True)
+    whole = kempe.load("puma560").workspace("tool", n=40_000_000, cells=32)
+    assert np.array_equal(kempe.open_workspace(path).map.counts, whole.map.counts)
+    assert math.isclose(float(whole.map.counts.sum()), 4e7) and Path(path).is_dir()

@@ -1,0 +1,237 @@
+"""Workspaces by samples beside closed forms; what is refused."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from reached_sets import ANNULUS, SHELL, TORUS, shell, torus, two_bars
+
+import kempe
+from kempe import Budget, Mechanism, Status
+from kempe.errors import InputError, UnknownNameError
+
+SYSTEMS = {
+    "annulus": (two_bars(0.5, 0.3), "area", ANNULUS),
+    "shell": (shell(0.5, 0.3), "volume", SHELL),
+    "torus": (torus(0.5, 0.2, True), "volume", TORUS),
+}
+
+
+def seeded(seed, **more):
+    return Budget(rng=seed, **more)
+
+
+def of_limits():
+    """The elbow between 30 and 120 degrees: from r(120) to r(30), by the law of cosines."""
+    system = two_bars(0.5, 0.3, (math.pi / 6, 2 * math.pi / 3))
+    far, near = (0.34 + 0.3 * math.cos(x) for x in (math.pi / 6, 2 * math.pi / 3))
+    return system, math.pi * (far - near)
+
+
+@cache
+def covered(kind, seeds):
+    """Of how many seeds the error covers the truth, and the errors."""
+    system, name, truth = SYSTEMS[kind]
+    values = [getattr(system.workspace("tip", n=2e5, budget=seeded(seed)), name) for seed in range(seeds)]
+    return sum(abs(value - truth) <= error for value, error in values), np.array(values)
+
+
+def test_the_error_of_an_area_covers_the_truth():
+    hits, values = covered("annulus", 100)
+    assert hits >= 90 and values[:, 1].max() < 0.02 * ANNULUS
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "seeds"), [("shell", 100), ("torus", 40)])
+def test_the_error_of_a_volume_covers_the_truth(kind, seeds):
+    hits, values = covered(kind, seeds)
+    assert hits >= 0.9 * seeds and values[:, 1].max() < 0.05 * SYSTEMS[kind][2]
+
+
+@pytest.mark.parametrize("kind", ["shell", "torus"])
+def test_volumes_are_those_of_closed_forms(kind):
+    _, values = covered(kind, 4)
+    assert abs(values[:, 0].mean() - SYSTEMS[kind][2]) < values[:, 1].mean()
+
+
+def test_limits_are_obeyed():
+    system, truth = of_limits()
+    workspace = system.workspace("tip", n=3e5)
+    value, error = workspace.area
+    assert abs(value - truth) < 1.5 * error
+    near, far = (math.sqrt(0.34 + 0.3 * math.cos(x)) for x in (2 * math.pi / 3, math.pi / 6))
+    away = np.linalg.norm(workspace.map.points, axis=1)
+    assert near - workspace.resolution < away.min() and away.max() < far + workspace.resolution
+
+
+def test_each_cell_with_samples_holds_a_point_of_the_torus():
+    """The surface of a torus: no volume, but cells."""
+    workspace = torus(0.5, 0.2, False).workspace("tip", n=2e5, cells=40)
+    x, y, z = workspace.map.points.T
+    away = np.abs(np.hypot(np.hypot(x, y) - 0.5, z) - 0.2)
+    assert away.max() <= workspace.resolution and len(away) > 1000
+    assert workspace.volume[0] == 0.0
+
+
+def test_counts_are_those_of_positions():
+    """The map is the histogram of the forward model of its configurations, drawn by SplitMix64 in Python."""
+    system = two_bars(0.5, 0.3, (0.1, 2.0))
+    workspace = system.workspace("tip", n=3000, cells=16, box=[(-1, 1), (-1, 1)], budget=seeded(5))
+    mask = 2**64 - 1
+
+    def mix(state, counter):
+        z = (state + 0x9E3779B97F4A7C15 * (counter + 1)) & mask
+        z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) & mask
+        z = ((z ^ (z >> 27)) * 0x94D049BB133111EB) & mask
+        return z ^ (z >> 31)
+
+    keys = [mix(mix(5, 0), k) for k in range(2)]
+    u = np.array([[(mix(key, i) >> 12) * 2.0**-52 for key in keys] for i in range(3000)])
+    q = np.array([-math.pi, 0.1]) + u * [2 * math.pi, 1.9]
+    points = system.fk(q, "tip")[:, :2, 3]
+    wanted = np.histogram2d(*points.T, bins=16, range=[(-1, 1), (-1, 1)])[0]
+    assert np.array_equal(workspace.map.counts, wanted) and workspace.outside == 0
+
+
+def test_what_falls_outside_the_box_is_counted():
+    workspace = two_bars(0.5, 0.3).workspace("tip", n=4e4, box=[(0, 1), (-1, 1)])
+    assert abs(workspace.outside / 4e4 - 0.5) < 0.02 and workspace.map.counts.sum() + workspace.outside == 40000
+    assert abs(workspace.area[0] - ANNULUS / 2) < 1.5 * workspace.area[1]
+
+
+@pytest.mark.parametrize("kind", SYSTEMS)
+def test_points_are_decided(kind):
+    system = SYSTEMS[kind][0]
+    workspace = system.workspace("tip", n=2e5)
+    points = np.random.default_rng(0).uniform(-0.9, 0.9, (400, system.dim))
+    rho = np.linalg.norm(points, axis=1)
+    truth = (rho > 0.2) & (rho < 0.8)
+    if kind == "torus":
+        truth = np.hypot(np.linalg.norm(points[:, :2], axis=1) - 0.5, points[:, 2]) < 0.2
+    assert np.array_equal(workspace.contains(points), truth)
+    assert np.array_equal(workspace.contains(points, check=True), truth)
+    assert workspace.contains(points.reshape(20, 20, -1)).shape == (20, 20)
+
+
+def test_distances_are_those_from_two_circles():
+    workspace = two_bars(0.5, 0.3).workspace("tip", n=1e6, cells=128)
+    points = np.random.default_rng(0).uniform(-1.2, 1.2, (400, 2))
+    rho = np.linalg.norm(points, axis=1)
+    truth = np.minimum(np.abs(rho - 0.2), np.abs(rho - 0.8)) * np.where((rho > 0.2) & (rho < 0.8), 1, -1)
+    given = workspace.distance(points)
+    sure = np.abs(truth) > 2 * workspace.resolution
+    assert np.abs(given - truth)[sure].max() < 2.5 * workspace.resolution and sure.sum() > 300
+
+
+def test_boundaries():
+    pytest.importorskip("skimage")
+    workspace = two_bars(0.5, 0.3).workspace("tip", n=1e6, cells=128)
+    lines = sorted(workspace.boundary, key=len)[-2:]
+    for line, radius in zip(lines, (0.2, 0.8), strict=True):
+        assert np.abs(np.linalg.norm(line, axis=1) - radius).max() < 2.5 * workspace.resolution
+    workspace = shell(0.5, 0.3).workspace("tip", n=1e6, cells=40)
+    corners, triangles = workspace.boundary
+    away = np.linalg.norm(corners, axis=1)
+    assert np.minimum(np.abs(away - 0.2), np.abs(away - 0.8)).max() < 2.5 * workspace.resolution
+    assert triangles.max() == len(corners) - 1
+
+
+def test_an_axis_along_which_nothing_moves_is_left_out():
+    m = Mechanism()
+    a, b = m.body("a"), m.body("b")
+    m.revolute("A", m.ground, a, at=(0, 0, 0.7), axis="z")
+    m.revolute("B", a, b, at=(0.5, 0, 0), axis="z")
+    m.frame("tip", b, (0.3, 0, 0))
+    workspace = m.build().workspace("tip", n=2e5)
+    assert list(workspace.map.axes) == ["x", "y"]
+    assert abs(workspace.area[0] - ANNULUS) < 1.5 * workspace.area[1]
+    assert workspace.contains([[0.6, 0, 0.7], [0.6, 0, 0.8]]).tolist() == [True, False]
+    with pytest.raises(InputError, match="the measure is its area"):
+        workspace.volume  # noqa: B018
+
+
+def test_a_slide_has_a_length():
+    m = Mechanism()
+    m.prismatic("S", m.ground, m.body("cart"), axis="x", limits=(-0.5, 1.0))
+    workspace = m.build().workspace("cart", n=1e5)
+    assert abs(workspace.length[0] - 1.5) < workspace.length[1] < 0.02
+
+
+def test_a_declared_constraint_is_obeyed():
+    """The upper half of an annulus."""
+    m = two_bars(0.5, 0.3).mechanism
+    m.constrain(kempe.constraints.HalfSpace("tip", normal=[0, 1]), "upper")
+    workspace = m.build().workspace("tip", n=2e4, cells=64)
+    assert workspace.map.points[:, 1].min() > -workspace.resolution
+    assert abs(workspace.left_out / 2e4 - 0.5) < 0.02
+    assert abs(workspace.area[0] - ANNULUS / 2) < 1.5 * workspace.area[1]
+
+
+@pytest.mark.parametrize(("name", "frame"), [("five_bar", "tip"), ("slider_crank", "rod_point")])
+def test_loops_are_closed(name, frame):
+    """Each sample is a position that the closed mechanism has: a brute search of the inverse model reaches the cell."""
+    system = kempe.load(name)
+    workspace = system.workspace(frame, n=3000, cells=24)
+    found = workspace.map.counts.sum() + workspace.outside + workspace.left_out
+    assert found == 3000 and workspace.map.occupied.sum() > 20
+    again = system.workspace(frame, n=3000, cells=24, budget=Budget(threads=1))
+    assert np.array_equal(again.map.counts, workspace.map.counts)
+
+
+def test_answers_are_said():
+    workspace = two_bars(0.5, 0.3).workspace("tip", n=1e5)
+    assert workspace and workspace.code is Status.SOLVED
+    assert "each of these holds a point that is reached" in workspace.status
+    assert "area" in str(workspace) and "<table>" in workspace._repr_html_()
+    data = workspace.data()
+    assert data["samples"] == 10**5 and data["area"] == workspace.area[0] and data["box"]["x"][0] < -0.8
+
+
+def test_the_time_limit_ends_it_with_what_was_done():
+    said = []
+    budget = Budget(time_limit=0.5, threads=1, progress=lambda *x: said.append(x))
+    workspace = two_bars(0.5, 0.3).workspace("tip", n=1e13, budget=budget)
+    assert workspace.code is Status.OUT_OF_TIME and 0 < workspace.samples < 1e13 and not workspace
+    assert workspace.map.counts.sum() == workspace.samples and "were requested" in workspace.status
+    done, of, rate, left = said[-1]
+    assert done == workspace.samples and of == 10**13 and rate > 0 and left > 0
+
+
+def free_slide():
+    m = Mechanism("lift")
+    a, b = m.body("a"), m.body("b")
+    m.prismatic("rail", m.ground, a, axis="x")
+    m.revolute("arm", a, b)
+    m.frame("tip", b, (0.3, 0, 0))
+    return m.build()
+
+
+BAD = {
+    "n is 0": lambda s: s.workspace("tip", n=0),
+    "n is 1e+30": lambda s: s.workspace("tip", n=1e30),
+    "n is 1.5": lambda s: s.workspace("tip", n=1.5),
+    "cells is 0": lambda s: s.workspace("tip", cells=0),
+    "cells is (3, 4, 5)": lambda s: s.workspace("tip", cells=(3, 4, 5)),
+    "box is": lambda s: s.workspace("tip", box=[(1, 0), (0, 1)]),
+    "does not move": lambda s: s.workspace("ground"),
+    "'rail' has no limits": lambda s: free_slide().workspace("tip"),
+    "'leg": lambda s: kempe.load("stewart").workspace("tool"),
+    "workspace does not read": lambda s: s.workspace("tip", budget=Budget(points=7)),
+    "rng is -1": lambda s: s.workspace("tip", budget=Budget(rng=-1)),
+    "points have shape": lambda s: s.workspace("tip", n=100).contains([1.0, 2.0, 3.0]),
+}
+
+
+@pytest.mark.parametrize("words", BAD)
+def test_wrong_questions_are_refused(words):
+    with pytest.raises(InputError) as error:
+        BAD[words](two_bars(0.5, 0.3))
+    assert words in str(error.value)
+
+
+def test_an_unknown_frame():
+    with pytest.raises(UnknownNameError, match="tip"):
+        two_bars(0.5, 0.3).workspace("tipp")
