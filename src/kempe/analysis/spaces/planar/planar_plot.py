@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.analysis.spaces.planar.plane_curves import PlanePiece
-from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,6 +46,6 @@ def plot(workspace: PlanarWorkspace, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def drawn(piece: PlanePiece) -> Array:
+def drawn(piece: PlanePiece) -> np.ndarray:
     """Points (k,) along a piece, close enough for a picture."""
     return piece.at(np.linspace(0.0, 1.0, max(2, int(abs(piece.sweep) / FINE) + 2)))

@@ -16,7 +16,6 @@ from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.common.result import Report
 from kempe.model.tree.primitive_table import local_chain
 from kempe.solvers.common.serial_chain import obstacle
-from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import counted
 
@@ -126,7 +125,7 @@ class PlanarWorkspace(Report):
             best = np.minimum(best, np.where(inner[1], near, ends))
         return float(best) if best.ndim == 0 else best
 
-    def _points(self, points: ArrayLike) -> Array:
+    def _points(self, points: ArrayLike) -> np.ndarray:
         p = numbers(points, "points")
         if p.ndim == 0 or p.shape[-1] not in (2, 3):
             raise InputError(f"points has shape {p.shape}; it must be (..., 2)")

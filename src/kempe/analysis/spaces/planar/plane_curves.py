@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kempe.spatial import Array
 
 TURN = 2.0 * np.pi
 TOUCH = 1e-13
@@ -36,7 +35,7 @@ class PlanePiece:
         """Its length in metres."""
         return self.radius * abs(self.sweep) if self.is_arc else abs(self.way)
 
-    def at(self, t: Array | float) -> Array:
+    def at(self, t: np.ndarray | float) -> np.ndarray:
         """Points (...) at parameters t (...)."""
         t = np.asarray(t, dtype=float)
         if self.is_arc:
@@ -55,7 +54,7 @@ class PlanePiece:
             return PlanePiece(self.centre, self.radius, self.start + self.sweep * a, self.sweep * (b - a))
         return PlanePiece(self.centre + self.way * a, 0.0, way=self.way * (b - a))
 
-    def parameters(self, p: Array, slack: float = ENDS) -> tuple[Array, np.ndarray]:
+    def parameters(self, p: np.ndarray, slack: float = ENDS) -> tuple[np.ndarray, np.ndarray]:
         """Parameters (...) of points (...) of its circle or line, and whether they are on it."""
         if not self.is_arc:
             t = np.real((p - self.centre) * np.conj(self.way)) / abs(self.way) ** 2
@@ -75,7 +74,7 @@ class PlanePiece:
         return 0.5 * float(np.imag(np.conj(self.centre) * (b - a))) + 0.5 * self.radius**2 * self.sweep
 
 
-def circle_points(a: PlanePiece, b: PlanePiece) -> Array:
+def circle_points(a: PlanePiece, b: PlanePiece) -> np.ndarray:
     """Points in which the circles or lines of two pieces meet or touch, of the same circle or line none."""
     if not a.is_arc and not b.is_arc:
         across = np.imag(np.conj(a.way) * b.way)
@@ -103,7 +102,7 @@ def circle_points(a: PlanePiece, b: PlanePiece) -> Array:
     return np.array([foot - half * unit, foot + half * unit])
 
 
-def meetings(a: PlanePiece, b: PlanePiece, slack: float = ENDS) -> Array:
+def meetings(a: PlanePiece, b: PlanePiece, slack: float = ENDS) -> np.ndarray:
     """Parameters on a of the points in which two pieces meet."""
     p = circle_points(a, b)
     if not len(p):

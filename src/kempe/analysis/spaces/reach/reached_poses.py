@@ -78,13 +78,13 @@ def reached(system: System, targets: Array, frame: str, task: Any, budget: Budge
     solutions = np.where(mask[:, 0], UNKNOWN, np.where(np.isin(single.code, PROVEN), 0, UNKNOWN))
     said, axis = task_and_axis(task)
     if not isinstance(plan_of(system, frame, name, axis_for(axis, said)), str):
-        every = system.ik_all(targets, frame, task=task, limits=True)
+        every: Any = system.ik_all(targets, frame, task=task, limits=True)
         solutions = np.where(every.complete, every.mask.sum(axis=-1), UNKNOWN)
         q, mask = np.concatenate([q, every.q], axis=1), np.concatenate([mask, every.mask], axis=1)
     w, far = np.full(mask.shape, np.nan), np.full(mask.shape, np.nan)
     if mask.any():
         w[mask], far[mask] = manipulability(system, frame, q[mask], name), margin(system, q[mask])
-    any_ = mask.any(axis=1)
+    any_ = np.asarray(mask.any(axis=1))
     best = np.argmax(np.where(mask, far, -np.inf), axis=1)
     at = np.arange(len(q))
     return ReachedPoses(any_, np.where(any_ & (solutions == 0), UNKNOWN, solutions),
