@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-
 TURN = 2.0 * np.pi
 TOUCH = 1e-13
 """Square of half the chord that circles share, in squares of the radius, below which they touch."""
