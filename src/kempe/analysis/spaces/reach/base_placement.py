@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from kempe import spatial
 from kempe.analysis.spaces.reach.reached_poses import reached
 from kempe.budget import Budget, Usual
-from kempe.calls import brief, explained, explained_methods, known
+from kempe.calls import brief, explained, explained_methods, known, numbers
 from kempe.errors import InputError
 from kempe.kinematics.common.result import Report
 from kempe.reals import is_whole
@@ -122,7 +122,7 @@ def place_base(
     that of all. Errors: `InputError`, `UnknownNameError`.
     """
     spend, name = USUAL.of(budget), system.structure.frame_name(frame)
-    X = np.asarray(targets, dtype=float)
+    X = numbers(targets, "targets")
     if X.ndim != 3 or X.shape[1:] != (4, 4) or not len(X) or not np.isfinite(X).all():
         raise InputError(f"targets have shape {X.shape}; they must be finite poses (n, 4, 4), at least one")
     axes, fixed = _axes(system, box, cells)
@@ -158,7 +158,7 @@ def _axes(system: System, box: Mapping[str, Any], cells: Any) -> tuple[dict[str,
     axes, fixed = {}, {}
     for name, value in box.items():
         known("coordinate of the base", name, allowed, system.name)
-        v = np.asarray(value, dtype=float)
+        v = numbers(value, f"box: {name}")
         if not np.isfinite(v).all() or v.shape not in ((), (2,)) or (v.shape and not v[0] < v[1]):
             raise InputError(
                 f"box has {name} = {value!r}; it must be a number, or a pair (low, high) of finite numbers"

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.budget import Budget, Usual
-from kempe.calls import brief, explained, explained_methods
+from kempe.calls import brief, explained, explained_methods, numbers
 from kempe.errors import InputError
 from kempe.kinematics.closure_rows import characteristic_length
 from kempe.kinematics.common.result import Report
 from kempe.solvers.analytic.ik_analytic import plan_of
-from kempe.solvers.common.targets import TASKS, axis_for, task_and_axis
+from kempe.solvers.common.targets import TASKS, axis_for, task_and_axis, task_of
 from kempe.spatial import Array
 from kempe.status import Status, named
 from kempe.words import counted
@@ -73,10 +73,11 @@ def margin(system: System, q: Array) -> Array:
 def reached(system: System, targets: Array, frame: str, task: Any, budget: Budget) -> ReachedPoses:
     """What is reached of `targets` (n, ...), as `System.ik` takes them."""
     single = system.ik(targets, frame, task=task, budget=budget)
-    name = str(single.problem.name)
+    said, axis = task_and_axis(task)
+    particle = bool(system.structure.table.at[frame][2])
+    name = task_of(said, targets.shape[-2:] not in ((4, 4), (3, 3)), particle)
     q, mask = single.q[:, None], np.array(single.success)[:, None]
     solutions = np.where(mask[:, 0], UNKNOWN, np.where(np.isin(single.code, PROVEN), 0, UNKNOWN))
-    said, axis = task_and_axis(task)
     if not isinstance(plan_of(system, frame, name, axis_for(axis, said)), str):
         every: Any = system.ik_all(targets, frame, task=task, limits=True)
         solutions = np.where(every.complete, every.mask.sum(axis=-1), UNKNOWN)
@@ -176,7 +177,7 @@ def reach_poses(
     Of the `budget` are read: starts (1000), rng (0), threads. Errors: `InputError`, `UnknownNameError`.
     """
     spend, name = USUAL.of(budget), system.structure.frame_name(frame)
-    X = np.asarray(targets, dtype=float)
+    X = numbers(targets, "targets")
     if X.ndim < 2 or (X.ndim == 2 and X.shape == (4, 4)):
         X = X[None]
     if not np.isfinite(X).all():
