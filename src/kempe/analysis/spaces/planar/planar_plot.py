@@ -28,7 +28,7 @@ def plot(workspace: PlanarWorkspace, ax: Axes | None = None) -> Axes:
         corners, codes = [], []
         for loop in region.loops:
             p = np.concatenate([drawn(piece) for piece in loop])
-            corners.append(np.column_stack([p.real, p.imag]))
+            corners.append(np.column_stack([np.real(p), np.imag(p)]))
             codes += [Path.MOVETO, *[Path.LINETO] * (len(p) - 2), Path.CLOSEPOLY]
         shade = 0.8 if region.solutions in (None, 1) else 0.6
         label = "reached" if region.solutions is None else f"{region.solutions} solution{'s' * (region.solutions > 1)}"
@@ -36,7 +36,7 @@ def plot(workspace: PlanarWorkspace, ax: Axes | None = None) -> Axes:
         ax.add_patch(PathPatch(path, facecolor=(0.9 * shade, shade, 1.0), edgecolor="none", label=label))
     for piece in workspace.boundary:
         p = drawn(piece)
-        ax.plot(p.real, p.imag, color="0.15", linewidth=1.2)
+        ax.plot(np.real(p), np.imag(p), color="0.15", linewidth=1.2)
     ax.set_aspect("equal")
     ax.set_xlabel("x [m]")
     ax.set_ylabel("y [m]")
