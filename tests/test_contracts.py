@@ -17,7 +17,7 @@ import kempe
 from kempe import Budget, library
 from kempe.errors import InputError, KempeError
 from kempe.kinematics.common.result import Report, Result
-from kempe.model.namespaces import Inverse, Loops, Reach
+from kempe.model.namespaces import Inverse, Loops, ReachStudies
 from kempe.solvers.common.answer import Answer
 from kempe.solvers.common.proofs import Lengths, Limits
 from kempe.status import Status
@@ -262,7 +262,7 @@ def test_every_verb_that_returns_a_result_is_in_the_table():
     plain = {"Array", "Any", "System", "str", "bool", "float", "int", "None", "dict", "tuple", "list", "Path", "Axes",
              "Callable", "Mapping", "Sequence"}  # fmt: skip
     verbs = set()
-    for owner in (kempe.System, Loops, Inverse, Reach):
+    for owner in (kempe.System, Loops, Inverse, ReachStudies):
         for name, member in vars(owner).items():
             function = member.fget if isinstance(member, property) else getattr(member, "func", member)
             if name[0] != "_" and callable(function) and set(re.findall(r"\w+", str(returned(function)))) - plain:

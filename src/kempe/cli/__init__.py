@@ -15,6 +15,7 @@ from kempe.cli import loop_commands  # isort: skip
 from kempe.cli import space_commands  # isort: skip
 from kempe.cli import reach_commands  # isort: skip
 from kempe.cli import workspace_commands  # isort: skip
+from kempe.cli import reach_commands  # isort: skip
 from kempe.cli import library_commands  # isort: skip
 from kempe.cli.app import app
 

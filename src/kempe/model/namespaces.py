@@ -15,7 +15,7 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.analysis.motion.transmission import LoopJacobian
     from kempe.analysis.spaces.planar.planar_workspace import PlanarWorkspace
-    from kempe.analysis.spaces.reach.base_placement import Placement
+    from kempe.analysis.spaces.reach.base_placement import BasePlacement
     from kempe.analysis.spaces.reach.capability import CapabilityMap
     from kempe.analysis.spaces.reach.reached_poses import ReachStudy
     from kempe.budget import Budget
@@ -163,7 +163,7 @@ class Loops(Namespace):
 
 
 @dataclass(frozen=True, repr=False)
-class Reach(Namespace):
+class ReachStudies(Namespace):
     """What a frame reaches: poses of a list, cells of a box, from which places of the base."""
 
     @explained
@@ -183,7 +183,7 @@ class Reach(Namespace):
     def place(
         self, targets: ArrayLike, frame: FrameLike, box: Mapping[str, Any], cells: int | Mapping[str, int] = 11, *,
         task: str | tuple[str, ArrayLike] | None = None, budget: Budget | None = None,
-    ) -> Placement:  # fmt: skip
+    ) -> BasePlacement:  # fmt: skip
         """Where to put the base so that all of a list of poses are reached, as a map.
 
         See `kempe.analysis.spaces.reach.base_placement`.

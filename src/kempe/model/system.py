@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from kempe.budget import Budget
     from kempe.kinematics.designs import Designs
     from kempe.kinematics.forward import Query
-    from kempe.model.namespaces import Inverse, Loops, Reach, Symbolic
+    from kempe.model.namespaces import Inverse, Loops, ReachStudies, Symbolic
     from kempe.solvers.analytic.answers.solutions import Solutions
     from kempe.solvers.assembly.assembled import Assembly
     from kempe.solvers.assembly.charts import Chart
@@ -201,10 +201,7 @@ class System(Compiled, FormerNames):
         restart: bool = False, branches: bool = False, tolerance: float | tuple[float, float] | None = None,
         budget: Budget | None = None,
     ) -> IkPath:  # fmt: skip
-        """Configurations that follow a sequence of targets without a jump.
-
-        See `kempe.solvers.paths.following.ik_path`.
-        """
+        """Configurations that follow a sequence of targets without a jump; see `solvers.paths.following.ik_path`."""
         from kempe.solvers.paths.following import ik_path
 
         return ik_path(self, targets, frame, start, max_step=max_step, restart=restart, branches=branches,
@@ -215,10 +212,7 @@ class System(Compiled, FormerNames):
         self, q: Any, wanted: Any, frame: FrameLike | None = None, dt: float = 0.0, *, velocity_limits: Any = None,
         damping: float = 0.05, keep_direction: bool = False, weights: Any = None,
     ) -> IkStep:  # fmt: skip
-        """Velocities for a frame's twist or for tasks, within all limits.
-
-        See `kempe.solvers.velocity.servo.ik_step`.
-        """
+        """Velocities for a frame's twist or for tasks, within all limits; see `solvers.velocity.servo.ik_step`."""
         from kempe.solvers.velocity.servo import ik_step
 
         return ik_step(self, q, wanted, frame, dt, velocity_limits=velocity_limits, damping=damping,
@@ -245,11 +239,11 @@ class System(Compiled, FormerNames):
         return singularities(self, frame, task, inputs=inputs, limits=limits, budget=budget)
 
     @cached_property
-    def reach(self) -> Reach:
+    def reach(self) -> ReachStudies:
         """What a frame reaches: `poses`, `place`, `capability`, and exactly in the plane, `planar`."""
-        from kempe.model.namespaces import Reach
+        from kempe.model.namespaces import ReachStudies
 
-        return Reach(self)
+        return ReachStudies(self)
 
     # ---- closed loops
 
@@ -259,10 +253,7 @@ class System(Compiled, FormerNames):
         prefer: str | None = None, limits: bool = True, also: Any = (), tolerance: float | str | None = None,
         budget: Budget | None = None,
     ) -> Assembly:  # fmt: skip
-        """A configuration that closes all loops, with the `known` given.
-
-        See `kempe.solvers.assembly.assembly.assemble`.
-        """
+        """A configuration that closes all loops, with the `known` given; see `solvers.assembly.assembly.assemble`."""
         from kempe.solvers.assembly.assembly import assemble
 
         return assemble(self, known, start, branch=branch, prefer=prefer, limits=limits, also=also, tolerance=tolerance,
@@ -288,10 +279,7 @@ class System(Compiled, FormerNames):
     def independent(
         self, q: Any = None, prefer: Iterable[str] = (), *, tolerance: float | str | None = None
     ) -> Chart:  # fmt: skip
-        """Which coordinates can be set at a closed q, so that the others follow.
-
-        See `kempe.solvers.assembly.charts`.
-        """
+        """Which coordinates can be set at a closed q, so that the others follow; see `solvers.assembly.charts`."""
         from kempe.solvers.assembly.charts import independent
 
         return independent(self, q, prefer, tolerance=tolerance)

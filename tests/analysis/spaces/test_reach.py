@@ -61,6 +61,13 @@ def test_positions_of_a_planar_arm():
     assert study.reached.tolist() == [True, False] and study.solutions.tolist() == [2, 0]
 
 
+def test_a_frame_that_moves_with_loops():
+    """The five-bar reaches what its two legs reach: 0.5 m from A, and from D, 0.2 m beside it."""
+    arm = kempe.load("five_bar")
+    study = arm.reach.poses([[0.1, 0.4], [0.55, 0.1], [-0.45, 0.05]], "tip")
+    assert study.reached.tolist() == [True, False, False] and (study.manipulability[:1] > 0.0).all()
+
+
 # ---- places of the base
 
 
@@ -162,6 +169,8 @@ def test_what_cannot_be_done_is_said():
     bad[4] = np.nan
     with pytest.raises(InputError, match="pose 4 has entries"):
         PUMA.reach.poses(bad, "tool")
+    with pytest.raises(InputError, match="box"):
+        PUMA.reach.capability("tool", "everywhere")
     with pytest.raises(InputError, match="index is 99"):
         PUMA.reach.poses(X[:1], "tool").reason(99)
     with pytest.raises(UnknownNameError, match="pitch"):

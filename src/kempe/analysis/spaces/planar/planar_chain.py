@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from kempe.analysis.spaces.planar.curves import TURN, Piece, meetings, merged
+from kempe.analysis.spaces.planar.plane_curves import TURN, PlanePiece, meetings, merged
 
 NOTHING = 1e-12
 SAME = 1e-10
@@ -53,16 +53,18 @@ class PlanarJoint:
         a = complex(np.exp(1j * self.rate * x))
         return a, self.axis - a * self.axis
 
-    def curve(self, p: complex, back: bool = False) -> Piece:
+    def curve(self, p: complex, back: bool = False) -> PlanePiece:
         """The piece along which it leads a point; `back`: that of the points which it leads to p."""
         sense = -1.0 if back else 1.0
         low, high = self.low, self.high
         if self.axis is None:
-            return Piece(p + sense * self.way * low, 0.0, way=sense * self.way * (high - low))
+            return PlanePiece(p + sense * self.way * low, 0.0, way=sense * self.way * (high - low))
         if not self.limits:
             low, high = 0.0, TURN / abs(self.rate)
         d = p - self.axis
-        return Piece(self.axis, abs(d), float(np.angle(d)) + sense * self.rate * low, sense * self.rate * (high - low))
+        return PlanePiece(
+            self.axis, abs(d), float(np.angle(d)) + sense * self.rate * low, sense * self.rate * (high - low)
+        )
 
     def turned_to(self, turns: Iterator[complex] | list[complex]) -> list[float]:
         """Values inside the limits at which it turns by unit numbers, one each."""
@@ -99,16 +101,16 @@ class PlanarChain:
         return PlanarChain(self.joints[1:], self.tip)
 
     @cached_property
-    def candidates(self) -> list[Piece]:
+    def candidates(self) -> list[PlanePiece]:
         """Pieces of all curves on which the workspace can end."""
-        found: list[Piece] = []
+        found: list[PlanePiece] = []
         options = [(None, *j.limits) for j in self.joints]
         for choice in itertools.product(*options):
             if any(x is None for x in choice):
                 found += self._of(choice)
         return merged(found, SAME * self.size)
 
-    def _of(self, choice: tuple[float | None, ...]) -> list[Piece]:
+    def _of(self, choice: tuple[float | None, ...]) -> list[PlanePiece]:
         """The pieces with joints at these limits, the others (None) singular."""
         free = [i for i, x in enumerate(choice) if x is None]
         last = free[-1]
@@ -162,17 +164,17 @@ class PlanarChain:
     # ---- which points are reached
 
     @cached_property
-    def ends(self) -> list[Piece]:
+    def ends(self) -> list[PlanePiece]:
         """The boundary of the workspace: pieces that have the workspace to their left only."""
         return [p for p, left, right in self.sides if left and not right]
 
     @cached_property
-    def sides(self) -> list[tuple[Piece, int, int]]:
+    def sides(self) -> list[tuple[PlanePiece, int, int]]:
         """The candidates, cut where they meet, with how many solutions (of two joints; else 1) are on either side.
 
         Each is turned so that it has more to its left.
         """
-        out: list[tuple[Piece, int, int]] = []
+        out: list[tuple[PlanePiece, int, int]] = []
         for i, piece in enumerate(self.candidates):
             cuts = [meetings(piece, other) for j, other in enumerate(self.candidates) if j != i]
             t = np.unique(np.concatenate([[0.0, 1.0], *cuts]).clip(0.0, 1.0))
@@ -210,12 +212,12 @@ def _carried(motion: tuple[complex, complex], z: complex) -> complex:
     return motion[0] * z + motion[1]
 
 
-def _moved(piece: Piece, motion: tuple[complex, complex]) -> Piece:
+def _moved(piece: PlanePiece, motion: tuple[complex, complex]) -> PlanePiece:
     a, centre = motion[0], _carried(motion, piece.centre)
-    return Piece(centre, piece.radius, piece.start + float(np.angle(a)), piece.sweep, a * piece.way)
+    return PlanePiece(centre, piece.radius, piece.start + float(np.angle(a)), piece.sweep, a * piece.way)
 
 
-def _turn_about(piece: Piece, p: complex) -> float:
+def _turn_about(piece: PlanePiece, p: complex) -> float:
     """The angle by which the way from p to a point turns as this goes along a piece."""
     a, b = complex(piece.at(0.0)) - p, complex(piece.at(1.0)) - p
     if not piece.is_arc:

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.analysis.spaces.planar.curves import Piece
-from kempe.spatial import Array
+from kempe.analysis.spaces.planar.plane_curves import PlanePiece
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,7 +28,7 @@ def plot(workspace: PlanarWorkspace, ax: Axes | None = None) -> Axes:
         corners, codes = [], []
         for loop in region.loops:
             p = np.concatenate([drawn(piece) for piece in loop])
-            corners.append(np.column_stack([p.real, p.imag]))
+            corners.append(np.column_stack([np.real(p), np.imag(p)]))
             codes += [Path.MOVETO, *[Path.LINETO] * (len(p) - 2), Path.CLOSEPOLY]
         shade = 0.8 if region.solutions in (None, 1) else 0.6
         label = "reached" if region.solutions is None else f"{region.solutions} solution{'s' * (region.solutions > 1)}"
@@ -37,7 +36,7 @@ def plot(workspace: PlanarWorkspace, ax: Axes | None = None) -> Axes:
         ax.add_patch(PathPatch(path, facecolor=(0.9 * shade, shade, 1.0), edgecolor="none", label=label))
     for piece in workspace.boundary:
         p = drawn(piece)
-        ax.plot(p.real, p.imag, color="0.15", linewidth=1.2)
+        ax.plot(np.real(p), np.imag(p), color="0.15", linewidth=1.2)
     ax.set_aspect("equal")
     ax.set_xlabel("x [m]")
     ax.set_ylabel("y [m]")
@@ -47,6 +46,6 @@ def plot(workspace: PlanarWorkspace, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def drawn(piece: Piece) -> Array:
+def drawn(piece: PlanePiece) -> np.ndarray:
     """Points (k,) along a piece, close enough for a picture."""
     return piece.at(np.linspace(0.0, 1.0, max(2, int(abs(piece.sweep) / FINE) + 2)))

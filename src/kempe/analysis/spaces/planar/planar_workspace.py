@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.analysis.spaces.planar.curves import Piece
 from kempe.analysis.spaces.planar.planar_chain import PlanarChain, PlanarJoint
+from kempe.analysis.spaces.planar.plane_curves import PlanePiece
 from kempe.calls import brief, explained, explained_methods, numbers
 from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.common.result import Report
 from kempe.model.tree.primitive_table import local_chain
 from kempe.solvers.common.serial_chain import obstacle
-from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import counted
 
@@ -32,7 +31,7 @@ MEET = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
-class Region:
+class SolutionRegion:
     """Points that are reached in the same number of `solutions` (None: infinitely many), their `area` and `boundary`.
 
     The boundary has the region to its left. `loops` are its closed curves: those with a negative area go round voids.
@@ -42,8 +41,8 @@ class Region:
 
     solutions: int | None
     area: float
-    boundary: tuple[Piece, ...]
-    loops: tuple[tuple[Piece, ...], ...] = field(repr=False)
+    boundary: tuple[PlanePiece, ...]
+    loops: tuple[tuple[PlanePiece, ...], ...] = field(repr=False)
 
 
 @explained_methods
@@ -63,7 +62,7 @@ class PlanarWorkspace(Report):
     code: Any = Status.SOLVED
 
     @cached_property
-    def boundary(self) -> tuple[Piece, ...]:
+    def boundary(self) -> tuple[PlanePiece, ...]:
         """Arcs and segments that bound it; of a single joint the curve that it is."""
         if len(self.chain.joints) == 1:
             return tuple(self.chain.candidates)
@@ -75,7 +74,7 @@ class PlanarWorkspace(Report):
         return sum((r.area for r in self.regions), 0.0)
 
     @cached_property
-    def regions(self) -> tuple[Region, ...]:
+    def regions(self) -> tuple[SolutionRegion, ...]:
         """For each number of solutions the points that have it; for more than two joints one region."""
         if len(self.chain.joints) == 1:
             return ()
@@ -84,12 +83,12 @@ class PlanarWorkspace(Report):
         out = []
         for n in counts:
             edges = [p if left == n else p.part(1.0, 0.0) for p, left, right in sides if (left == n) != (right == n)]
-            out.append(Region(None if several else n, float(sum(p.moment for p in edges)), tuple(edges),
+            out.append(SolutionRegion(None if several else n, float(sum(p.moment for p in edges)), tuple(edges),
                               _loops(edges, MEET * self.chain.size)))  # fmt: skip
         return tuple(out)
 
     @cached_property
-    def voids(self) -> tuple[tuple[Piece, ...], ...]:
+    def voids(self) -> tuple[tuple[PlanePiece, ...], ...]:
         """Closed curves round holes of the workspace."""
         loops = _loops(list(self.boundary), MEET * self.chain.size) if self.regions else ()
         return tuple(loop for loop in loops if sum(p.moment for p in loop) < 0.0)
@@ -126,7 +125,7 @@ class PlanarWorkspace(Report):
             best = np.minimum(best, np.where(inner[1], near, ends))
         return float(best) if best.ndim == 0 else best
 
-    def _points(self, points: ArrayLike) -> Array:
+    def _points(self, points: ArrayLike) -> np.ndarray:
         p = numbers(points, "points")
         if p.ndim == 0 or p.shape[-1] not in (2, 3):
             raise InputError(f"points has shape {p.shape}; it must be (..., 2)")
@@ -164,14 +163,14 @@ def _pair(z: Any) -> list[float]:
     return [float(np.real(z)), float(np.imag(z))]
 
 
-def _piece_data(p: Piece) -> dict[str, Any]:
+def _piece_data(p: PlanePiece) -> dict[str, Any]:
     ends = {"from": _pair(p.at(0.0)), "to": _pair(p.at(1.0))}
     if not p.is_arc:
         return {"kind": "segment"} | ends
     return {"kind": "arc", "centre": _pair(p.centre), "radius": p.radius, "start": p.start, "sweep": p.sweep} | ends
 
 
-def _loops(pieces: list[Piece], same: float) -> tuple[tuple[Piece, ...], ...]:
+def _loops(pieces: list[PlanePiece], same: float) -> tuple[tuple[PlanePiece, ...], ...]:
     """The pieces as closed curves, each followed by one that begins where it ends."""
     left, out = list(pieces), []
     starts = np.array([complex(p.at(0.0)) for p in pieces])

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from kempe import spatial
 from kempe.analysis.spaces.reach.reached_poses import reached
 from kempe.budget import Budget, Usual
-from kempe.calls import brief, explained, explained_methods, known
+from kempe.calls import brief, explained, explained_methods, known, numbers
 from kempe.errors import InputError
 from kempe.kinematics.common.result import Report
 from kempe.reals import is_whole
@@ -36,7 +36,7 @@ SLICE = 20_000
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class Placement(Report):
+class BasePlacement(Report):
     """Places of the base, as a map over `axes` (name to values), and how well a list of poses is reached from each.
 
     Over the axes, in their order: `fraction` of the poses that are reached; `margin` and `manipulability`, the least
@@ -113,7 +113,7 @@ def base_pose(places: Array) -> Array:
 def place_base(
     system: System, targets: ArrayLike, frame: FrameLike, box: Mapping[str, Any], cells: int | Mapping[str, int] = 11,
     *, task: str | tuple[str, ArrayLike] | None = None, budget: Budget | None = None,
-) -> Placement:  # fmt: skip
+) -> BasePlacement:  # fmt: skip
     """Where to put the base so that a frame reaches all `targets` (n, 4, 4), which stay where they are.
 
     The `box` names coordinates of the base, "x", "y", "z" in metres and "yaw" in radians, with a pair (low, high) that
@@ -122,7 +122,7 @@ def place_base(
     that of all. Errors: `InputError`, `UnknownNameError`.
     """
     spend, name = USUAL.of(budget), system.structure.frame_name(frame)
-    X = np.asarray(targets, dtype=float)
+    X = numbers(targets, "targets")
     if X.ndim != 3 or X.shape[1:] != (4, 4) or not len(X) or not np.isfinite(X).all():
         raise InputError(f"targets have shape {X.shape}; they must be finite poses (n, 4, 4), at least one")
     axes, fixed = _axes(system, box, cells)
@@ -145,7 +145,7 @@ def place_base(
         if spend.progress is not None:
             spend.progress(min(total, (i + at_once) * len(X)), total)
     fraction, far, w = (np.concatenate(x).reshape(shape) for x in zip(*rows, strict=True))
-    return Placement(system, name, len(X), axes, fixed, fraction, far, w)
+    return BasePlacement(system, name, len(X), axes, fixed, fraction, far, w)
 
 
 def _without_progress(budget: Budget) -> Budget:
@@ -158,7 +158,7 @@ def _axes(system: System, box: Mapping[str, Any], cells: Any) -> tuple[dict[str,
     axes, fixed = {}, {}
     for name, value in box.items():
         known("coordinate of the base", name, allowed, system.name)
-        v = np.asarray(value, dtype=float)
+        v = numbers(value, f"box: {name}")
         if not np.isfinite(v).all() or v.shape not in ((), (2,)) or (v.shape and not v[0] < v[1]):
             raise InputError(
                 f"box has {name} = {value!r}; it must be a number, or a pair (low, high) of finite numbers"

@@ -11,7 +11,7 @@ from kempe.errors import UnsupportedError
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from kempe.analysis.spaces.reach.base_placement import Placement
+    from kempe.analysis.spaces.reach.base_placement import BasePlacement
     from kempe.analysis.spaces.reach.capability import CapabilityMap
     from kempe.spatial import Array
 
@@ -27,7 +27,7 @@ def _picture(ax: Axes | None, x: Array, y: Array, values: Array, labels: tuple[s
     return ax
 
 
-def plot_placement(found: Placement, ax: Axes | None = None) -> Axes:
+def plot_placement(found: BasePlacement, ax: Axes | None = None) -> Axes:
     """Matplotlib axes with the fraction over the first two axes, the others where they are at the best place."""
     names = list(found.axes)
     if len(names) < 2:

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.budget import Budget, Usual
-from kempe.calls import brief, explained, explained_methods
+from kempe.calls import brief, explained, explained_methods, numbers
 from kempe.errors import InputError
 from kempe.kinematics.closure_rows import characteristic_length
 from kempe.kinematics.common.result import Report
 from kempe.solvers.analytic.ik_analytic import plan_of
-from kempe.solvers.common.targets import TASKS, axis_for, task_and_axis
+from kempe.solvers.common.targets import TASKS, axis_for, task_and_axis, task_of
 from kempe.spatial import Array
 from kempe.status import Status, named
 from kempe.words import counted
@@ -30,7 +30,7 @@ SHOWN = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Reached:
+class ReachedPoses:
     """Of poses (n,): whether they are `reached`, by how many `solutions`, and the best of these.
 
     `solutions` are those inside the limits, `UNKNOWN` where it is not certain that all are known. `manipulability` and
@@ -70,24 +70,25 @@ def margin(system: System, q: Array) -> Array:
     return (np.minimum(x - low, high - x) / (0.5 * (high - low))).min(axis=-1)
 
 
-def reached(system: System, targets: Array, frame: str, task: Any, budget: Budget) -> Reached:
+def reached(system: System, targets: Array, frame: str, task: Any, budget: Budget) -> ReachedPoses:
     """What is reached of `targets` (n, ...), as `System.ik` takes them."""
     single = system.ik(targets, frame, task=task, budget=budget)
-    name = str(single.problem.name)
+    said, axis = task_and_axis(task)
+    particle = bool(system.structure.table.at[frame][2])
+    name = task_of(said, targets.shape[-2:] not in ((4, 4), (3, 3)), particle)
     q, mask = single.q[:, None], np.array(single.success)[:, None]
     solutions = np.where(mask[:, 0], UNKNOWN, np.where(np.isin(single.code, PROVEN), 0, UNKNOWN))
-    said, axis = task_and_axis(task)
     if not isinstance(plan_of(system, frame, name, axis_for(axis, said)), str):
-        every = system.ik_all(targets, frame, task=task, limits=True)
+        every: Any = system.ik_all(targets, frame, task=task, limits=True)
         solutions = np.where(every.complete, every.mask.sum(axis=-1), UNKNOWN)
         q, mask = np.concatenate([q, every.q], axis=1), np.concatenate([mask, every.mask], axis=1)
     w, far = np.full(mask.shape, np.nan), np.full(mask.shape, np.nan)
     if mask.any():
         w[mask], far[mask] = manipulability(system, frame, q[mask], name), margin(system, q[mask])
-    any_ = mask.any(axis=1)
+    any_ = np.asarray(mask.any(axis=1))
     best = np.argmax(np.where(mask, far, -np.inf), axis=1)
     at = np.arange(len(q))
-    return Reached(any_, np.where(any_ & (solutions == 0), UNKNOWN, solutions),
+    return ReachedPoses(any_, np.where(any_ & (solutions == 0), UNKNOWN, solutions),
                    np.where(any_, np.max(np.where(mask, w, -1.0), axis=1), np.nan), far[at, best], q[at, best],
                    np.where(any_, int(Status.SOLVED), single.code))  # fmt: skip
 
@@ -176,7 +177,7 @@ def reach_poses(
     Of the `budget` are read: starts (1000), rng (0), threads. Errors: `InputError`, `UnknownNameError`.
     """
     spend, name = USUAL.of(budget), system.structure.frame_name(frame)
-    X = np.asarray(targets, dtype=float)
+    X = numbers(targets, "targets")
     if X.ndim < 2 or (X.ndim == 2 and X.shape == (4, 4)):
         X = X[None]
     if not np.isfinite(X).all():

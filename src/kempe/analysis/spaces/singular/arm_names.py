@@ -34,5 +34,7 @@ def names_of(system: System, frame: str | None, q: Array) -> list[str]:
 def _named(system: System, frame: str) -> tuple[Kind, Lines] | None:
     """The kind of arm and its lines, None where its branches have no names."""
     plan = plan_of(system, frame, "pose", Z_AXIS)
-    kind = None if isinstance(plan, str) else kind_of(plan, system.dim == 2)
+    if isinstance(plan, str):
+        return None
+    kind = kind_of(plan, system.dim == 2)
     return None if kind is None else (kind, plan.lines)

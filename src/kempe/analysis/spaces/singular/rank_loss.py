@@ -109,7 +109,7 @@ class RankLoss:
         if home is not None:
             q = self._steps(q, np.broadcast_to(home, q.shape))
         q = self._steps(q, None)
-        good = np.isfinite(q).all(axis=1)
+        good = np.asarray(np.isfinite(q).all(axis=1))
         good[good] = self.holds(q[good])
         q[~good] = np.nan
         return q

@@ -361,4 +361,4 @@ def _inside(system: System, q: Array) -> np.ndarray:
     """Whether configurations (k, nq) are inside the limits."""
     at_q, at_v = system.structure.layout.vector_q, system.structure.layout.vector_v
     x = q[:, at_q]
-    return ((x >= system.lower[at_v] - SAME) & (x <= system.upper[at_v] + SAME)).all(axis=1)
+    return np.asarray(((x >= system.lower[at_v] - SAME) & (x <= system.upper[at_v] + SAME)).all(axis=1))

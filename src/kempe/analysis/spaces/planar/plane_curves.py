@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kempe.spatial import Array
-
 TURN = 2.0 * np.pi
 TOUCH = 1e-13
 """Square of half the chord that circles share, in squares of the radius, below which they touch."""
@@ -16,7 +14,7 @@ ENDS = 1e-9
 
 
 @dataclass(frozen=True)
-class Piece:
+class PlanePiece:
     """A piece of a curve, from its parameter 0 to 1: an arc about `centre` of `radius`, from the angle `start` on by
     `sweep`; where the radius is 0 a segment from `centre` by `way`."""  # fmt: skip
 
@@ -36,7 +34,7 @@ class Piece:
         """Its length in metres."""
         return self.radius * abs(self.sweep) if self.is_arc else abs(self.way)
 
-    def at(self, t: Array | float) -> Array:
+    def at(self, t: np.ndarray | float) -> np.ndarray:
         """Points (...) at parameters t (...)."""
         t = np.asarray(t, dtype=float)
         if self.is_arc:
@@ -49,13 +47,13 @@ class Piece:
             return complex(1j * np.sign(self.sweep) * np.exp(1j * (self.start + self.sweep * t)))
         return self.way / abs(self.way)
 
-    def part(self, a: float, b: float) -> Piece:
+    def part(self, a: float, b: float) -> PlanePiece:
         """The piece from the parameter a to b."""
         if self.is_arc:
-            return Piece(self.centre, self.radius, self.start + self.sweep * a, self.sweep * (b - a))
-        return Piece(self.centre + self.way * a, 0.0, way=self.way * (b - a))
+            return PlanePiece(self.centre, self.radius, self.start + self.sweep * a, self.sweep * (b - a))
+        return PlanePiece(self.centre + self.way * a, 0.0, way=self.way * (b - a))
 
-    def parameters(self, p: Array, slack: float = ENDS) -> tuple[Array, np.ndarray]:
+    def parameters(self, p: np.ndarray, slack: float = ENDS) -> tuple[np.ndarray, np.ndarray]:
         """Parameters (...) of points (...) of its circle or line, and whether they are on it."""
         if not self.is_arc:
             t = np.real((p - self.centre) * np.conj(self.way)) / abs(self.way) ** 2
@@ -75,7 +73,7 @@ class Piece:
         return 0.5 * float(np.imag(np.conj(self.centre) * (b - a))) + 0.5 * self.radius**2 * self.sweep
 
 
-def circle_points(a: Piece, b: Piece) -> Array:
+def circle_points(a: PlanePiece, b: PlanePiece) -> np.ndarray:
     """Points in which the circles or lines of two pieces meet or touch, of the same circle or line none."""
     if not a.is_arc and not b.is_arc:
         across = np.imag(np.conj(a.way) * b.way)
@@ -103,7 +101,7 @@ def circle_points(a: Piece, b: Piece) -> Array:
     return np.array([foot - half * unit, foot + half * unit])
 
 
-def meetings(a: Piece, b: Piece, slack: float = ENDS) -> Array:
+def meetings(a: PlanePiece, b: PlanePiece, slack: float = ENDS) -> np.ndarray:
     """Parameters on a of the points in which two pieces meet."""
     p = circle_points(a, b)
     if not len(p):
@@ -112,9 +110,9 @@ def meetings(a: Piece, b: Piece, slack: float = ENDS) -> Array:
     return t[on_a & b.parameters(p, slack)[1]]
 
 
-def merged(pieces: list[Piece], same: float) -> list[Piece]:
+def merged(pieces: list[PlanePiece], same: float) -> list[PlanePiece]:
     """The pieces, of which those on the same circle or line, to `same` metres, are joined where they overlap."""
-    groups: list[tuple[Piece, list[tuple[float, float]]]] = []
+    groups: list[tuple[PlanePiece, list[tuple[float, float]]]] = []
     for piece in pieces:
         if piece.length < same:
             continue
@@ -124,21 +122,21 @@ def merged(pieces: list[Piece], same: float) -> list[Piece]:
                 break
         else:
             groups.append((_whole(piece), _spans(_whole(piece), piece)))
-    out: list[Piece] = []
+    out: list[PlanePiece] = []
     for first, spans in groups:
         out += [first.part(a, b) for a, b in _joined(spans)]
     return out
 
 
-def _whole(piece: Piece) -> Piece:
+def _whole(piece: PlanePiece) -> PlanePiece:
     """The circle of an arc from the angle 0 on, or the line of a segment with its nearest point to the origin."""
     if piece.is_arc:
-        return Piece(piece.centre, piece.radius, 0.0, TURN)
+        return PlanePiece(piece.centre, piece.radius, 0.0, TURN)
     unit = piece.way / abs(piece.way)
-    return Piece(piece.centre - unit * np.real(piece.centre * np.conj(unit)), 0.0, way=unit)
+    return PlanePiece(piece.centre - unit * np.real(piece.centre * np.conj(unit)), 0.0, way=unit)
 
 
-def _same_curve(a: Piece, b: Piece, same: float) -> bool:
+def _same_curve(a: PlanePiece, b: PlanePiece, same: float) -> bool:
     if a.is_arc != b.is_arc:
         return False
     if a.is_arc:
@@ -147,7 +145,7 @@ def _same_curve(a: Piece, b: Piece, same: float) -> bool:
     return max(off) < same
 
 
-def _spans(first: Piece, piece: Piece) -> list[tuple[float, float]]:
+def _spans(first: PlanePiece, piece: PlanePiece) -> list[tuple[float, float]]:
     """Intervals of parameters of a whole circle (0 to 1) or line, that a piece of it takes."""
     if not first.is_arc:
         t = np.real((piece.at(np.array([0.0, 1.0])) - first.centre) * np.conj(first.way))
