@@ -189,3 +189,17 @@ def test_what_cannot_be_done_is_said():
         PUMA.reach.capability("tool", [[0, 0, 0], [1, 1, 1]], rolls=0)
     with pytest.raises(InputError, match="directions"):
         PUMA.reach.capability("tool", [[0, 0, 0], [1, 1, 1]], 2, np.zeros((3, 3)))
+
+
+def test_pictures():
+    """What is drawn is the map: as many cells, and a curve for each piece of a boundary."""
+    figure = pytest.importorskip("matplotlib.figure")
+    box = {"x": (-1.0, 1.0), "y": (-1.0, 1.0), "yaw": (0.0, 1.0)}
+    placed = TWO.reach.place(TWO.fk(TWO.random(0, 2), "e"), "e", box, {"x": 5, "y": 4, "yaw": 2}, task="position")
+    assert placed.plot(figure.Figure().subplots()).collections[0].get_array().size == 20
+    found = PUMA.reach.capability("tool", [[-1, -1, -1], [1, 1, 1]], (3, 2, 2), 2)
+    ax = found.plot(figure.Figure().subplots(), height=0.4)
+    assert np.array_equal(ax.collections[0].get_array().ravel(), found.fraction[..., 1].T.ravel())
+    ring = TWO.reach.planar("e")
+    ax = ring.plot(figure.Figure().subplots())
+    assert len(ax.lines) == len(ring.boundary) == 2 and len(ax.patches) == len(ring.regions)
