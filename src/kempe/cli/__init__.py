@@ -13,7 +13,6 @@ from kempe.cli import system_commands  # isort: skip, the commands are listed in
 from kempe.cli import inverse_commands  # isort: skip
 from kempe.cli import loop_commands  # isort: skip
 from kempe.cli import space_commands  # isort: skip
-from kempe.cli import reach_commands  # isort: skip
 from kempe.cli import workspace_commands  # isort: skip
 from kempe.cli import reach_commands  # isort: skip
 from kempe.cli import library_commands  # isort: skip

@@ -222,7 +222,7 @@ def planar_workspace(system: System, frame: FrameLike) -> PlanarWorkspace:
         low, high = float(system.lower[iv]), float(system.upper[iv])
         if w == 0.0 and not np.isfinite(high - low):
             raise InputError(
-                f"slide {label!r} has no limits, so the workspace has no end: system.with_limits gives some"
+                f"slide {label!r} has no limits, so the workspace has no end: give it some (`with_limits`)"
             )
         axis = None if w == 0.0 else tip + 1j * complex(vx, vy) / w
         joints.append(PlanarJoint(axis, float(w), complex(vx, vy) if w == 0.0 else 0j, low, high))

@@ -201,7 +201,7 @@ def open_workspace(path: str | Path, system: System | None = None) -> Workspace:
     stored = read_map(Path(path))
     if system is None:
         if stored.toml is None:
-            raise InputError(f"{path} does not hold its system, which no file can describe: give `system`")
+            raise InputError(f"{path} does not hold its system, which no file can describe: give it, too")
         from kempe.description.source import collecting_later
         from kempe.description.toml.toml import read_toml
 
