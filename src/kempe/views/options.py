@@ -27,6 +27,7 @@ WORDS: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
     (r"\bproject=True takes it", "--project takes it"),
     (r"; loops\.closed_form\(.*?\)\.describe\(\) tells", "; --modes tells"),
     (r"\baxis=\(x, y\)", "axis = [x, y]"),
+    (r", such as system\.with_limits\(\{.*?\}\)", ", in the file"),
 )
 """What the library says, as regular expressions, and what the command line says in its place."""
 

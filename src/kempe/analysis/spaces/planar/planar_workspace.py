@@ -221,9 +221,7 @@ def planar_workspace(system: System, frame: FrameLike) -> PlanarWorkspace:
     for label, iv, (vx, vy, w) in zip(names, v_index, J[[0, 1, 5]].T, strict=True):
         low, high = float(system.lower[iv]), float(system.upper[iv])
         if w == 0.0 and not np.isfinite(high - low):
-            raise InputError(
-                f"slide {label!r} has no limits, so the workspace has no end: give it some (`with_limits`)"
-            )
+            raise InputError(f"slide {label!r} has no limits, so the workspace has no end: give it some")
         axis = None if w == 0.0 else tip + 1j * complex(vx, vy) / w
         joints.append(PlanarJoint(axis, float(w), complex(vx, vy) if w == 0.0 else 0j, low, high))
     return PlanarWorkspace(system, name, PlanarChain(tuple(joints), tip))
