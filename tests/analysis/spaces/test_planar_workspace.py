@@ -144,6 +144,10 @@ def test_what_cannot_be_done_is_said():
         planar_workspace(arm(("P", 0.0, None), ("R", 0.0, None)), "tool")
     with pytest.raises(UnsupportedError, match="loop"):
         planar_workspace(kempe.load("four_bar"), "coupler")
+    m = kempe.load("two_link").mechanism
+    m.inequality("stop", "1 - q2", of=("q2",))
+    with pytest.raises(UnsupportedError, match="constraint 'stop' of two_link may bound the workspace"):
+        planar_workspace(m.build(), "e")
     with pytest.raises(InputError, match="does not move"):
         planar_workspace(kempe.load("two_link"), kempe.load("two_link").body_names[0])
     w = planar_workspace(arm(("R", 0.0, None), ("R", 0.6, None)), "tool")

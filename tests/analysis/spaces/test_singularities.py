@@ -101,6 +101,14 @@ def test_an_arm_of_two_links_is_singular_stretched_or_folded():
     assert np.abs(found.sets[0].self_motion[0]).max() > 0.1
 
 
+def test_what_a_one_sided_constraint_excludes_is_not_singular():
+    m = kempe.load("two_link").mechanism
+    m.inequality("bent", "q2^2 - 1", of=("q2",))
+    found = m.build().singularities("e")
+    assert found.sets[0].kinds == kempe.load("two_link").singularities("e").sets[0].kinds
+    assert found.sets[0].values.ravel() == pytest.approx([np.pi], abs=1e-8)
+
+
 def test_shoulder_elbow_and_wrist_without_a_spherical_wrist():
     """Of the UR5 by sin q3 = 0 and sin q5 = 0: Kufieta, "Force estimation in robotic manipulators", 2014."""
     found = kempe.load("ur5").singularities("tool")

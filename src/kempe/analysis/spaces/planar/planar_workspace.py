@@ -197,14 +197,17 @@ def planar_workspace(system: System, frame: FrameLike) -> PlanarWorkspace:
 
     The boundary is found among arcs and segments on which joints are at limits or singular; which of them bound it is
     decided by the inverse model on both sides (see `kempe.analysis.spaces.planar.planar_chain`). Turns may have no
-    limits, slides must. Errors: `UnsupportedError` for systems in space, chains with loops, coupled or more than 6
-    joints; `InputError` for slides without limits and frames that do not move.
+    limits, slides must. Errors: `UnsupportedError` for systems in space or with constraints, chains with loops,
+    coupled or more than 6 joints; `InputError` for slides without limits and frames that do not move.
     """
     name = system.structure.frame_name(frame)
     if system.dim != 2:
         raise UnsupportedError(f"{system.name} is a system in space: the exact workspace is that of planar chains")
     if (why := obstacle(system, name)) is not None:
         raise UnsupportedError(why)
+    if system.mechanism.constraints:
+        declared = next(iter(system.mechanism.constraints))
+        raise UnsupportedError(f"constraint {declared!r} of {system.name} may bound the workspace by other curves")
     table, q_index, v_index = local_chain(system.structure.table, name)
     names = [system.coordinate_names[i] for i in q_index]
     if not names:

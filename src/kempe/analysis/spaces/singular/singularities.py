@@ -16,7 +16,8 @@ from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods, flag, generator, known
 from kempe.errors import InputError
 from kempe.kinematics.common.result import Report
-from kempe.kinematics.configuration import as_q, circles
+from kempe.kinematics.configuration import as_q, circles, has_loops
+from kempe.kinematics.one_sided import one_sided_rows
 from kempe.solvers.common.arguments import start_count
 from kempe.spatial import Array
 from kempe.status import Status
@@ -239,12 +240,13 @@ def singularities(
     actuated) are held; and constraint singularities, where the loops allow more than elsewhere.
 
     Sets are distinguished by the coordinates that decide, and of six-joint arms by the names of their branches. With
-    `limits` only configurations inside them count. Of the `budget` are read: starts (64), rng (0).
+    `limits` only configurations inside them count, which hold the one-sided constraints, too. Of the `budget` are read:
+    starts (64), rng (0).
     Errors: `InputError`, `UnknownNameError`.
     """
     spend, limits = USUAL.of(budget), flag(limits, "limits")
     name = None if frame is None else system.structure.frame_name(frame)
-    loops = bool(system.structure.closures or system.structure.relations or system.mechanism.constraints)
+    loops = has_loops(system)
     if name is None and not loops:
         raise InputError(f"{system.name} is a chain: name a frame; there are: {', '.join(system.frame_names)}")
     driving = driven(system, inputs)
@@ -358,7 +360,5 @@ def _turned(system: System, q: Array) -> Array:
 
 
 def _inside(system: System, q: Array) -> np.ndarray:
-    """Whether configurations (k, nq) are inside the limits."""
-    at_q, at_v = system.structure.layout.vector_q, system.structure.layout.vector_v
-    x = q[:, at_q]
-    return np.asarray(((x >= system.lower[at_v] - SAME) & (x <= system.upper[at_v] + SAME)).all(axis=1))
+    """Whether configurations (k, nq) are inside the limits and hold the one-sided constraints."""
+    return (one_sided_rows(system).beyond(q) <= SAME).all(axis=1)
