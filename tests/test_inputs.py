@@ -149,7 +149,8 @@ def usual(system: kempe.System, verb: str = "") -> dict[str, Any]:
         "driver": name, "limits": {name: (-2.0, 2.0)}, "times": np.array([0.0, 1.0]), "base": q,
         "hold": {name: q[0]},
         "reference": np.array([0.0, 0.0, 1.0]), "axis": np.array([0.0, 0.0, 1.0]), "velocity": np.ones(system.nv),
-        "box": {"x": (-0.1, 0.1)}, "velocity_limits": np.ones(system.nv), "weights": np.ones(6),
+        "box": {"x": (-0.1, 0.1)} if verb.startswith("place") else [(-1.0, 1.0)] * system.dim,
+        "velocity_limits": np.ones(system.nv), "weights": np.ones(6),
     }  # fmt: skip
 
 

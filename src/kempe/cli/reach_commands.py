@@ -18,6 +18,7 @@ from kempe.cli.app import (
     PositionOnly,
     Rng,
     Root,
+    TimeLimit,
     Xacro,
     app,
     load,
@@ -101,8 +102,9 @@ def reach(
 @guarded
 def place(
     file: File, poses: Poses, frame: Reaching, box: Ranges, cells: Cells = 11, position_only: PositionOnly = False,
-    starts: Starts = None, rng: Rng = None, deg: Deg = False, json: Json = False, base: Base = None, root: Root = None,
-    package_dir: Dirs = None, xacro: Xacro = False, lenient_limits: Lenient = False,
+    starts: Starts = None, rng: Rng = None, time_limit: TimeLimit = None, deg: Deg = False, json: Json = False,
+    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Find where to put the base so that all poses of a list are reached.
 
@@ -111,7 +113,8 @@ def place(
     system = load(file, base, root, package_dir, xacro, lenient_limits)
     X, position = _poses(system, poses, frame, deg)
     task = "position" if position or position_only else None
-    answer = system.reach.place(X, frame, _box(box, deg), cells, task=task, budget=Budget(starts=starts, rng=rng))
+    budget = Budget(starts=starts, rng=rng, time_limit=time_limit)
+    answer = system.reach.place(X, frame, _box(box, deg), cells, task=task, budget=budget)
     print_json(answer.data()) if json else show(str(answer))
     leave(answer)
 

@@ -7,6 +7,7 @@ import pytest
 
 import kempe
 from kempe import Budget, spatial
+from kempe.analysis.spaces.reach import map_slices
 from kempe.errors import InputError, UnknownNameError
 from kempe.status import Status
 
@@ -157,6 +158,31 @@ def test_progress_and_effort():
     budget = Budget(starts=4, progress=lambda done, total: seen.append((done, total)))
     PUMA.reach.capability("tool", [[-1, -1, -1], [1, 1, 1]], 2, 4, budget=budget)
     assert seen == [(32, 32)]
+
+
+def interrupted(done: int, total: int) -> None:
+    """What happens where Ctrl-C comes after the first slice."""
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(("budget", "code"), [
+    (Budget(starts=4, progress=interrupted), Status.INTERRUPTED),
+    (Budget(starts=4, time_limit=1e-9), Status.OUT_OF_TIME),
+])  # fmt: skip
+def test_what_was_done_stays_where_a_map_is_broken_off(budget, code, monkeypatch):
+    monkeypatch.setattr(map_slices, "SLICE", 8)
+    box = [[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]
+    part, whole = (PUMA.reach.capability("tool", box, 2, 4, budget=b) for b in (budget, Budget(starts=4)))
+    assert part.code == code and "this is the part that was done" in part.status and whole.broken is None
+    done = np.isfinite(part.fraction).ravel()
+    assert done.tolist() == [True] * 2 + [False] * 6
+    np.testing.assert_array_equal(part.fraction.ravel()[:2], whole.fraction.ravel()[:2])
+    ranges = {"x": (-4.0, 0.0), "y": (-0.1, 0.1)}
+    part, whole = (UR.reach.place(UR.fk(UR.mid, "tool")[None], "tool", ranges, 4, budget=b)
+                   for b in (budget, Budget(starts=4)))  # fmt: skip
+    assert np.isfinite(part.fraction).sum() == 8 and part.broken == code
+    np.testing.assert_array_equal(part.fraction.ravel()[:8], whole.fraction.ravel()[:8])
+    assert part.place()["x"] in part.axes["x"][:2]
 
 
 # ---- wrong calls

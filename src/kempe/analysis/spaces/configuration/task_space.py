@@ -10,7 +10,7 @@ import numpy as np
 from kempe.analysis.spaces.configuration.manifold import Manifold
 from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods, generator
-from kempe.constraints import Pose, Position
+from kempe.constraints import KINDS
 from kempe.constraints.base import Constraint
 from kempe.errors import InputError
 from kempe.kinematics import closure_rows
@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 
 FULL = 1e-7
 """Singular value, as a part of the largest, up to which a direction of the task counts as lost."""
-KINDS = {"pose": Pose, "position": Position}
+OF_FRAMES = ("pose", "position")
+"""Kinds of constraints that a frame alone stands for."""
 USUAL = Usual("task_space", starts=64, rng=0)
 
 
@@ -137,10 +138,11 @@ def _wanted(system: System, tasks: Any, task: str | None) -> tuple[list[Constrai
     name: Any = tasks
     frame = system.structure.frame_name(name)
     kind = "pose" if task is None else task
-    if kind not in KINDS:
-        raise InputError(f"task is {task!r}; it must be one of {', '.join(map(repr, KINDS))}")
+    if kind not in OF_FRAMES:
+        raise InputError(f"task is {task!r}; it must be one of {', '.join(map(repr, OF_FRAMES))}")
     X = system.fk(system.mid, frame)
-    return [Pose(frame, X) if kind == "pose" else Position(frame, X[:3, 3])], f"{kind} of {frame!r}", frame
+    made: Any = KINDS[kind]
+    return [made(frame, X if kind == "pose" else X[:3, 3])], f"{kind} of {frame!r}", frame
 
 
 def _drawn(system: System, count: int, rng: np.random.Generator) -> Array:

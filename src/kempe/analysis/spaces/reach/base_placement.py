@@ -11,12 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe import spatial
+from kempe.analysis.spaces.reach.map_slices import sliced
 from kempe.analysis.spaces.reach.reached_poses import reached
 from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods, known, numbers
 from kempe.errors import InputError
 from kempe.kinematics.common.result import Report
 from kempe.reals import is_whole
+from kempe.solvers.common.clock import partial
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import counted
@@ -26,12 +28,10 @@ if TYPE_CHECKING:
 
     from kempe.model.system import FrameLike, System
 
-USUAL = Usual("reach.place", starts=64, rng=0, threads=None, progress=None)
+USUAL = Usual("reach.place", starts=64, rng=0, threads=None, progress=None, time_limit=None)
 AXES = ("x", "y", "z", "yaw")
 MOST = 10_000_000
 """Poses that one map may try."""
-SLICE = 20_000
-"""Poses that are tried at once."""
 
 
 @explained_methods
@@ -41,6 +41,7 @@ class BasePlacement(Report):
 
     Over the axes, in their order: `fraction` of the poses that are reached; `margin` and `manipulability`, the least
     over the poses (NaN where one is not reached). `fixed` are the coordinates of the base that are the same everywhere.
+    Where the map was `broken` off, by the time limit or an interrupt, all three are NaN at the places left.
     """
 
     __repr__ = brief
@@ -53,18 +54,21 @@ class BasePlacement(Report):
     fraction: Array
     margin: Array
     manipulability: Array
+    broken: Status | None = None
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """`SOLVED` where all poses are reached from some place, `PARTLY` where some are."""
-        most = self.fraction.max(initial=0.0)
+        """`SOLVED` where all poses are reached from some place, `PARTLY` where some are, or what broke the map off."""
+        most = float(np.nanmax(self.fraction))
+        if self.broken is not None and most < 1.0:
+            return self.broken
         return Status.SOLVED if most == 1.0 else Status.PARTLY if most > 0.0 else Status.NOT_FOUND
 
     @cached_property
     def order(self) -> np.ndarray:
         """Places in the flat map, the best first: more poses, then the larger margin, then manipulability."""
         rest = [np.nan_to_num(x.ravel(), nan=-1.0, posinf=1e9) for x in (self.manipulability, self.margin)]
-        return np.lexsort((*rest, self.fraction.ravel()))[::-1]
+        return np.lexsort((*rest, np.nan_to_num(self.fraction.ravel(), nan=-1.0)))[::-1]
 
     def place(self, rank: int = 0) -> dict[str, float]:
         """Coordinates x, y, z [m] and yaw [rad] of the base at the best place (0), the next one, ...
@@ -91,11 +95,12 @@ class BasePlacement(Report):
     @property
     def status(self) -> str:
         """How many poses are reached from the best place, and where that is."""
-        of, n = f"{self.system.name}, {self.frame}", round(float(self.fraction.max(initial=0.0)) * self.poses)
+        of, n = f"{self.system.name}, {self.frame}", round(float(np.nanmax(self.fraction)) * self.poses)
         where = ", ".join(f"{k} = {v:.4g}" for k, v in self.place().items() if k in self.axes)
         full = int((self.fraction == 1.0).sum())
+        tail = partial(self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME)
         return (f"{of}: {n} of {counted(self.poses, 'pose')} reached from the best place ({where}); all from "
-                f"{full} of {counted(self.fraction.size, 'place')}")  # fmt: skip
+                f"{full} of {counted(int(np.isfinite(self.fraction).sum()), 'place')}{tail}")  # fmt: skip
 
     def _data(self) -> dict[str, Any]:
         own = {n: getattr(self, n) for n in ("poses", "axes", "fixed", "fraction", "margin", "manipulability")}
@@ -118,8 +123,9 @@ def place_base(
 
     The `box` names coordinates of the base, "x", "y", "z" in metres and "yaw" in radians, with a pair (low, high) that
     is tried at so many `cells` values (one number, or a dict by name), or with one number; those not named are 0. Of
-    the `budget` are read: starts (64), rng (0), threads, progress, which is called with the number of poses tried and
-    that of all. Errors: `InputError`, `UnknownNameError`.
+    the `budget` are read: starts (64), rng (0), threads, time_limit, and progress, which is called with the number of
+    poses tried and that of all. After the time limit, or an interrupt, the map has what was done. Errors: `InputError`,
+    `UnknownNameError`.
     """
     spend, name = USUAL.of(budget), system.structure.frame_name(frame)
     X = numbers(targets, "targets")
@@ -134,22 +140,17 @@ def place_base(
     places = np.zeros((int(np.prod(shape)), 4))
     for i, n in enumerate(AXES):
         places[:, i] = grid[list(axes).index(n)].ravel() if n in axes else fixed.get(n, 0.0)
-    inverse, at_once = spatial.inverse(base_pose(places)), max(1, SLICE // len(X))
-    rows = []
-    for i in range(0, len(places), at_once):
-        wanted = inverse[i : i + at_once, None] @ X
-        found = reached(system, wanted.reshape(-1, 4, 4), name, task, _without_progress(spend))
-        of = (len(wanted), len(X))
-        rows.append([found.reached.reshape(of).mean(axis=1), found.margin.reshape(of).min(axis=1),
-                     found.manipulability.reshape(of).min(axis=1)])  # fmt: skip
-        if spend.progress is not None:
-            spend.progress(min(total, (i + at_once) * len(X)), total)
-    fraction, far, w = (np.concatenate(x).reshape(shape) for x in zip(*rows, strict=True))
-    return BasePlacement(system, name, len(X), axes, fixed, fraction, far, w)
+    inverse = spatial.inverse(base_pose(places))
 
+    def work(first: int, last: int, each: Budget) -> list[Array]:
+        wanted = (inverse[first:last, None] @ X).reshape(-1, 4, 4)
+        found = reached(system, wanted, name, task, each)
+        own = (x.reshape(last - first, len(X)) for x in (found.reached, found.margin, found.manipulability))
+        hit, far, w = own
+        return [hit.mean(axis=1), far.min(axis=1), w.min(axis=1)]
 
-def _without_progress(budget: Budget) -> Budget:
-    return Budget(starts=budget.starts, rng=budget.rng, threads=budget.threads)
+    found, broken = sliced(work, len(places), len(X), spend)
+    return BasePlacement(system, name, len(X), axes, fixed, *(x.reshape(shape) for x in found), broken)
 
 
 def _axes(system: System, box: Mapping[str, Any], cells: Any) -> tuple[dict[str, Array], dict[str, float]]:

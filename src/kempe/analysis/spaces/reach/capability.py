@@ -11,13 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.analysis.spaces.reach.base_placement import MOST, SLICE
+from kempe.analysis.spaces.reach.base_placement import MOST
+from kempe.analysis.spaces.reach.map_slices import sliced
 from kempe.analysis.spaces.reach.reached_poses import UNKNOWN, reached
 from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods, numbers
 from kempe.errors import InputError
 from kempe.kinematics.common.result import Report
 from kempe.reals import is_whole
+from kempe.solvers.common.clock import partial
 from kempe.solvers.common.targets import frame_of
 from kempe.spatial import Array
 from kempe.status import Status
@@ -28,7 +30,7 @@ if TYPE_CHECKING:
 
     from kempe.model.system import FrameLike, System
 
-USUAL = Usual("reach.capability", starts=32, rng=0, threads=None, progress=None)
+USUAL = Usual("reach.capability", starts=32, rng=0, threads=None, progress=None, time_limit=None)
 
 
 @explained_methods
@@ -40,7 +42,8 @@ class CapabilityMap(Report):
     are reached; `solutions`, the mean number of solutions inside the limits of all its poses (NaN where it is infinite
     or not certain); `manipulability` and `margin`, the best found (NaN where nothing is reached). `directions` (d, 3)
     are those of the tool's z axis (in the plane of its x axis), `rolls` the angles about it at which each is tried
-    (none: the angle is free). `reached` (cells, d, rolls) says which poses are.
+    (none: the angle is free). `reached` (cells, d, rolls) says which poses are. Where the map was `broken` off, by the
+    time limit or an interrupt, the cells left are NaN.
     """
 
     __repr__ = brief
@@ -55,18 +58,23 @@ class CapabilityMap(Report):
     solutions: Array
     manipulability: Array
     margin: Array
+    broken: Status | None = None
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """`NOT_FOUND` where no cell is reached."""
-        return Status.SOLVED if self.fraction.any() else Status.NOT_FOUND
+        """`NOT_FOUND` where no cell is reached, or what broke the map off."""
+        return self.broken or (Status.SOLVED if self.fraction.any() else Status.NOT_FOUND)
 
     @property
     def status(self) -> str:
         """How many cells are reached at all, and in all directions."""
         some, whole = int((self.fraction > 0.0).sum()), int((self.fraction == 1.0).sum())
-        cells, directions = counted(self.fraction.size, "cell"), counted(len(self.directions), "direction")
-        return f"{self.system.name}, {self.frame}: {some} of {cells} reached, {whole} in all {directions}"
+        cells, directions = (
+            counted(int(np.isfinite(self.fraction).sum()), "cell"),
+            counted(len(self.directions), "direction"),
+        )
+        tail = partial(self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME)
+        return f"{self.system.name}, {self.frame}: {some} of {cells} reached, {whole} in all {directions}{tail}"
 
     def plot(self, ax: Axes | None = None, height: float | None = None) -> Axes:
         """Matplotlib axes with the fraction over x and y, at the layer of cells nearest to a height (the middle)."""
@@ -100,7 +108,8 @@ def capability_map(
     `box` is the pair of its corners (2, 3), in the plane (2, 2), in metres, cut into so many `cells` along each axis.
     `directions` are that many, spread evenly, or vectors (d, 3), in the plane (d, 2). With `rolls` each is tried at
     that many angles about it, as a pose, and solutions are counted where the chain has finitely many. Of the `budget`
-    are read: starts (32), rng (0), threads, progress. Errors: `InputError`, `UnknownNameError`.
+    are read: starts (32), rng (0), threads, progress, time_limit; after that, or an interrupt, the map has what was
+    done. Errors: `InputError`, `UnknownNameError`.
     """
     spend, name, dim = USUAL.of(budget), system.structure.frame_name(frame), system.dim
     axes, d = _cells(box, cells, dim), _directions(directions, dim)
@@ -114,23 +123,22 @@ def capability_map(
         raise InputError(f"{total} poses would be tried; {MOST} at most: take fewer cells or directions")
     centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, dim)
     task = None if dim == 2 or rolls is not None else "position_axis"
-    budget = Budget(starts=spend.starts, rng=spend.rng, threads=spend.threads)
-    at_once, rows = max(1, SLICE // len(R)), []
-    for i in range(0, len(centres), at_once):
-        p = centres[i : i + at_once]
+
+    def work(first: int, last: int, each: Budget) -> list[Array]:
+        p = centres[first:last]
         X = np.zeros((len(p), len(R), 4, 4))
         X[..., :3, :3], X[..., :dim, 3], X[..., 3, 3] = R, p[:, None], 1.0
-        found = reached(system, X.reshape(-1, 4, 4), name, task, budget)
-        of = (len(p), len(R))
-        rows.append([x.reshape(of) for x in (found.reached, found.solutions, found.manipulability, found.margin)])
-        if spend.progress is not None:
-            spend.progress(min(total, (i + at_once) * len(R)), total)
-    hit, solutions, w, far = (np.concatenate(x) for x in zip(*rows, strict=True))
+        found = reached(system, X.reshape(-1, 4, 4), name, task, each)
+        own = (found.reached, found.solutions, found.manipulability, found.margin)
+        return [x.reshape(len(p), len(R)) for x in own]
+
+    (share, solutions, w, far), broken = sliced(work, len(centres), len(R), spend)
+    hit = share == 1.0
     mean = np.where((solutions == UNKNOWN).any(axis=1), np.nan, solutions.mean(axis=1))
     best = [np.where(hit.any(axis=1), np.max(np.where(hit, x, -np.inf), axis=1), np.nan) for x in (w, far)]
     return CapabilityMap(system, name, axes, d, angles, hit.reshape(*shape, len(d), -1),
-                         hit.mean(axis=1).reshape(shape), mean.reshape(shape), best[0].reshape(shape),
-                         best[1].reshape(shape))  # fmt: skip
+                         share.mean(axis=1).reshape(shape), mean.reshape(shape), best[0].reshape(shape),
+                         best[1].reshape(shape), broken)  # fmt: skip
 
 
 def _cells(box: ArrayLike, cells: Any, dim: int) -> tuple[Array, ...]:
