@@ -150,7 +150,8 @@ def place_base(
         return [hit.mean(axis=1), far.min(axis=1), w.min(axis=1)]
 
     found, broken = sliced(work, len(places), len(X), spend)
-    return BasePlacement(system, name, len(X), axes, fixed, *(x.reshape(shape) for x in found), broken)
+    fraction, far, w = (x.reshape(shape) for x in found)
+    return BasePlacement(system, name, len(X), axes, fixed, fraction, far, w, broken)
 
 
 def _axes(system: System, box: Mapping[str, Any], cells: Any) -> tuple[dict[str, Array], dict[str, float]]:

@@ -361,4 +361,4 @@ def _turned(system: System, q: Array) -> Array:
 
 def _inside(system: System, q: Array) -> np.ndarray:
     """Whether configurations (k, nq) are inside the limits and hold the one-sided constraints."""
-    return (one_sided_rows(system).beyond(q) <= SAME).all(axis=1)
+    return np.asarray((one_sided_rows(system).beyond(q) <= SAME).all(axis=1))
