@@ -71,7 +71,10 @@ def test_the_frozen_counts_are_those_of_the_oracle(name):
 
 @pytest.mark.parametrize("name", SQUARE)
 def test_near_singularities(name):
-    """Configurations moved off random singular ones by 1e-12 to 1e-3."""
+    """Configurations moved off random singular ones by 1e-12 to 1e-3; solutions that merge are one.
+
+    No two answers are nearer than 1e-6.
+    """
     arm = ARMS[name]
     sizes = 10.0 ** -np.arange(3, 13)
     theta, curve = near_singular(arm, 3, 30, sizes)
@@ -83,14 +86,7 @@ def test_near_singularities(name):
     q = np.zeros((len(X), arm.system.nq))
     q[:, arm.model.index] = (theta - arm.model.offset) / arm.model.multiplier
     assert_found(arm, answer, q, far, MISSED.get(name, 0))
-
-
-@pytest.mark.parametrize("name", SQUARE)
-def test_solutions_that_merge_are_one(name):
-    """Off a singular configuration by 1e-12 to 1e-3 no two answers are nearer than 1e-6."""
-    arm = ARMS[name]
-    theta, _ = near_singular(arm, 3, 30, 10.0 ** -np.arange(3, 13))
-    assert_distinct(arm, ask(arm, arm.model.pose(theta.reshape(-1, arm.model.n))))
+    assert_distinct(arm, answer)
 
 
 @pytest.mark.parametrize("name", [n for n in SQUARE if n not in MISSED])
