@@ -83,9 +83,9 @@ def as_text(x: Any, what: str) -> str:
     if isinstance(x, Expression):
         return x.text
     if isinstance(x, (int, float, np.integer, np.floating)) and not isinstance(x, bool):
-        if abs(x) > LARGEST:
+        whole_and_huge = isinstance(x, int) and abs(x) > LARGEST  # perhaps no float at all
+        if whole_and_huge or abs(number := float(x)) > LARGEST:
             raise InputError(f"{what} is {shown(x)}; its size must be at most {LARGEST:g}")
-        number = float(x)
         return str(int(number)) if number.is_integer() and abs(number) < 1e15 else repr(number)
     if not isinstance(x, str):
         raise InputError(f"{what} is {shown(x)}; it must be text, a number, or a function of named coordinates")

@@ -60,8 +60,7 @@ def parts_of(
     """
     from distributed import KilledWorker, wait
 
-    waiting = {_tree(client, recipe, first, last, each): (first, last) for first, last in ranges}
-    lost = dict.fromkeys(waiting, 0)
+    waiting = {_tree(client, recipe, first, last, each, 0): (first, last, 0) for first, last in ranges}
     try:
         while waiting:
             try:
@@ -70,20 +69,23 @@ def parts_of(
             except TimeoutError:
                 done = set()
             for future in done:
-                error = future.exception()
-                if isinstance(error, KilledWorker) and lost[future] < RETRIES:  # the workers ended, not the task
-                    lost[future] += 1
-                    future.retry()
+                first, last, attempt = waiting.pop(future)
+                if isinstance(future.exception(), KilledWorker) and attempt < RETRIES:  # workers ended, not it
+                    again = _tree(client, recipe, first, last, each, attempt + 1)
+                    waiting[again] = (first, last, attempt + 1)
                     continue
-                yield (*waiting.pop(future), future.result())
+                yield first, last, future.result()
             check()
     finally:
         client.cancel(list(waiting))
 
 
-def _tree(client: Any, recipe: Recipe, first: int, last: int, each: int) -> Any:
-    """The future of the counts of a range: tasks, and sums of `FAN` of them, of their sums, and so on."""
-    digest, many = recipe.digest, last - first >= 2**32
+def _tree(client: Any, recipe: Recipe, first: int, last: int, each: int, attempt: int) -> Any:
+    """The future of the counts of a range: tasks, and sums of `FAN` of them, of their sums, and so on.
+
+    Another `attempt` has other keys: under those of before the scheduler knows tasks as failed.
+    """
+    digest, many = f"{recipe.digest}-{attempt}", last - first >= 2**32
     starts = range(first, last, each)
     ends = [min(at + each, last) for at in starts]
     keys = [f"kempe-{digest}-{at}-{end}" for at, end in zip(starts, ends, strict=True)]
