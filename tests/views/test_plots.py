@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from drawn import artists
 
 import kempe
 from kempe import Mechanism, constraints, library
@@ -39,14 +40,6 @@ def centres(system, q) -> dict[str, np.ndarray]:
             X = system.fk(q, joint.child) @ joint.X_CM.evaluate(system.structure.parameters)
             out[name] = X[:3, 3]
     return out
-
-
-def artists(ax) -> dict[str, list]:
-    found: dict[str, list] = {}
-    for artist in ax.get_children():
-        if artist.get_gid():
-            found.setdefault(artist.get_gid(), []).append(artist)
-    return found
 
 
 def middle(patch) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from drawn import artists
 
 import kempe
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
@@ -30,14 +31,6 @@ def by_hand(p: np.ndarray, limits: list[tuple[float, float]]) -> int:
         ]
         count += all(inside)
     return count
-
-
-def artists(ax) -> dict[str, list]:
-    found: dict[str, list] = {}
-    for artist in ax.get_children():
-        if artist.get_gid():
-            found.setdefault(artist.get_gid(), []).append(artist)
-    return found
 
 
 @pytest.mark.parametrize(("system", "limits"), [

@@ -246,8 +246,11 @@ def difference(system: System, q0: Any, q1: Any) -> Array:
 
 def _tangent(system: System, q0: Any, q1: Any) -> Array:
     """Shortest tangent vector from q0 to q1: unlimited joints turn by at most pi."""
-    v = difference(system, q0, q1)
-    circle = circles(system)
+    return by_short_turns(difference(system, q0, q1), circles(system))
+
+
+def by_short_turns(v: Array, circle: np.ndarray) -> Array:
+    """Tangent vectors `v` (..., nv), changed in place: where `circle` (nv,) says so, angles turn by at most pi."""
     v[..., circle] -= 2.0 * math.pi * np.round(v[..., circle] / (2.0 * math.pi))
     return v
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe.analysis.first_order.null_space import null_space
 from kempe.errors import UnsupportedError
 from kempe.kinematics import closure_rows
 from kempe.kinematics.configuration import random
@@ -175,7 +176,7 @@ class Wheeled:
         x, y = self.axle
         back = np.eye(A.shape[1])  # of the body's origin, in its axes, by those of the axle
         back[:3, :3] = [[c, -s, y], [s, c, -x], [0.0, 0.0, 1.0]]
-        return _null(A @ back * unit) * unit[:, None]
+        return null_space(A @ back * unit, RANK) * unit[:, None]
 
     def follow(self, q: Array, forward: float, turning: float) -> Array | None:
         """Rates (driven,) at these speeds of the axle; None where they are not allowed at q."""
@@ -281,11 +282,6 @@ def _projection(A: Array) -> Array:
     return V.T @ V
 
 
-def _null(A: Array) -> Array:
-    _, s, Vt = np.linalg.svd(A)
-    return Vt[int(np.sum(s > RANK * max(float(s.max(initial=0.0)), 1e-300))) :].T
-
-
 def _kinds(pose: PlanarPlace, q: Array) -> tuple[tuple[int, ...], tuple[int, ...], int | None]:
     """Driven and idle velocity indices, and the steering. Errors: `UnsupportedError`."""
     system, unit, rng = pose.system, _unit(pose), np.random.default_rng(SEED)
@@ -344,7 +340,7 @@ def _normal(
         x = q.copy()
         if steering is not None and k:
             x[steering_q] = random(system, np.random.default_rng([SEED, k]))[steering_q]
-        N = _null(_rows(pose, x)[:, own] * unit[own])
+        N = null_space(_rows(pose, x)[:, own] * unit[own], RANK)
         s = np.linalg.svd(N[:3], compute_uv=False)
         if N.shape[1] > 3 or (N.shape[1] and s[N.shape[1] - 1] < RANK):
             names = ", ".join(repr(system.structure.velocity_names[v]) for v in driven)

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from kempe.analysis.continuation.beginning import angle_or_slide
 from kempe.analysis.continuation.continuation import Closure
 from kempe.analysis.continuation.path import Event, Path
+from kempe.analysis.first_order.null_space import null_space
 from kempe.calls import brief, explained, explained_methods, listed
 from kempe.constraints.tape import TWIST
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
@@ -126,14 +127,14 @@ def loop_jacobian(
     rank, nullity, code = (np.zeros(lead, dtype=np.int64) for _ in range(3))
     margin = np.zeros(lead)
     for i in np.ndindex(lead):
-        null_space = _null_space(closure, q[i])
-        motion = null_space * closure.unit[:, None]
+        free = _allowed(closure, q[i])
+        motion = free * closure.unit[:, None]
         out = np.vstack([
             motion[[angle_or_slide(system, n)]] if kind == "joint" else system.jacobian(q[i], n, in_frame) @ motion
             for kind, n in kinds
         ])  # fmt: skip
-        nullity[i] = null_space.shape[1]
-        U, s, Vt = np.linalg.svd(null_space[index])
+        nullity[i] = free.shape[1]
+        U, s, Vt = np.linalg.svd(free[index])
         rank[i] = int(np.sum(s > RANK))
         margin[i] = s[len(index) - 1] if len(s) >= len(index) else 0.0
         rest = out @ Vt[rank[i] :].T
@@ -172,7 +173,7 @@ def _output(system: System, name: str) -> tuple[str, str]:
     return ("joint", name) if coordinate else ("frame", name)
 
 
-def _null_space(closure: Closure, q: Array) -> Array:
+def _allowed(closure: Closure, q: Array) -> Array:
     """Orthonormal basis (nv, k) of the velocities, without unit, that all constraints allow at a closed q."""
     F, J = closure.both(q)
     gap = float(np.abs(F).max(initial=0.0))
@@ -184,8 +185,7 @@ def _null_space(closure: Closure, q: Array) -> Array:
             raise UnsupportedError(f"{closure.system.name}: a velocity constraint asks for a speed of its own (b is "
                                    "not zero), so velocities are not proportional to those of inputs")  # fmt: skip
         J = np.concatenate([J, A])
-    _, s, Vt = np.linalg.svd(J)
-    return Vt[int(np.sum(s > RANK * max(s[0], 1e-300))) :].T
+    return null_space(J, RANK)
 
 
 @explained
@@ -211,7 +211,7 @@ def mechanical_advantage(
         raise InputError(f"direction is {direction!r}; it must be three numbers, not all zero")
     out = np.full(q.shape[:-1], np.nan)
     for k in np.ndindex(out.shape):
-        motion = _null_space(closure, q[k]) * closure.unit[:, None]
+        motion = _allowed(closure, q[k]) * closure.unit[:, None]
         if others:
             _, s, Vt = np.linalg.svd(motion[others])
             motion = motion @ Vt[int(np.sum(s > RANK)) :].T

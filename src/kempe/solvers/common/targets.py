@@ -32,6 +32,11 @@ TASKS = {
 """Tasks, and which errors [linear; angular] in the frame of the tip count; the direction is that of its z axis."""
 
 
+def twist_rows(task: str, dim: int) -> list[int]:
+    """Rows of a twist [linear; angular] that count in a task, in the plane of x, y and the turn about z."""
+    return [r for r in range(6) if TASKS[task][r] and (dim == 3 or r in (0, 1, 5))]
+
+
 def task_of(task: object, is_position: bool, particle: bool) -> str:
     """The task by its name, or as the target says. Errors: `InputError`."""
     if task is None:

@@ -16,7 +16,7 @@ from kempe.analysis.spaces.configuration.single_loop import polygon_of, rod_coun
 from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods
 from kempe.kinematics.common.result import Report
-from kempe.kinematics.configuration import has_loops, random
+from kempe.kinematics.configuration import has_loops
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.solvers.assembly.idle import spins_of
 from kempe.solvers.common.arguments import start_count
@@ -239,12 +239,12 @@ def _starts(system: System, home: Array, spend: Budget) -> Array:
     """Closed configurations (k, nq) within all limits: near home, random ones, and assembly modes of a closed form."""
     rng = np.random.default_rng(spend.rng)
     manifold, found = Manifold(system, 1), [home[None]]
-    q, ok = manifold.closed(random(system, rng, start_count(spend.starts)))
-    found.append(q[ok])
+    q = manifold.drawn(rng, start_count(spend.starts))
+    found.append(q)
     for name in system.coordinate_names if system.dim == 2 else ():
         k = system.coordinate_names.index(name)
         if system.loops.closed_form([name]):
-            low, high = q[ok][:, k].min(initial=0.0), q[ok][:, k].max(initial=0.0)
+            low, high = q[:, k].min(initial=0.0), q[:, k].max(initial=0.0)
             low, high = (
                 (-np.pi, np.pi) if manifold.circle[list(system.structure.layout.vector_q).index(k)] else (low, high)
             )

@@ -6,14 +6,13 @@ space around, and volumes on the manifold are those that it induces there (of ro
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from kempe.kinematics import closure_rows
 from kempe.kinematics.common.gauss_newton import gauss_newton_of_many
-from kempe.kinematics.configuration import circles
+from kempe.kinematics.configuration import by_short_turns, circles, random
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.solvers.modes.same_configuration import metric_of
 from kempe.spatial import Array
@@ -55,9 +54,7 @@ class Manifold:
 
     def between(self, q: Array, to: Array) -> Array:
         """The shortest way (k, nv) from q (k, nq) to other configurations; what is not limited turns the short way."""
-        v = self.layout.difference(q, to)
-        v[..., self.circle] -= 2.0 * math.pi * np.round(v[..., self.circle] / (2.0 * math.pi))
-        return v / self.scale
+        return by_short_turns(self.layout.difference(q, to), self.circle) / self.scale
 
     def apart(self, q: Array, to: Array) -> Array:
         """Lengths (k,) of the ways `between`."""
@@ -71,6 +68,11 @@ class Manifold:
         """Closed configurations (k, nq) near q (k, nq), by steps of least size, and whether (k,) they are closed."""
         out = gauss_newton_of_many(lambda x, _: self.equations(x), q, TRIES, longest=STEEP, move=self.move)
         return out, self._met(out)
+
+    def drawn(self, rng: np.random.Generator, count: int) -> Array:
+        """Closed configurations (k, nq), those to which so many random ones lead; limits are not looked at."""
+        q, ok = self.closed(random(self.system, rng, count))
+        return q[ok]
 
     def frames(self, q: Array) -> Frames:
         """Tangents and normals at closed q (k, nq)."""

@@ -184,9 +184,7 @@ def _by_walk(
 
 def _starts(manifold: Manifold, count: int, home: Array, rng: np.random.Generator) -> Array:
     """Closed configurations (k, nq) inside the limits, from random ones."""
-    q, ok = manifold.closed(random(manifold.system, rng, STARTS * count))
-    q = q[ok]
-    q = manifold.metric.representatives(q, None)
+    q = manifold.metric.representatives(manifold.drawn(rng, STARTS * count), None)
     q = q[manifold.inside(q)] if len(q) else q
     if not len(q):
         q = home[None] if manifold.inside(home[None])[0] else q

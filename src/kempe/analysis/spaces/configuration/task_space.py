@@ -147,13 +147,12 @@ def _wanted(system: System, tasks: Any, task: str | None) -> tuple[list[Constrai
 
 def _drawn(system: System, count: int, rng: np.random.Generator) -> Array:
     """Random configurations (k, nq), closed where there are loops."""
-    q = random(system, rng, count)
     if not has_loops(system):
-        return q
-    q, ok = Manifold(system, 1).closed(q)
-    if not ok.any():
+        return random(system, rng, count)
+    q = Manifold(system, 1).drawn(rng, count)
+    if not len(q):
         raise InputError(f"{system.name} was not closed from {count} random starts: it has no configuration to look at")
-    return q[ok]
+    return q
 
 
 def _ranks(system: System, wanted: list[Constraint], q: Array) -> tuple[np.ndarray, int]:

@@ -14,7 +14,7 @@ from kempe.errors import InputError
 from kempe.kinematics.closure_rows import characteristic_length
 from kempe.kinematics.common.result import Report
 from kempe.solvers.analytic.ik_analytic import plan_of
-from kempe.solvers.common.targets import TASKS, axis_for, task_and_axis, task_of
+from kempe.solvers.common.targets import axis_for, task_and_axis, task_of, twist_rows
 from kempe.spatial import Array
 from kempe.status import Status, named
 from kempe.words import counted
@@ -50,7 +50,7 @@ def manipulability(system: System, frame: str, q: Array, task: str) -> Array:
 
     Of a chain with fewer joints than rows it is sqrt(det(J^T J)). Source: Yoshikawa, Int. J. Robotics Res. 4 (1985).
     """
-    axes = np.flatnonzero(TASKS[task]) if system.dim == 3 else [r for r in (0, 1, 5) if TASKS[task][r]]
+    axes = twist_rows(task, system.dim)
     J = system.jacobian(q, frame, "body")[..., axes, :]
     J[..., np.asarray(axes) < 3, :] /= float(characteristic_length(system))
     J = J[..., np.abs(J).reshape(-1, J.shape[-1]).max(axis=0, initial=0.0) > 0.0]

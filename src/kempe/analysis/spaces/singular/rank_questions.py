@@ -15,18 +15,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.analysis.continuation.continuation import Closure, close
+from kempe.analysis.first_order.null_space import null_space
 from kempe.analysis.spaces.singular.rank_loss import ZERO, Matrices, RankLoss, generic_rank
 from kempe.errors import InputError
 from kempe.kinematics import closure_rows
 from kempe.kinematics.configuration import random
+from kempe.solvers.common.targets import twist_rows
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-ROWS = {"pose": (0, 1, 2, 3, 4, 5), "position": (0, 1, 2), "orientation": (3, 4, 5)}
-"""What of a frame counts, as rows of its twist [linear; angular]."""
-PLANAR = (0, 1, 5)
+OF_FRAMES = ("pose", "position", "orientation")
+"""Tasks of frames whose rows are those of the ground's axes."""
 SERIAL, TYPE_1, TYPE_2, CONSTRAINT = "serial", "type 1", "type 2", "constraint"
 
 
@@ -61,7 +62,7 @@ class RankQuestions:
             self.starts = np.array([q for q in found if q is not None]).reshape(-1, system.nq)
         if not len(self.starts):
             raise InputError(f"{system.name}: no configuration with closed loops was found in {starts} starts")
-        self.rows = [r for r in ROWS[task] if system.dim == 3 or r in PLANAR]
+        self.rows = twist_rows(task, system.dim)
         self.twists = np.eye(len(self.rows))
         if frame is not None:
             _, s, Vt = np.linalg.svd(self.task_jacobians(self.starts).swapaxes(1, 2).reshape(-1, len(self.rows)))
@@ -82,7 +83,7 @@ class RankQuestions:
     def _rank_of_frame(self, q: Array) -> int:
         """How many independent twists the frame has at a closed configuration (nq,)."""
         J = self.task_jacobians(q[None])[0]
-        N = _null(self.closures(q[None])[0]) if self.loops else np.eye(self.system.nv)
+        N = null_space(self.closures(q[None])[0], ZERO) if self.loops else np.eye(self.system.nv)
         return _rank(J @ N, J)
 
     def closures(self, q: Array) -> Array:
@@ -127,7 +128,7 @@ class RankQuestions:
         kinds = [kind for kind, p in problems.items() if p.holds(q[None])[0]]
         N = np.eye(self.system.nv)
         if self.loops:
-            N = _null(self.closures(q[None])[0])
+            N = null_space(self.closures(q[None])[0], ZERO)
         none = np.zeros((0, 6))
         lost, gained, still, rank = none, none, np.zeros((0, self.system.nv)), N.shape[1]
         if self.frame is not None:
@@ -138,8 +139,7 @@ class RankQuestions:
             still = (N @ Vt[rank:].T).T * self.unit
             still = still[np.abs(still[:, self.columns]).max(axis=1, initial=0.0) > ZERO]
         if self.loops and self.inputs is not None:
-            free = _null(self._with_inputs(q[None])[0])
-            gained = none
+            free = null_space(self._with_inputs(q[None])[0], ZERO)
             if self.frame is not None:
                 W, s, _ = np.linalg.svd(J @ free, full_matrices=False)
                 gained = self.in_si(W[:, s > ZERO])
@@ -151,9 +151,3 @@ class RankQuestions:
 def _rank(A: Array, whole: Array) -> int:
     """The rank of what is left of a `whole` matrix."""
     return int(np.sum(np.linalg.svd(A, compute_uv=False) > ZERO * max(np.linalg.norm(whole, 2), 1e-300)))
-
-
-def _null(A: Array) -> Array:
-    """Orthonormal basis (n, k) of the null space of A (m, n)."""
-    _, s, Vt = np.linalg.svd(A)
-    return Vt[int(np.sum(s > ZERO * max(s.max(initial=0.0), 1e-300))) :].T

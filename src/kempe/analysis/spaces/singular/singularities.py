@@ -11,12 +11,12 @@ import numpy as np
 from kempe.analysis.first_order.control import driven
 from kempe.analysis.spaces.singular.arm_names import names_of
 from kempe.analysis.spaces.singular.rank_loss import RankLoss
-from kempe.analysis.spaces.singular.rank_questions import CONSTRAINT, ROWS, SERIAL, LostAndGained, RankQuestions
+from kempe.analysis.spaces.singular.rank_questions import CONSTRAINT, OF_FRAMES, SERIAL, LostAndGained, RankQuestions
 from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods, flag, generator, known
 from kempe.errors import InputError
 from kempe.kinematics.common.result import Report
-from kempe.kinematics.configuration import as_q, circles, has_loops
+from kempe.kinematics.configuration import as_q, by_short_turns, circles, has_loops
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.solvers.common.arguments import start_count
 from kempe.spatial import Array
@@ -220,9 +220,7 @@ class Singularities(Report):
 
     def _apart(self, x: Array, q: Array) -> Array:
         """How far (k,) configurations x (k, nq) are from q, unlimited turns the short way."""
-        v = self.system.structure.layout.difference(q, x)
-        circle = circles(self.system)
-        v[:, circle] -= FULL_TURN * np.round(v[:, circle] / FULL_TURN)
+        v = by_short_turns(self.system.structure.layout.difference(q, x), circles(self.system))
         return np.linalg.norm((v / self.questions.unit)[:, self.questions.columns], axis=1)
 
 
@@ -269,9 +267,8 @@ def singularities(
             key = (local.kinds, word, () if questions.loops else _deciding(problem, at, questions.columns))
             found.setdefault(key, []).append((at, local))
     sets = [_set(system, key, rows, [problems[kind] for kind in key[0]]) for key, rows in found.items() if key[0]]
-    if any(
-        s.coordinates for s in sets
-    ):  # where several sets cross, their equations do not tell which coordinates decide
+    if any(s.coordinates for s in sets):
+        # where several sets cross, their equations do not tell which coordinates decide
         sets = [s for s in sets if s.coordinates]
     sets.sort(key=lambda s: (s.kinds, s.coordinates, s.name))
     return Singularities(system, name, task, tuple(sets), int(spend.starts or 0), limits, questions, problems)
@@ -280,7 +277,7 @@ def singularities(
 def _task(system: System, frame: str | None, task: str | None, loops: bool) -> str:
     """The task by its name, or that which the chain is for. Errors: `InputError`."""
     if task is not None:
-        return known("task", task, ROWS)
+        return known("task", task, OF_FRAMES)
     if frame is None or loops:
         return "pose"
     joints = np.abs(system.jacobian(system.random(0, 8), frame)).max(axis=(0, 1)) > 0.0

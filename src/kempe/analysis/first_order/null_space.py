@@ -1,0 +1,13 @@
+"""The null space of a matrix, for callers that say what counts as zero."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kempe.spatial import Array
+
+
+def null_space(A: Array, least: float) -> Array:
+    """Orthonormal basis (n, k) of what A (m, n) maps to zero; singular values to `least` of the largest count as 0."""
+    _, s, Vt = np.linalg.svd(A)
+    return Vt[int(np.sum(s > least * max(float(s.max(initial=0.0)), 1e-300))) :].T
