@@ -19,7 +19,6 @@ from kempe.errors import InputError, KempeError
 from kempe.kinematics.common.result import Report, Result
 from kempe.model.namespaces import Inverse, Loops, ReachStudies
 from kempe.solvers.common.answer import Answer
-from kempe.solvers.common.proofs import Lengths, Limits
 from kempe.status import Status
 
 
@@ -423,14 +422,16 @@ def test_proofs_are_data_and_their_words_are_in_the_sentence():
     """What is proven of a failure can be had as numbers; where nothing is proven there are none."""
     far = ARM.ik(BATCH, TOOL)
     (lengths,) = far.proofs(1)
-    assert isinstance(lengths, Lengths) and lengths.place > 5.0 and lengths.text in far.status[1]
+    assert lengths.proof and lengths.kind == "lengths" and lengths.place > 5.0 and lengths.text in far.status[1]
     assert far.proofs(0) == far.proofs(2) == () and far.proven.tolist() == [False, True, False]
     elbow = TWO.with_limits({"<b>q2": (-0.1, 0.1)}).ik(TWO.fk([0.3, 1.2], "e"), "e", task="position")
     (limits,) = elbow.proofs()
-    assert isinstance(limits, Limits) and limits.count == 2 and limits.text in elbow.status and elbow.proven
+    assert (
+        limits.proof and limits.kind == "outside" and limits.count == 2 and limits.text in elbow.status and elbow.proven
+    )
     two = CASES["tasks that exclude each other"].call()
     (apart,) = two.proofs()
-    assert (apart.first, apart.second) == (0, 1) and apart.text in two.status
+    assert (apart.first, apart.second) == tuple(two.errors) and apart.text in two.status
     assert apart.off == pytest.approx(np.linalg.norm(REACHED[1, :3, 3] - REACHED[2, :3, 3]), abs=1e-5)
     assert all(not p.place for p in TWO.ik([POSITION("e", (0.3, 0.3))]).proofs())
 

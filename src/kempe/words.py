@@ -31,47 +31,16 @@ def cut(lines: list[str], most: int) -> list[str]:
     return lines if len(lines) <= most else [*lines[:most], f"... and {len(lines) - most} more"]
 
 
+def listed(words: Sequence[str], most: int) -> str:
+    """The first `most` words, and dots for more: 'a, b, ...'."""
+    return ", ".join([*words[:most], *(["..."] if words[most:] else [])])
+
+
 def joined(words: Sequence[str]) -> str:
     """Words one after the other: 'a, b and c'; 'nothing' where there are none."""
     if not words:
         return "nothing"
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
-
-
-# ---- what sentences about failures and successes share
-
-
-def work(steps: int, starts: int) -> str:
-    """What a search took."""
-    return f"{counted(steps, 'step')}, {counted(starts, 'start')}"
-
-
-def late(limit: float, starts: int, most: int) -> str:
-    """That the time was up, and after how many starts."""
-    return f"not reached within the time limit of {limit:g} s, after {starts} of {counted(most, 'start')}"
-
-
-def out_of_reach(place: float, turned: float = 0.0) -> str:
-    """By how much a target is outside, in metres: whatever its orientation, and with it."""
-    parts = [f" by at least {place:.6g} m"] if place > 0.0 else []
-    parts += [f" with this orientation by at least {turned:.6g} m"] if turned > place else []
-    return f"outside the workspace{','.join(parts)}, by the lengths of the links"
-
-
-def off_plane(far: float) -> str:
-    """By how much a target is off the plane, in metres."""
-    return f"outside the plane of the system by {far:.6g} m"
-
-
-def limits_of(names: Sequence[str], join: str = ", ") -> str:
-    """Limits by their coordinates: "the limits of 'a', 'b'", "the limit of 'a' or of 'b'"; '' where there are none."""
-    one = len(names) == 1 or join.endswith(" of ")
-    return f"the limit{'' if one else 's'} of {join.join(map(repr, names))}" if names else ""
-
-
-def may_block(which: str, one: bool, short: str = "") -> str:
-    """That a target is reached without something (`short`: said shortly), which is no proof that this blocks it."""
-    return f"without {short or which} it is reached, so {'that' if one else 'these'} may be what blocks it"
 
 
 # ---- text, HTML, JSON

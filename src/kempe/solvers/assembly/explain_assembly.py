@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe import words
 from kempe.kinematics import closure_rows
 from kempe.kinematics.configuration import random
 from kempe.model.immovable import immovable
 from kempe.solvers.assembly.assembled import Assembly
 from kempe.solvers.assembly.assembler import LOOSEST, Assembler, assembler, of_equations
 from kempe.solvers.assembly.ideal import nearly
+from kempe.solvers.common import wording
+from kempe.solvers.common.proofs import Evidence, evidence, outside_limits
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -39,22 +39,20 @@ def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
     if code == Status.BAD_INPUT:
         return "known values, places or start are not finite"
     if code == Status.SOLVED:
-        return f"closed: residual {residual:.1e} ({words.work(steps, starts)}){_left(bound, q)}"
+        return wording.closed(residual, steps, starts, _left(bound, q))
     if code == Status.OUTSIDE_LIMITS:
         return f"a known value is outside its limits: {_outside(bound, q)}"
     if code == Status.OTHER_BRANCH:
         return "the branch requested cannot be closed with these values; q is closed on another one"
-    reason = _one_sided(bound, q) or _limits(bound, q) or _too_many(bound)
-    reason = reason or "with these values no closed configuration was found"
-    what = _open(bound, q, residual)
-    wider = nearly(bound.system) if residual < NEARLY else None
+    why: Any = _one_sided(bound, q) or _limits(bound, q) or _too_many(bound)
+    why = why or "with these values no closed configuration was found"
+    wider, loose = nearly(bound.system) if residual < NEARLY else None, ""
     if wider is not None:
-        reason += f"; it closes {wider.least}: give a larger tolerance"
+        loose = f"it closes {wider.least}: give a larger tolerance"
     elif residual <= LOOSEST / 2.0:
-        reason += f"; with tolerance={1.1 * residual:.2g} it counts as closed as it is"
-    still = immovable(bound.system)
-    reason += f"; {still}" if still else ""
-    return f"not closed after {counted(starts, 'start')}: {what}; {reason}; q is the nearest to closing"
+        loose = f"with tolerance={1.1 * residual:.2g} it counts as closed as it is"
+    what, near, still = _open(bound, q, residual), "q is the nearest to closing", immovable(bound.system)
+    return wording.failed(wording.given_up("closed", starts), what, why, loose, near, still)
 
 
 def _left(bound: Assembler, q: Array) -> str:
@@ -65,20 +63,13 @@ def _left(bound: Assembler, q: Array) -> str:
     left = closure_rows.freedoms_left(system, q, bound.held)
     if not left:
         return ""
-    said = f"; {counted(left, 'freedom')} left open"
     count, who = system.nv - len(bound.held) - len(closure_rows.row_names(system)), "by the count"
-    is_folded = count >= 0 or 0 <= bound.freedoms < left
+    sure = count >= 0 or 0 <= bound.freedoms < left
     if count < 0:  # overconstrained, as linkages of a plane in space are: joints that stand anywhere obey their group
         somewhere = random(system, np.random.default_rng(0))
         count, who = closure_rows.freedoms_left(system, somewhere, bound.held), "in general"
     folded = _coinciding(system, q) if count < left else []
-    if folded:
-        pins = ", ".join(f"{a} and {b}" for a, b in folded[:3]) + (", ..." if len(folded) > 3 else "")
-        why = "the mechanism is folded or singular here, where" if is_folded else "it may be folded, for"
-        return f"{said}, {count} {who}: {why} {pins} coincide"
-    if 0 <= bound.freedoms < left:
-        return f"{said}, {bound.freedoms} at home: singular here, or on another branch"
-    return said
+    return wording.left_open(left, count, who, folded, sure, bound.freedoms if bound.freedoms < left else -1)
 
 
 def _coinciding(system: System, q: Array) -> list[tuple[str, str]]:
@@ -141,40 +132,33 @@ def _open(bound: Assembler, q: Array, missed: float) -> str:
     return text
 
 
-def _one_sided(bound: Assembler, q: Array) -> str:
+def _one_sided(bound: Assembler, q: Array) -> Evidence | None:
     """Whether the equations alone can be closed with what is known, and which one-sided constraints are then violated.
 
     With no freedom left that is a contradiction of what is known with them.
     """
     if bound.one_sided is None or bound.frames:
-        return ""
+        return None
     answer = of_equations(bound.system, bound.known)(q[bound.places] * 1.0, q) if bound.plain else None
-    if answer is None or not answer.success:
-        return ""
-    found = ", ".join(v.text for v in bound.one_sided.violations(answer.q))
-    if bound.known and not closure_rows.freedoms_left(bound.system, answer.q, bound.held):
-        return f"what is known contradicts {found}" if found else ""
-    return f"without one-sided constraints it closes, violating {found}" if found else ""
+    violated = [v.text for v in bound.one_sided.violations(answer.q)] if answer is not None and answer.success else []
+    if answer is None or not violated:
+        return None
+    known = bool(bound.known) and not closure_rows.freedoms_left(bound.system, answer.q, bound.held)
+    return evidence("one-sided", violated=violated, done="closes", known=known)
 
 
-def _limits(bound: Assembler, q: Array) -> str:
+def _limits(bound: Assembler, q: Array) -> Evidence | None:
     """Whether it closes without the limits, and which coordinates are then outside."""
-    system = bound.system
-    if bound.frames or not np.isfinite(system.structure.limits).any():
-        return ""
+    if bound.frames or not np.isfinite(bound.system.structure.limits).any():
+        return None
     free, _, info = bound.run(q[None], bound.no_pins, limits=False)
-    if info[0, 0] != Status.SOLVED:
-        return ""
-    v = system.structure.layout.difference(system.neutral, free[0])
-    slack = 1e-9
-    names = [n for n, x, low, high in zip(system.structure.velocity_names, v, system.lower, system.upper, strict=True)
-             if not low - slack <= x <= high + slack]  # fmt: skip
-    return f"the limits of {', '.join(map(repr, names))} prevent it" if names else ""
+    names = outside_limits(bound.system, free[0]) if info[0, 0] == Status.SOLVED else []
+    return evidence("limits", names=names, done="closes") if names else None
 
 
-def _too_many(bound: Assembler) -> str:
+def _too_many(bound: Assembler) -> Evidence | None:
     """Whether more is given than the system has freedoms where it is closed."""
     freedoms = assembler(bound.system).freedoms
     if not bound.held or not 0 <= freedoms < len(bound.held):
-        return ""
-    return f"{len(bound.held)} coordinates are given, but it has {counted(freedoms, 'freedom')}"
+        return None
+    return evidence("too many given", given=len(bound.held), freedoms=freedoms)

@@ -14,7 +14,6 @@ import numpy as np
 
 from kempe.kinematics.common.gauss_newton import damped_least_squares, gauss_newton
 from kempe.spatial import Array
-from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.solvers.tasks.ik_tasks import Demands
@@ -171,17 +170,6 @@ class Local:
         """Whether the equations hold at q as well as they do where all this began."""
         there, here = (float(np.linalg.norm(self.equations(x)[0])) for x in (q, self.q))
         return there <= 10.0 * max(here, 100.0 * ROUNDING)
-
-
-def freedoms_text(local: Local) -> str:
-    """How many freedoms are left, of which some may be there to first order only."""
-    first, finite = local.left.shape[1], local.finite
-    if finite == first:
-        return f"{counted(finite, 'freedom')} left"
-    said = f"{counted(first, 'freedom')} to first order only"
-    if finite:
-        said = f"{counted(finite, 'freedom')} left, {first} to first order"
-    return f"{said} (the Jacobian loses rank here)"
 
 
 def null(J: Array) -> Array:

@@ -1,76 +1,82 @@
-"""What proves that there is no answer, as data: `bool` says whether it does, `text` says it."""
+"""Why there is no answer, as data: what proves it, and what was found out; `wording` says it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe import words
+from kempe.solvers.common import wording
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
+    from kempe.model.system import System
     from kempe.solvers.common.serial_chain import ReachBound
 
 ROUNDING = 1e-14
 """What rounding makes of lengths, in parts of them."""
 
 
-class Lengths(NamedTuple):
-    """A target is outside of what the lengths of the links reach, by at least so many metres; 0 where it is not.
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What was found out about why there is no answer: of which `kind`, with `figures`, names and numbers of that kind.
 
-    `place` is whatever its orientation, `turned` together with its orientation, `plane` out of the plane of the system.
+    Figures are attributes, too; `text` is the sentence. Kinds that prove that there is no answer are
+
+    - "lengths": the target is out of reach of the links by at least so many metres, at its `place` whatever its
+      orientation, `turned` together with it, or off the `plane` of the system;
+    - "tilted": by an `angle` out of the plane of the system;
+    - "outside": all `count` configurations that reach it are outside limits, or slides end `short` metres before it;
+    - "contradiction": tasks `first` and `second` exclude each other by `off` metres or radians;
+    - "no root": no angle of a `joint` brings what `axes` keep to where it must be, by `off` metres or radians.
     """
 
-    place: float = 0.0
-    turned: float = 0.0
-    plane: float = 0.0
+    kind: str
+    figures: Mapping[str, Any]
 
-    def __bool__(self) -> bool:
-        return max(self) > 0.0
+    @property
+    def proof(self) -> bool:
+        """Whether it proves that there is no answer; else it is what was found out by asking again."""
+        return self.kind in wording.PROOFS
 
     @property
     def text(self) -> str:
-        """The sentence; empty where nothing is proven."""
-        if self.plane > 0.0:
-            return words.off_plane(self.plane)
-        return words.out_of_reach(self.place, self.turned) if self else ""
+        """The sentence that says it."""
+        return (wording.PROOFS.get(self.kind) or wording.FOUND_OUT[self.kind])(**self.figures)
+
+    def __str__(self) -> str:
+        return self.text
+
+    def __getattr__(self, name: str) -> Any:
+        if name in Evidence.__slots__ or name not in self.figures:
+            return object.__getattribute__(self, name)  # the error as it is of any object
+        return self.figures[name]
 
 
-class Limits(NamedTuple):
-    """All `count` configurations that reach a target are outside limits, or slides end `short` metres before it."""
-
-    count: int = 0
-    short: float = 0.0
-
-    def __bool__(self) -> bool:
-        return self.count > 0 or self.short > 0.0
-
-    @property
-    def text(self) -> str:
-        """The sentence; empty where nothing is proven."""
-        if self.short > 0.0:
-            return f"slides end {self.short:.6g} m before it"
-        if not self.count:
-            return ""
-        one = "the only configuration that reaches it is outside"
-        return one if self.count == 1 else f"all {self.count} configurations that reach it are outside"
+def evidence(kind: str, **figures: Any) -> Evidence:
+    """Evidence of a kind, with its figures."""
+    return Evidence(kind, figures)
 
 
-class LowRank(NamedTuple):
-    """What is requested has more `equations` than what moves has `freedoms`: it holds by chance only."""
+def lengths(place: float = 0.0, turned: float = 0.0, plane: float = 0.0, task: str = "") -> Evidence | None:
+    """Evidence that a target is out of reach by so many metres; None where all are zero."""
+    out = max(place, turned, plane) > 0.0
+    return evidence("lengths", place=place, turned=turned, plane=plane, task=task) if out else None
 
-    equations: int
-    freedoms: int
 
-    def __bool__(self) -> bool:
-        return self.freedoms < self.equations
-
-    @property
-    def text(self) -> str:
-        """The sentence; empty where there are freedoms enough."""
-        return f"{self.equations} equations, but {words.counted(self.freedoms, 'freedom')}" if self else ""
+def outside_limits(system: System, q: Array, slack: float = 1e-9, turns: bool = True) -> list[str]:
+    """Coordinates that are outside their limits at q (nq,), whatever whole `turns` are added; else as they are."""
+    structure, names = system.structure, []
+    for i, v in zip(structure.layout.vector_q, structure.layout.vector_v, strict=True):
+        low, high, x = system.lower[v], system.upper[v], q[i]
+        if turns and structure.coordinates.turning[v]:
+            x -= 2.0 * np.pi * np.ceil((x - high) / (2.0 * np.pi)) if x > high else 0.0
+            x += 2.0 * np.pi * np.ceil((low - x) / (2.0 * np.pi)) if x < low else 0.0
+        if not low - slack <= x <= high + slack:
+            names.append(structure.velocity_names[v])
+    return names
 
 
 def by_lengths(

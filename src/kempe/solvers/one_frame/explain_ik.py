@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from kempe import words
 from kempe.model.immovable import immovable
-from kempe.solvers.common.proofs import Lengths, Limits, LowRank
+from kempe.solvers.common import wording
+from kempe.solvers.common.proofs import Evidence, evidence, lengths
 from kempe.solvers.common.serial_chain import Chain, chain_of
 from kempe.solvers.common.targets import Z_AXIS, frame_of, not_a_pose
 from kempe.solvers.one_frame.inverse import run
@@ -24,7 +24,6 @@ from kempe.solvers.one_frame.shut_out import shut_out
 from kempe.solvers.one_frame.solution import Solution
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import counted
 
 AT_LIMIT = 1e-9
 """How near to a limit a coordinate is at it."""
@@ -53,34 +52,29 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
         solution.code, solution.position_error, solution.orientation_error, solution.starts, solution.iterations
     )  # fmt: skip
     code, position, angle, starts, steps = (np.asarray(x)[index].item() for x in figures)
+    missed = position if any(task.mask[:3]) else None, angle if any(task.mask[3:]) else None
     if code == Status.SOLVED:
-        how = words.work(steps, starts) if starts else "analytically"
-        return f"reached: {_errors(task, f'position error {position:.1e} m', angle)} ({how})"
+        return wording.reached(*missed, steps, starts)
     at = int(np.ravel_multi_index(index, np.shape(solution.code))) if index else 0
     target = task.targets[at : at + 1]
     if code == Status.BAD_INPUT:
         return not_a_pose(target[0], "start")
-    near = f"the nearest configuration found misses it by {_errors(task, f'{position:.6g} m', angle)}"
-    if code == Status.OUT_OF_REACH:
-        return f"{beyond(task, target).text}; {near}"
+    near = wording.nearest(*missed)
     tilt = float(np.arccos(np.clip(target[0, 2, 2], -1.0, 1.0))) if task.system.dim == 2 and any(task.mask[3:]) else 0.0
+    if code == Status.OUT_OF_REACH:
+        return wording.failed("", beyond(task, target), near)
     if tilt > max(task.tolerance[1], TILTED):
-        return f"tilted out of the plane of the system by {tilt:.2g} rad; {near}"
+        return wording.failed("", evidence("tilted", angle=tilt), near)
     if code == Status.OUT_OF_TIME:
-        return f"{words.late(task.time_limit or 0.0, starts, task.starts)}; {near}"
-    q = np.asarray(solution.q)[index][task.chain.q_index]
-    size = 1.0 + float(np.linalg.norm(target[0, :3, 3]))
-    if position <= ROUNDING * size and angle <= ROUNDING:
-        return f"the tolerance is finer than rounding: {near}"
-    span = task.chain.span
-    reason = span.sentence() if span.wide else _again(task, target, q)
-    reason = reason or _limits(task, target, q) or _over_determined(task, target, position, angle)
-    reason = reason or _close(task, position, angle) or _why(task)
+        return wording.failed("", wording.late(task.time_limit, starts, task.starts), near)
+    if position <= ROUNDING * (1.0 + float(np.linalg.norm(target[0, :3, 3]))) and angle <= ROUNDING:
+        return wording.failed("the tolerance is finer than rounding", near)
+    why = _reasons(task, target, np.asarray(solution.q)[index][task.chain.q_index], position, angle)
     still = immovable(task.system, task.chain.v_index)
-    return f"not reached after {counted(starts, 'start')}: {reason}; {near}{f'; {still}' if still else ''}"
+    return wording.failed(wording.given_up("reached", starts), *why, near, still)
 
 
-def proofs(solution: Solution, index: tuple[int, ...]) -> tuple[Lengths | Limits, ...]:
+def proofs(solution: Solution, index: tuple[int, ...]) -> tuple[Evidence, ...]:
     """What proves that there is no answer for one target of a solution."""
     task, code = solution.task, np.asarray(solution.code)
     at = int(np.ravel_multi_index(index, code.shape)) if index else 0
@@ -91,16 +85,21 @@ def proofs(solution: Solution, index: tuple[int, ...]) -> tuple[Lengths | Limits
     return (proof,) if proof else ()
 
 
-def beyond(task: FrameProblem, target: Array) -> Lengths:
+def beyond(task: FrameProblem, target: Array) -> Evidence | None:
     """How far a target (1, 4, 4) is out of reach at least, by the lengths of the links."""
     off = abs(float(target[0, 2, 3])) if task.system.dim == 2 else 0.0
     place, turned = past_lengths(task, target)[0].tolist()
-    return Lengths(place, turned, off if off > task.tolerance[0] else 0.0)
+    return lengths(place, turned, off if off > task.tolerance[0] else 0.0)
 
 
-def _errors(task: FrameProblem, position: str, angle: float) -> str:
-    parts = [position] * bool(any(task.mask[:3])) + [f"{angle:.2g} rad"] * bool(any(task.mask[3:]))
-    return ", ".join(parts)
+def _reasons(task: FrameProblem, target: Array, q: Array, position: float, angle: float) -> list[Any]:
+    """What speaks for there being no answer; q (n,) is the nearest found, with its errors."""
+    span = task.chain.span
+    found = span.sentence() if span.wide else _again(task, target, q)
+    found = found or _limits(task, target, q)
+    if not found and (rank := _over_determined(task, target)):
+        return [rank, rank.freedoms and rounded(position, angle, span.largest)]
+    return [found or _close(task, position, angle) or _not_found(task)]
 
 
 def _solved(task: FrameProblem, target: Array, limits: Array | None = None, near: Array | None = None) -> Array | None:
@@ -123,45 +122,34 @@ def _rows(task: FrameProblem, q: Array, tolerance: float) -> int:
     return int((values > tolerance * values[:, :1]).sum(axis=1).max())
 
 
-def rank_of(task: FrameProblem) -> LowRank:
+def rank_of(task: FrameProblem) -> tuple[int, int]:
     """The equations of a task, and the freedoms in which the chain moves its frame at random configurations."""
     system, rows = task.system, sum(map(bool, task.mask))
     wanted = 2 * bool(any(task.mask[:3])) + bool(any(task.mask[3:])) if system.dim == 2 else rows
-    return LowRank(wanted, _rows(task, system.random(0, 16), RANK_TOLERANCE))
+    return wanted, _rows(task, system.random(0, 16), RANK_TOLERANCE)
 
 
-def _over_determined(task: FrameProblem, target: Array, position: float, angle: float) -> str:
-    """Whether the task asks for more than the chain can do anywhere: rank of the Jacobian at random configurations.
-
-    `position` and `angle` are the errors of the nearest found: small ones are those of a target that was rounded.
-    """
-    system, rank = task.system, rank_of(task)
-    if rank.freedoms == 0:
-        return f"no joint moves frame {task.frame!r}"
-    if not rank:
-        return ""
-    equations, freedoms = rank
-    text = f"the task has {equations} equations, but the chain moves this frame in {freedoms} freedoms only"
-    if task.name in ("pose", "position_axis"):
-        place = replace(task, name="position", axis=Z_AXIS, chain=chain_of(system, task.frame))
-        other = "cannot" if _solved(place, target) is None else "can"
-        text += f" (its position alone {other} be reached)"
-    return text + rounded(position, angle, task.chain.span.largest)
+def _over_determined(task: FrameProblem, target: Array) -> Evidence | None:
+    """Whether the task asks for more than the chain can do anywhere: rank of the Jacobian at random configurations."""
+    equations, freedoms = rank_of(task)
+    if freedoms >= max(equations, 1):
+        return None
+    alone = None
+    if freedoms and task.name in ("pose", "position_axis"):
+        place = replace(task, name="position", axis=Z_AXIS, chain=chain_of(task.system, task.frame))
+        alone = _solved(place, target) is not None
+    return evidence("rank", equations=equations, freedoms=freedoms, frame=task.frame, position=alone)
 
 
-def rounded(position: float, angle: float, length: float, one: bool = False) -> str:
-    """The tail of a sentence on a target with more equations than freedoms: the tolerance that accepts it.
+def rounded(position: float, angle: float, length: float, one: bool = False) -> Evidence | None:
+    """Of a target with more equations than freedoms: the tolerance that accepts it, if it may have been rounded.
 
-    `position` and `angle` are the errors of the nearest found. Empty where these are more than rounding of figures,
-    seen from a robot with links of this `length`. With `one` the tolerance is one number for both.
+    `position` and `angle` are the errors of the nearest found; None where these are more than rounding of figures, seen
+    from a robot with links of this `length`. With `one` the tolerance is one number for both.
     """
     if position > ROUNDED * length or angle > ROUNDED:
-        return ""
-    metres, radians = _above(position), _above(angle)
-    said = "; a target that was rounded needs a larger tolerance"
-    if one:
-        return f"{said}: tolerance={max(metres, radians):g} accepts it"
-    return f"{said}: tolerance=({metres:g}, {radians:g}) accepts it"
+        return None
+    return evidence("rounded", metres=_above(position), radians=_above(angle), one=one)
 
 
 def _above(error: float) -> float:
@@ -177,12 +165,11 @@ def _many(task: FrameProblem) -> FrameProblem:
     return replace(task, starts=max(MOST, task.starts), iterations=max(ITERATIONS, task.iterations), end=math.inf)
 
 
-def _again(task: FrameProblem, target: Array, nearest: Array) -> str:
+def _again(task: FrameProblem, target: Array, nearest: Array) -> Evidence | None:
     """That other starts find an answer, and where the search was stuck, if it was: `nearest` (n,) is what it found."""
     if _solved(replace(_many(task), rng=task.rng + 1), target) is None:
-        return ""
-    stuck = "the search is stuck at a singular configuration; " if _singular(task, nearest) else ""
-    return f"{stuck}more starts find an answer"
+        return None
+    return evidence("more starts", singular=_singular(task, nearest))
 
 
 def _singular(task: FrameProblem, q: Array) -> bool:
@@ -192,20 +179,20 @@ def _singular(task: FrameProblem, q: Array) -> bool:
     return _rows(task, full[None], NEARLY) < _rows(task, task.system.random(0, 16), NEARLY)
 
 
-def _limits(task: FrameProblem, target: Array, nearest: Array) -> str:
+def _limits(task: FrameProblem, target: Array, nearest: Array) -> Evidence | None:
     """Which limits block the target, or may do so, by solving without them; `nearest` (n,) is what came nearest.
 
     Or that they do not, for all starts may fail where there is an answer.
     """
-    chain, names = task.chain, task.system.structure.velocity_names
+    chain = task.chain
     bounded = np.flatnonzero(np.isfinite(chain.limits).any(axis=0) & (chain.circular == 0))
     open_ = np.stack([np.full(len(chain.v_index), -np.inf), np.full(len(chain.v_index), np.inf)])
     many = _many(task)
     free = _solved(many, target, open_) if bounded.size else None
     if free is None:
-        return ""
+        return None
     if _solved(replace(many, rng=task.rng + 1), target, None, free) is not None:
-        return "more starts find an answer"
+        return evidence("more starts")
     suspects = list(bounded if len(bounded) <= FEW_LIMITS else _suspects(chain, bounded, nearest, free))
     few = replace(many, starts=min(many.starts, STARTS * FEW_LIMITS // max(FEW_LIMITS, len(suspects))))
 
@@ -214,21 +201,13 @@ def _limits(task: FrameProblem, target: Array, nearest: Array) -> str:
         limits[:, lifted] = open_[:, lifted]
         return _solved(few, target, limits, free) is not None
 
-    def said(which: str, short: str, one: bool) -> str:
-        if proof := shut_out(task, target):
-            return f"blocked by {which} ({proof.text}); without limits it is reachable"
-        return words.may_block(which, one, short)
-
     alone = [i for i in suspects if without([i])]
-    if alone:
-        which = words.limits_of([names[chain.v_index[i]] for i in alone], " or of ")
-        return said(which, which, True)
-    lifted = suspects if len(suspects) < len(bounded) and without(suspects) else list(bounded)
-    for i in list(lifted):  # what is left cannot be done without
+    lifted = suspects if len(suspects) < len(bounded) and not alone and without(suspects) else list(bounded)
+    for i in [] if alone else list(lifted):  # what is left cannot be done without
         rest = [k for k in lifted if k != i]
         lifted = rest if without(rest) else lifted
-    which = words.limits_of([names[chain.v_index[i]] for i in lifted], " and ")
-    return said(f"{which} together", which, False)
+    names = [task.system.structure.velocity_names[chain.v_index[i]] for i in alone or lifted]
+    return evidence("limits", names=names, together=not alone, each=bool(alone), proof=shut_out(task, target))
 
 
 def _suspects(chain: Chain, bounded: np.ndarray, nearest: Array, free: Array) -> np.ndarray:
@@ -240,20 +219,15 @@ def _suspects(chain: Chain, bounded: np.ndarray, nearest: Array, free: Array) ->
     return bounded[at[bounded]]
 
 
-def _close(task: FrameProblem, position: float, angle: float) -> str:
+def _close(task: FrameProblem, position: float, angle: float) -> Evidence | None:
     """What a near miss means, where it is one: by then neither the search nor the workspace is known to end there."""
-    longest = task.chain.span.largest
     if not any(task.mask[:3]) or position > NEAR_MISS or angle > NEAR_TURN:
-        return ""
-    came = f"the search came within {_errors(task, f'{position:.1g} m', angle)}"
-    if longest <= SMALL:
-        return f"{came} with links of at most {longest:.2g} m: it may have ended early at so small a scale"
-    return f"{came}, so it may have ended early, or the target is just outside the workspace"
+        return None
+    longest, turn = task.chain.span.largest, angle if any(task.mask[3:]) else None
+    return evidence("near miss", place=position, turn=turn, longest=longest, small=longest <= SMALL)
 
 
-def _why(task: FrameProblem) -> str:
+def _not_found(task: FrameProblem) -> Evidence:
     """What is left where nothing else was found out."""
-    limits = " without limits either" if np.isfinite(task.chain.limits).any() else ""
-    may = "the target may be outside the workspace" if any(task.mask[:3]) else "the orientation may be out of reach"
-    turned = ", or not reachable with this orientation" if any(task.mask[:3]) and any(task.mask[3:]) else ""
-    return f"no configuration was found{limits}, so {may}{turned}"
+    limits = bool(np.isfinite(task.chain.limits).any())
+    return evidence("not found", limits=limits, place=any(task.mask[:3]), turn=any(task.mask[3:]))

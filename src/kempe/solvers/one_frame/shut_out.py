@@ -9,7 +9,7 @@ import numpy as np
 
 from kempe.errors import UnsupportedError
 from kempe.kernels.forward.table_layout import KIND, MULTIPLIER, SLIDE, V_INDEX, numbers_of, placements_of, rows_of
-from kempe.solvers.common.proofs import Limits
+from kempe.solvers.common.proofs import Evidence, evidence
 from kempe.solvers.common.serial_chain import Chain, moved_by, of_loops
 from kempe.solvers.one_frame.multi_start import FrameProblem
 from kempe.spatial import Array
@@ -17,26 +17,24 @@ from kempe.spatial import Array
 CLEAR = 1e-3
 """How far beyond a limit, in radians or parts of the target's distance, each answer must be: what is nearer may be
 reached within the tolerance, or be rounding where two answers are near each other."""
-NOTHING = Limits()
-"""No proof."""
 
 
-def shut_out(task: FrameProblem, target: Array) -> Limits:
-    """What proves that a target (1, 4, 4) has no answer inside the limits; false where that is not proven."""
+def shut_out(task: FrameProblem, target: Array) -> Evidence | None:
+    """What proves that a target (1, 4, 4) has no answer inside the limits; None where that is not proven."""
     return _slides_end(task, target) or _all_outside(task, target)
 
 
-def _all_outside(task: FrameProblem, target: Array) -> Limits:
+def _all_outside(task: FrameProblem, target: Array) -> Evidence | None:
     """Whether all the answers there are without limits are outside them."""
     system = task.system
     chain, plain = task.chain, np.all(np.abs(numbers_of(task.chain.ints, task.chain.floats)[:, MULTIPLIER]) == 1.0)
     if max(task.tolerance) > CLEAR * CLEAR or len(chain.q_index) != len(chain.v_index) or not plain:
-        return NOTHING
+        return None
     from kempe.solvers.analytic.answers.solutions import Solutions
     from kempe.solvers.analytic.ik_all import ik_all
 
     if of_loops(system, task.frame):
-        return NOTHING
+        return None
     position = task.name == "position"
     goal = target[0, :3, 3] if position else target[0]
     if position and system.dim == 2:
@@ -44,14 +42,14 @@ def _all_outside(task: FrameProblem, target: Array) -> Limits:
     try:
         found = ik_all(system, goal, task.frame, task=(task.name, task.axis))
     except UnsupportedError:
-        return NOTHING
+        return None
     if not isinstance(found, Solutions) or not found.complete or not len(found.q) or found.families:
-        return NOTHING
+        return None
     size = 1.0 + float(np.linalg.norm(target[0, :3, 3]))
     beyond = min(_beyond(chain, q[chain.q_index]) for q in found.q)
     if not beyond > CLEAR * size:
-        return NOTHING
-    return Limits(count=len(found.q))
+        return None
+    return evidence("outside", count=len(found.q))
 
 
 def _beyond(chain: Chain, q: Array) -> float:
@@ -67,7 +65,7 @@ def _beyond(chain: Chain, q: Array) -> float:
     return float(off.max(initial=0.0))
 
 
-def _slides_end(task: FrameProblem, target: Array) -> Limits:
+def _slides_end(task: FrameProblem, target: Array) -> Evidence | None:
     """Whether slides which nothing turns end too far from the target, along some direction, whatever the rest does."""
     chain, table = task.chain, rows_of(task.chain.ints)
     rows, factors = placements_of(chain.ints, chain.floats), numbers_of(chain.ints, chain.floats)[:, MULTIPLIER]
@@ -78,13 +76,13 @@ def _slides_end(task: FrameProblem, target: Array) -> Limits:
         if k == len(table) or table[k, KIND] != SLIDE:
             reach = sum(float(np.linalg.norm(Y[:, 3])) for Y in rows[k + 1 :])
             if np.any(table[k:, KIND] == SLIDE):
-                return NOTHING
+                return None
             break
         ends = factors[k] * chain.limits[:, table[k, V_INDEX]]
         axes.append(R[:, 2])
         moved.append((float(ends.min()), float(ends.max())))
     if not axes or not task.mask[0] or len(set(table[: len(axes), V_INDEX])) < len(axes):
-        return NOTHING
+        return None
     A, (low, high) = np.array(axes).T, np.array(moved).T
     p = target[0, :3, 3]
     for d in np.concatenate([A.T, np.linalg.pinv(A, rcond=1e-9)]):
@@ -96,5 +94,5 @@ def _slides_end(task: FrameProblem, target: Array) -> Limits:
         off = float(d @ (p - place))
         out = max(off - most, least - off) - reach
         if out > task.tolerance[0] + 1e-9 * (1.0 + abs(off) + reach):
-            return Limits(short=out)
-    return NOTHING
+            return evidence("outside", short=out)
+    return None

@@ -125,7 +125,7 @@ class Solution(Answer):
     def proofs(self, index: tuple[int, ...] | int = ()) -> tuple[Any, ...]:
         """What proves that there is no answer for one question, as data; empty where nothing does.
 
-        Each has a `text`, and is one of `kempe.solvers.common.proofs`, or of tasks a `Contradiction` of two of them.
+        Each is an `Evidence` (`kempe.solvers.common.proofs`), with figures and a `text`.
         Errors: `InputError` for a place that is not in the batch.
         """
         return self._proofs(place_in(index, self._shape))

@@ -19,9 +19,11 @@ from kempe.kinematics.tasks.packed import refuse
 from kempe.reals import reals
 from kempe.rigid import arrays, sound
 from kempe.solvers.assembly.ideal import ideal_of
+from kempe.solvers.common import wording
 from kempe.solvers.common.answer import Configurations
 from kempe.solvers.common.clock import BROKEN_OFF, LONG, TimeLimit, partial
 from kempe.solvers.common.problem import NOTHING, Problem, Solver, choose, chosen_by, takes_all
+from kempe.solvers.common.proofs import outside_limits
 from kempe.solvers.common.serial_chain import of_loops
 from kempe.solvers.common.slip import rolls
 from kempe.solvers.common.targets import Z_AXIS, parse_targets
@@ -31,7 +33,6 @@ from kempe.solvers.tasks.reached import demands_of
 from kempe.solvers.tasks.uninvolved import apart
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import limits_of
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -185,8 +186,8 @@ class _FollowedPath(PathSteps):
         """What ends the way at q: the limits that it would leave, or a singularity."""
         ahead = self.at(i, min(part + 4.0 * 0.5**DEPTH, 1.0))
         free = self.step(replace(ahead, limits=False), q)
-        if free is not None and (names := _outside(self.system, free)):
-            return limits_of(names, " and of ")
+        if free is not None and (names := outside_limits(self.system, free, ROUNDING, False)):
+            return wording.limits_of(names, " and of ")
         ratio = self.first_order(ahead, q).ratio
         if ratio < SINGULAR:
             return f"a singularity (ratio of singular values {ratio:.1g})"
@@ -283,15 +284,6 @@ class _FollowedPath(PathSteps):
         good = np.asarray(judge(self.problem, q, info).success)
         q[~good] = np.nan
         return good
-
-
-def _outside(system: System, q: Array) -> list[str]:
-    """Coordinates outside their limits at q (nq,); a turn less would be a jump."""
-    v, x = system.structure.layout.vector_v, q[system.structure.layout.vector_q]
-    return [
-        system.structure.velocity_names[i]
-        for i in v[(x < system.lower[v] - ROUNDING) | (x > system.upper[v] + ROUNDING)]
-    ]
 
 
 def _sentence(system: System, i: int, why: str, q: Array, others: list[Array], restart: bool) -> str:

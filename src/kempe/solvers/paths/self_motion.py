@@ -18,9 +18,10 @@ from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.kernels.base.search_layout import SOLVED
 from kempe.kinematics.configuration import as_q
 from kempe.reals import is_whole
+from kempe.solvers.common import wording
 from kempe.solvers.common.answer import Configurations
 from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit
-from kempe.solvers.common.freedoms import Local, freedoms_text, null
+from kempe.solvers.common.freedoms import Local, null
 from kempe.solvers.common.problem import NOTHING, Problem, Solver, choose, chosen_by, takes_all
 from kempe.solvers.common.slip import slip_of
 from kempe.solvers.common.targets import axis_of, points_along, task_and_axis, task_of
@@ -134,7 +135,7 @@ def by_tangents(problem: Problem) -> SelfMotion:
     if not local.left.shape[1]:
         raise InputError("the tasks leave no freedom at q: there is no self-motion")
     if not local.finite:
-        text = freedoms_text(local)
+        text = wording.freedoms_left(local.left.shape[1], 0)
         return SelfMotion(system, local.q[None], 0, 0, False, (text, text), demands)
     wish = _wish(system, direction, local, demands)
     if local.finite == 1:  # of curves that meet here, the one nearest to the direction

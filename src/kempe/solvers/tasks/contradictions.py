@@ -27,14 +27,15 @@ SLACK = 1e-9
 """What is left to rounding, in radians and parts of the lengths."""
 
 
-class Contradiction(NamedTuple):
-    """Two tasks by their numbers, how far (...) what they ask for is apart, 0 where that is no contradiction, and what
-    is said of it."""
+class Exclusion(NamedTuple):
+    """How (see `wording.CONTRADICTIONS`) and by how much (...) what two tasks ask for is apart, 0 where it is not.
 
-    first: int
-    second: int
+    `longest` is the greatest distance [m] that links allow.
+    """
+
+    how: str
     off: Array
-    text: str
+    longest: float = 0.0
 
 
 class Region(NamedTuple):
@@ -59,22 +60,20 @@ class BodyDemand(NamedTuple):
     angular: float
 
 
-def contradictions(problem: Demands) -> list[Contradiction]:
-    """Pairs of hard tasks that exclude each other somewhere in the batch."""
+def contradictions(problem: Demands) -> list[tuple[int, int, Exclusion]]:
+    """Pairs of hard tasks, by their numbers, that exclude each other somewhere in the batch."""
     hard = [i for i, t in enumerate(problem.tasks) if problem.use[i] and t.weight is None]
     held = {i: h for i in hard if (h := _held(problem, i)) is not None}
     out = []
     for i, j in combinations(held, 2):
-        for off, text in _between(problem, held[i], held[j]):
-            if np.any(off > 0.0):
-                out.append(Contradiction(i, j, off, text))
+        out += [(i, j, x) for x in _between(problem, held[i], held[j]) if np.any(x.off > 0.0)]
     return out
 
 
 def contradictory(problem: Demands) -> np.ndarray:
     """Which problems (...) have two hard tasks that exclude each other."""
     out = np.zeros(problem.lead, dtype=bool)
-    for found in contradictions(problem):
+    for _, _, found in contradictions(problem):
         out = out | (found.off > 0.0)
     return out
 
@@ -101,25 +100,24 @@ def _held(problem: Demands, i: int) -> BodyDemand | None:
     return BodyDemand(int(row), goal, local, task.point, task.turned, axis, region, linear, angular)
 
 
-def _between(problem: Demands, a: BodyDemand, b: BodyDemand) -> list[tuple[Array, str]]:
-    """How far what two tasks ask for is apart, by each argument that applies, and what is said of it."""
+def _between(problem: Demands, a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
+    """How far what two tasks ask for is apart, by each argument that applies."""
     if a.row != b.row:
         if not (a.point and b.point):
             return []
         longest = longest_between(own_tree(problem.system), a, b)
         apart = np.linalg.norm(a.goal[..., :3, 3] - b.goal[..., :3, 3], axis=-1)
         slack = longest + a.linear + b.linear + SLACK * (1.0 + apart)
-        text = f"their places are {{off}} m apart, the links between them allow at most {longest:.6g} m"
-        return [(np.where(apart > slack, apart, 0.0), text)]
+        return [Exclusion("links", np.where(apart > slack, apart, 0.0), longest)]
     return [*_angles(a, b), *_places(a, b)]
 
 
-def _angles(a: BodyDemand, b: BodyDemand) -> list[tuple[Array, str]]:
+def _angles(a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
     """By how much the orientations that two tasks ask of one body differ, in radians."""
     slack = a.angular + b.angular
     if a.turn and b.turn:
         off = np.linalg.norm(spatial.log_so3(np.swapaxes(_body(a), -1, -2) @ _body(b)), axis=-1)
-        return [(_more(off, slack), "they turn one body to orientations {off} rad apart")]
+        return [Exclusion("turns", _more(off, slack))]
     if not (a.turn or a.axis) or not (b.turn or b.axis):
         return []
     if a.axis and b.axis:
@@ -127,10 +125,10 @@ def _angles(a: BodyDemand, b: BodyDemand) -> list[tuple[Array, str]]:
     else:
         whole, axis = (a, b) if a.turn else (b, a)
         off = _angle(_body(whole) @ axis.local[:3, 2], axis.goal[..., :3, 2])
-    return [(_more(off, slack), "they turn axes of one body to directions that are {off} rad off")]
+    return [Exclusion("axes", _more(off, slack))]
 
 
-def _places(a: BodyDemand, b: BodyDemand) -> list[tuple[Array, str]]:
+def _places(a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
     """By how much the places that two tasks ask of points of one body exclude each other, in metres."""
     arm = b.local[:3, 3] - a.local[:3, 3]
     length, out = float(np.linalg.norm(arm)), []
@@ -138,14 +136,12 @@ def _places(a: BodyDemand, b: BodyDemand) -> list[tuple[Array, str]]:
     if a.point and b.point:
         p, g = a.goal[..., :3, 3], b.goal[..., :3, 3]
         off = np.abs(np.linalg.norm(g - p, axis=-1) - length)
-        text = "they hold points of one body in places that do not fit together by {off} m"
-        if length <= SLACK:
-            text = "they hold one point in places {off} m apart"
-        out.append((_more(off, slack, p, g), text))
+        how = "point" if length <= SLACK else "points"
+        out.append(Exclusion(how, _more(off, slack, p, g)))
         for whole, sign in ((a, 1.0), (b, -1.0)):
             if whole.turn:
                 off = np.linalg.norm(g - p - sign * (sign * _body(whole) @ arm), axis=-1)
-                out.append((_more(off, slack + 2.0 * whole.angular * length, p, g), text))
+                out.append(Exclusion(how, _more(off, slack + 2.0 * whole.angular * length, p, g)))
     for point, there in ((a, b), (b, a)):
         if point.point and there.region is not None:
             axes, low, high = there.region
@@ -155,8 +151,7 @@ def _places(a: BodyDemand, b: BodyDemand) -> list[tuple[Array, str]]:
                 p, more = p + _body(point) @ way, slack + 2.0 * point.angular * length
             x = np.einsum("...ji,...j->...i", there.goal[..., :3, :3], p - there.goal[..., :3, 3])[..., axes]
             off = np.linalg.norm(x - np.clip(x, low, high), axis=-1)
-            text = "one puts a point of the body {off} m away from where the other lets it be"
-            out.append((_more(off, more, p, there.goal[..., :3, 3]), text))
+            out.append(Exclusion("region", _more(off, more, p, there.goal[..., :3, 3])))
     return out
 
 

@@ -6,24 +6,24 @@ hard task alone, two at a time. What is then found is true, what is not found is
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe import words
 from kempe.kinematics.closure_rows import characteristic_length
 from kempe.model.immovable import immovable
-from kempe.solvers.common.freedoms import Local, freedoms_text
-from kempe.solvers.common.proofs import Lengths, LowRank
+from kempe.solvers.common import wording
+from kempe.solvers.common.freedoms import Local
+from kempe.solvers.common.proofs import Evidence, evidence, lengths, outside_limits
 from kempe.solvers.one_frame.explain_ik import rounded
-from kempe.solvers.tasks.contradictions import Contradiction, contradictions
+from kempe.solvers.tasks.contradictions import contradictions
 from kempe.solvers.tasks.ik_tasks import STARTS, judge
 from kempe.solvers.tasks.reach_bounds import beyond
 from kempe.solvers.tasks.reached import Reached, analyse
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.kinematics.tasks.task import Task
@@ -42,55 +42,46 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
     row = int(np.ravel_multi_index(index, np.shape(answer.code))) if index else 0
     problem, q = answer.problem.of(row), answer.q[index]
     misses = {t.label: answer.errors[t.label][index] for t in problem.tasks}
-    soft = [f"{t.label!r} stays off by {_amount(t, misses[t.label])}" for t in problem.tasks if t.weight is not None]
-    more = "; " + ", ".join(soft) if soft else ""
-    limit = f"the time limit of {problem.time_limit:g} s" if np.asarray(answer.late)[index] else ""
+    soft = ", ".join(f"{t.label!r} stays off by {_off(t, misses)}" for t in problem.tasks if t.weight is not None)
+    hard = [t for t in problem.tasks if t.weight is None]
     if code == Status.SOLVED:
-        work = words.work(steps, starts)
-        hard = [t for t in problem.tasks if t.weight is None]
-        if limit:
-            more = f"; {limit} ended it before all was lowered as far as can be{more}"
-        elif not hard:
-            return f"lowered as far as the system allows ({work}){more}"
+        work = wording.work(steps, starts)
+        cut = wording.not_lowered(problem.time_limit) if np.asarray(answer.late)[index] else ""
         if not hard:
-            return f"no hard tasks ({work}){more}"
-        worst = f"errors up to {_amounts(hard, misses)}"
-        return f"all hard tasks hold: {worst} ({work}); {_freedoms(problem, q)}{more}"
-    failing = [t for t in problem.tasks if t.weight is None and not _within(problem, t, misses[t.label])]
-    what = ", ".join(f"{t.label!r} is missed by {_amount(t, misses[t.label])}" for t in failing)
+            said = "no hard tasks" if cut else "lowered as far as the system allows"
+            return wording.failed("", f"{said} ({work})", cut, soft)
+        local, worst = Local(problem, q), np.max([misses[t.label] for t in hard], axis=0)
+        first = local.left.shape[1]
+        left = wording.freedoms_left(first, local.finite if first else 0, local.m, local.n)
+        return wording.failed("", wording.hard_tasks_hold(*_counting(hard, worst), work, left), cut, soft)
+    failing = [t for t in hard if not _within(problem, t, misses[t.label])]
+    what = ", ".join(f"{t.label!r} is missed by {_off(t, misses)}" for t in failing)
     what = what or f"the hard tasks hold, but {_violated(problem, q) or 'not with closed loops'}"
+    near = "q is the nearest found"
     if code == Status.OUT_OF_TIME:
-        said = words.late(problem.time_limit or 0.0, starts, problem.starts)
-        return f"{said}: {what}; q is the nearest found{more}"
-    worst = np.max([misses[t.label] for t in failing], axis=0) if failing else np.full(2, np.inf)
-    if (reason := _reason(problem, q)).endswith(" freedoms)") or reason.endswith(" freedom)"):
-        reason += rounded(float(worst[0]), float(worst[1]), characteristic_length(problem.system))
+        return wording.failed(wording.late(problem.time_limit, starts, problem.starts), what, near, soft)
+    why = _reasons(problem, q)
+    if failing and any(isinstance(x, Evidence) and x.figures.get("rank") for x in why):
+        worst = np.max([misses[t.label] for t in failing], axis=0)
+        why += [rounded(float(worst[0]), float(worst[1]), characteristic_length(problem.system))]
     still = immovable(problem.system)
-    more = f"{more}; {still}" if still else more
-    return f"not reached after {counted(starts, 'start')}: {what}; {reason}; q is the nearest found{more}"
+    return wording.failed(wording.given_up("reached", starts), what, *why, near, soft, still)
 
 
-def _amount(task: Task, error: Array) -> str:
-    parts = [f"{error[0]:.6g} m"] if task.lengths else []
-    return " and ".join([*parts, f"{error[1]:.3g} rad"] if task.angles else parts)
+def _counting(tasks: Sequence[Task], error: Array) -> tuple[float | None, float | None]:
+    """Errors in metres and radians, None for those that tasks do not have."""
+    return (float(error[0]) if any(t.lengths for t in tasks) else None,
+            float(error[1]) if any(t.angles for t in tasks) else None)  # fmt: skip
 
 
-def _amounts(tasks: list[Task], misses: dict[str, Array]) -> str:
-    worst = np.max([misses[t.label] for t in tasks], axis=0)
-    parts = [f"{worst[0]:.1e} m"] if any(t.lengths for t in tasks) else []
-    return ", ".join([*parts, f"{worst[1]:.1e} rad"] if any(t.angles for t in tasks) else parts)
+def _off(task: Task, misses: dict[str, Array]) -> str:
+    """By how much a task is missed."""
+    return wording.errors(*_counting([task], misses[task.label]), radians=".3g", by=" and ")
 
 
 def _within(problem: Demands, task: Task, error: Array) -> bool:
     linear, angular = problem.tolerance_of(task)
     return bool(error[0] <= linear * 1.000001 and error[1] <= angular * 1.000001)
-
-
-def _freedoms(problem: Demands, q: Array) -> str:
-    """How many freedoms are left, or that there are more equations than freedoms."""
-    local = Local(problem, q)
-    left = freedoms_text(local) if local.left.shape[1] else "no freedom is left"
-    return f"{left}, though {local.m} equations meet {counted(local.n, 'freedom')}" if local.m > local.n else left
 
 
 def _violated(problem: Demands, q: Array) -> str:
@@ -108,101 +99,71 @@ def _solved(
     return found[0] if judge(part, found, info) else None
 
 
-def _reason(problem: Demands, q: Array) -> str:
+def _reasons(problem: Demands, q: Array) -> list[Any]:
     """Why the hard tasks of one problem do not hold together; q (nq,) is the nearest found."""
     hard = [i for i, t in enumerate(problem.tasks) if t.weight is None]
-    proofs = [proof for i in hard if (proof := _out_of_reach(problem, i))] or _contradictory(problem)
+    proofs = [proof for i in hard if (proof := _out_of_reach(problem, i))] or _contradicting(problem)
     above = _solved(problem, q, hard, True, False) if problem.packed.one_sided.declared else None
-    if above is not None and not proofs and (said := _violated(problem, above)):
-        return f"without one-sided constraints it is reached, {said}"
+    if above is not None and not proofs and (over := problem.packed.one_sided.violations(above)):
+        return [evidence("one-sided", violated=[v.text for v in over])]
     free = _solved(problem, q, hard, False)
-    over = outside(problem, free) if free is not None else []
-    names = words.limits_of(over)
-    if proofs:
-        return "; ".join([*proofs, f"without {names} it is reached"] if names else proofs)
+    names = outside_limits(problem.system, free) if free is not None else []
     if names:
-        return words.may_block(names, len(over) == 1)
-    if free is not None:
-        return "more starts find an answer"
+        return [
+            *proofs,
+            f"without {wording.limits_of(names)} it is reached" if proofs else evidence("limits", names=names),
+        ]
+    if proofs or free is not None:
+        return proofs or [evidence("more starts")]
     alone = [i for i in hard if len(hard) == 1 or _solved(problem, q, [i]) is None]
     if alone:
-        return "; ".join(_alone(problem, q, i, len(hard) > 1) for i in alone)
-    tried = counted(min(problem.starts, STARTS), "start")
-    if len(hard) * (len(hard) - 1) // 2 <= MOST_PAIRS:
-        labels = [t.label for t in problem.tasks]
-        against = [(i, j) for i, j in combinations(hard, 2) if _solved(problem, q, [i, j]) is None]
-        if against:
-            pairs = ", ".join(f"{labels[i]!r} and {labels[j]!r}" for i, j in against)
-            return f"{pairs}: each was reached alone, but not both together in {tried}{_more(problem, q, hard)}"
-        if len(hard) > 2:
-            return f"any two of the {len(hard)} hard tasks were reached, but not all together{_more(problem, q, hard)}"
-    return f"each hard task was reached alone, but not all together{_more(problem, q, hard)}"
+        return [_alone(problem, q, i, len(hard) > 1) for i in alone]
+    few = len(hard) * (len(hard) - 1) // 2 <= MOST_PAIRS
+    against = [(i, j) for i, j in combinations(hard, 2) if few and _solved(problem, q, [i, j]) is None]
+    pairs = [(problem.tasks[i].label, problem.tasks[j].label) for i, j in against]
+    return [evidence("not together", pairs=pairs, starts=min(problem.starts, STARTS), tasks=len(hard),
+                     rank=_rank(problem, q, hard), two=few and len(hard) > 2)]  # fmt: skip
 
 
-def proofs(answer: Reached, index: tuple[int, ...]) -> tuple[Any, ...]:
+def proofs(answer: Reached, index: tuple[int, ...]) -> tuple[Evidence, ...]:
     """What proves that the tasks of one problem of an answer do not hold together."""
     row = int(np.ravel_multi_index(index, np.shape(answer.code))) if index else 0
     code, problem = np.asarray(answer.code)[index], answer.problem.of(row)
     if code == Status.CONTRADICTORY:
         return tuple(_contradicting(problem))
     hard = [i for i, t in enumerate(problem.tasks) if t.weight is None] if code == Status.OUT_OF_REACH else []
-    return tuple(proof for i in hard if (proof := _lengths(problem, i)))
+    return tuple(proof for i in hard if (proof := _out_of_reach(problem, i)))
 
 
-def _contradicting(problem: Demands) -> list[Contradiction]:
+def _contradicting(problem: Demands) -> list[Evidence]:
     """For each two tasks of one problem that exclude each other, how they do, first found."""
-    out: dict[tuple[int, int], Contradiction] = {}
-    for found in contradictions(problem):
-        if (off := float(np.ravel(found.off)[0])) > 0.0:
-            reported = found._replace(off=off, text=found.text.format(off=f"{off:.6g}"))
-            out.setdefault((found.first, found.second), reported)
+    out: dict[tuple[int, int], Evidence] = {}
+    for i, j, found in contradictions(problem):
+        off = float(np.ravel(found.off)[0])
+        if off > 0.0 and (i, j) not in out:
+            first, second = problem.tasks[i].label, problem.tasks[j].label
+            out[i, j] = evidence(
+                "contradiction", how=found.how, off=off, first=first, second=second, longest=found.longest
+            )
     return list(out.values())
 
 
-def _contradictory(problem: Demands) -> list[str]:
-    """Which tasks of one problem exclude each other, proven."""
-    labels = [t.label for t in problem.tasks]
-    texts = [f"{labels[x.first]!r} and {labels[x.second]!r}: {x.text}" for x in _contradicting(problem)]
-    return [f"contradictory: {'; '.join(texts)}"] if texts else []
-
-
-def _lengths(problem: Demands, i: int) -> Lengths:
-    """How far lengths put a task out of reach."""
+def _out_of_reach(problem: Demands, i: int) -> Evidence | None:
+    """That lengths put a task out of reach, and how far."""
     place, turned = beyond(problem, problem.tasks[i], problem.goals[i]).reshape(-1, 2)[0].tolist()
-    return Lengths(place, turned)
+    return lengths(place, turned, task=problem.tasks[i].label)
 
 
-def _out_of_reach(problem: Demands, i: int) -> str:
-    """That lengths put a task out of reach, and how far; empty if they do not."""
-    proof = _lengths(problem, i)
-    return f"{problem.tasks[i].label!r} is {proof.text}" if proof else ""
-
-
-def _alone(problem: Demands, q: Array, i: int, among: bool) -> str:
+def _alone(problem: Demands, q: Array, i: int, among: bool) -> Evidence:
     """Why one task is not reached even alone."""
-    label = repr(problem.tasks[i].label)
+    label = problem.tasks[i].label
     free = _solved(problem, q, [i], False)
-    if free is not None and (names := outside(problem, free)):
-        them = "that" if len(names) == 1 else "these"
-        return f"{label} alone is reached without {words.limits_of(names)}, so {them} may be what blocks it"
-    said = f"{label} is not found even alone" if among else "no configuration was found"
-    return f"{said}{_more(problem, q, [i])}"
+    if free is not None and (names := outside_limits(problem.system, free)):
+        return evidence("limits", names=names, task=label)
+    return evidence("not alone", task=label if among else "", rank=_rank(problem, q, [i]))
 
 
-def _more(problem: Demands, q: Array, tasks: list[int]) -> str:
+def _rank(problem: Demands, q: Array, tasks: list[int]) -> Evidence | None:
     """Whether tasks have more equations than the system has freedoms."""
-    rank = LowRank(*analyse(problem.only(tasks), q)[:2])
-    return f" ({rank.text})" if rank else ""
-
-
-def outside(problem: Demands, q: Array) -> list[str]:
-    """Coordinates that are outside their limits at q (nq,), whatever whole turns are added."""
-    system, names = problem.system, []
-    for i, v in zip(system.structure.layout.vector_q, system.structure.layout.vector_v, strict=True):
-        low, high, x = system.lower[v], system.upper[v], q[i]
-        if system.structure.coordinates.turning[v]:
-            x -= 2.0 * np.pi * np.ceil((x - high) / (2.0 * np.pi)) if x > high else 0.0
-            x += 2.0 * np.pi * np.ceil((low - x) / (2.0 * np.pi)) if x < low else 0.0
-        if not low - 1e-9 <= x <= high + 1e-9:
-            names.append(system.structure.velocity_names[v])
-    return names
+    equations, freedoms = analyse(problem.only(tasks), q)[:2]
+    return evidence("rank", equations=equations, freedoms=freedoms) if freedoms < equations else None

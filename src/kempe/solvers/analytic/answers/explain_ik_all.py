@@ -3,33 +3,27 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe import spatial, words
+from kempe import spatial
 from kempe.kernels.base.search_layout import LARGEST
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.closed_form.analytic_layout import AT_REST, COUPLED, PLANE, POINT, X_FIRST
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.model.immovable import immovable
-from kempe.solvers.analytic.answers.explain_held import (
-    held_at,
-    more_than_enough,
-    moved_sentence,
-    number,
-    spare_joints,
-    tried_sentence,
-)
 from kempe.solvers.analytic.answers.families import EXACT, Family
 from kempe.solvers.analytic.answers.nearest import aim_of, fixed_joints, held_coordinates, nearest
 from kempe.solvers.analytic.plans.plan import ChainPlan, carried_lines, free_lines
 from kempe.solvers.analytic.plans.plan import freedoms as rank_of
 from kempe.solvers.analytic.plans.structure import Axes, Strategy
-from kempe.solvers.common.proofs import Lengths, by_lengths
+from kempe.solvers.common import wording
+from kempe.solvers.common.proofs import Evidence, by_lengths, evidence, lengths
 from kempe.solvers.common.serial_chain import chain_of
 from kempe.solvers.common.targets import not_a_pose
 from kempe.solvers.one_frame.explain_ik import rounded
+from kempe.solvers.one_frame.multi_start import MOST
 from kempe.spatial import Array
 from kempe.words import in_words, joined
 
@@ -38,9 +32,6 @@ if TYPE_CHECKING:
 
 BEYOND = 1e-8
 """How far (lengths of the chain, cosines) an equation must be from having a root, to be named as the reason."""
-
-CANNOT = "this target is not among those it can reach"
-"""End of the sentence on targets with more equations than freedoms."""
 
 REACHED = 2e-6
 """Error [m, rad] below which a search, which stops there, has found a solution."""
@@ -54,6 +45,9 @@ move larger."""
 
 AT_ZERO = 1e-7
 """Angle [rad] below which a joint that rests is at zero: merged roots are known to the root of rounding."""
+
+TURNS = ("orientation", "direction")
+"""Tasks of which no place counts."""
 
 NO_ROOT = {
     "closed": "the equations of the closed form have no real root", "elimination": "no real root among 16",
@@ -74,17 +68,36 @@ def status(solutions: Solutions, index: int) -> str:
     _, position, angle = nearest(solutions, index)
     question, plan = solutions.question, solutions.plan
     spare, miss = spare_joints(plan), math.hypot(position, angle)
-    why, proven = _why(solutions, index)
-    text = f"no solution: {why}" if not spare or proven else f"no solution{tried_sentence(solutions, index, spare)}"
+    why: list[Any]
+    why, proven = _reasons(solutions, index)
+    if spare and not proven:
+        tried = int(np.ravel(solutions.tried)[index])
+        head, why = "", [evidence("tried", held=_held(solutions, index, spare), values=tried, starts=MOST)]
+    else:
+        head = "no solution"
     if miss <= REACHED:
         near = f"a configuration within {miss:.1g} of the target: see nearest()"
-        return f"{text.split(':')[0]} within {question.tolerance:.1g}, but {near}"
-    missed = [] if question.task in ("orientation", "direction") else [f"{position:.6g} m"]
-    missed += [] if question.task == "position" else [f"{angle:.2g} rad"]
-    if why.endswith(CANNOT):
-        text += rounded(position, angle, chain_of(solutions.system, question.frame).span.largest, one=True)
+        return f"{wording.failed(head, *why).split(':')[0]} within {question.tolerance:.1g}, but {near}"
+    if why[0].__class__ is Evidence and why[0].kind == "joints":
+        why.append(rounded(position, angle, chain_of(solutions.system, question.frame).span.largest, one=True))
     limits = " inside the limits" if np.isfinite(plan.lines.limits).any() else ""
-    return f"{text}; the closest configuration found{limits} misses it by {', '.join(missed)}"
+    place, turn = None if question.task in TURNS else position, None if question.task == "position" else angle
+    off = wording.errors(place, turn)
+    return wording.failed(head, *why, f"the closest configuration found{limits} misses it by {off}")
+
+
+def held_sentence(solutions: Solutions) -> str:
+    """Which joints a redundant chain has to spare, and where they are held for the targets; '' for other chains."""
+    if not solutions.spare:
+        return ""
+    parts = []
+    for name in solutions.spare:
+        values = np.ravel(solutions.held[name])[solutions._used.any(axis=1)]
+        if len(values):
+            place, count = np.unique(values, return_counts=True)
+            usual, times = float(place[np.argmax(count)]), int(count.max())
+            parts.append(wording.held_among(name, usual, times, len(values), place[0], place[-1]))
+    return wording.to_spare(len(solutions.spare), f", held: {', '.join(parts)}" if parts else "")
 
 
 # ---- reached
@@ -98,74 +111,47 @@ def _reached(solutions: Solutions, index: int) -> str:
     unknown: tuple[list[Family], np.ndarray] = ([], np.full(solutions._used.shape[1], -1))
     families, member = unknown if spare and not deficient else solutions._families[index]
     alone = solutions._used[index] & (member < 0)
-    code = solutions._code[index]
-    inside, k = int((code[alone] % 2).sum()), int(alone.sum())
-    text = f"{k} solution{'' if k == 1 else 's'}"
-    if k == 0:
-        text = "no isolated solution"
-    elif plan.method == "elimination":
-        text += " by elimination"
-    text += _completeness(plan, k, bool(solutions._counts[index, 1]), bool(spare))
-    text += _merged(code[alone])
-    if inside < k:
-        text += f", {inside or 'none'} inside the limits"
-    if k and not inside and not families:
-        text += _beyond(solutions, index, alone)
-    if families:
-        text += f", and {_families(families)}"
-    elif plan.method == "closed":
-        text += f": {_ground(plan)}"
-    if spare and not (deficient and k == 0):
-        text += f"; the chain has {in_words(len(spare), 'joint')} to spare: {held_at(solutions, index, spare)}"
-        text += moved_sentence(solutions, index, inside)
-    return text
+    code = solutions._code[index, alone]
+    inside, times = int((code % 2).sum()), code // int(A.MULTIPLICITY_UNIT)
+    text = wording.solutions(
+        len(code), inside, plan.method, not solutions._counts[index, 1], bool(spare), times[times > 1].tolist(),
+        _beyond(solutions, index, alone) if len(code) and not inside and not families else "",
+        [(f.dimension, family_motion(f)) for f in families], _ground(plan),
+    )  # fmt: skip
+    if not spare or deficient and not len(code):
+        return text
+    now, first, tried = _held(solutions, index, spare), solutions._first, int(np.ravel(solutions.tried)[index])
+    if first is None:
+        tried = 1
+    before = np.zeros(0) if first is None else first[index if len(first) > 1 else 0][spare]
+    first_values = () if np.array_equal([x for _, x in now], before) else before.tolist()
+    return f"{text}; {wording.to_spare(len(spare), f': {wording.held_at(now)}', first_values, tried, inside > 0)}"
 
 
-def _completeness(plan: ChainPlan, k: int, doubt: bool, spare: bool) -> str:
-    if k == 0:
-        return ""
-    if doubt:
-        return " found, there may be more"
-    if spare:
-        return " for what is held"
-    if plan.method == "closed":
-        return ", all of them" if k > 1 else ", the only one"
-    return ", all there are" if plan.method == "elimination" else " found, there may be more"
+def spare_joints(plan: ChainPlan) -> list[int]:
+    """Joints that are locked only because the chain has more than the task needs."""
+    return [i for i in plan.locked if i not in fixed_joints(plan)]
 
 
-def _merged(code: np.ndarray) -> str:
-    """Which of the solutions are roots that have merged."""
-    times = code // int(A.MULTIPLICITY_UNIT)
-    merged = times[times > 1]
-    if not len(merged):
-        return ""
-    words = {2: "double", 3: "triple"}
-    kind = words.get(int(merged[0]), "multiple") if len(set(merged.tolist())) == 1 else "multiple"
-    if len(code) == 1:
-        return f" (a {kind} root)"
-    return f", {len(merged)} of them {'a ' if len(merged) == 1 else ''}{kind} root{'' if len(merged) == 1 else 's'}"
+def more_than_enough(plan: ChainPlan) -> bool:
+    """Whether the chain has more joints than the task has equations: else freedoms to spare come from its lengths."""
+    free = free_lines(plan.lines, plan.task, plan.planar)
+    return len(plan.lines) - len(fixed_joints(plan)) + len(free.kinds) > (3 if plan.planar else 6)
 
 
-def _families(families: list[Family]) -> str:
-    """The families, those of one description together."""
-    texts = [(in_words(f.dimension, "freedom"), family_motion(f)) for f in families]
-    out = []
-    for freedoms, moves in dict.fromkeys(texts):
-        k = texts.count((freedoms, moves))
-        out.append(f"{'a family' if k == 1 else f'{k} families'} with {freedoms}{'' if k == 1 else ' each'}: {moves}")
-    return "; ".join(out)
+def _held(solutions: Solutions, index: int, joints: list[int]) -> list[tuple[str, float]]:
+    """The joints with the values at which they are held for target number `index`."""
+    q, names = held_coordinates(solutions, index), solutions.plan.lines.names
+    return [(names[i], float(q[i])) for i in joints]
 
 
 def _ground(plan: ChainPlan) -> str:
     """Why there is a closed form."""
-    way, n = plan.way, len(plan.lines)
-    if way is None:
-        return "closed form"
-    inner = sorted(way.order[way.inner : way.inner + 3])
-    if inner[-1] >= n or np.any(plan.lines.kinds[inner] == SLIDE):
-        return "closed form"
-    axes = ", ".join(str(i + 1) for i in inner)
-    return f"axes {axes} {'meet in a point' if way.what == POINT else 'are parallel'} (closed form)"
+    way = plan.way
+    inner = sorted(way.order[way.inner : way.inner + 3]) if way is not None else []
+    if way is None or inner[-1] >= len(plan.lines) or np.any(plan.lines.kinds[inner] == SLIDE):
+        return wording.closed_form((), False)
+    return wording.closed_form(inner, way.what == POINT)
 
 
 def _beyond(solutions: Solutions, index: int, alone: np.ndarray) -> str:
@@ -175,60 +161,53 @@ def _beyond(solutions: Solutions, index: int, alone: np.ndarray) -> str:
     over = np.maximum(q - lines.limits[1], lines.limits[0] - q)
     row = over[int(np.argmin(over.max(axis=1)))]
     worst = int(np.argmax(row))
-    unit = "m" if lines.kinds[worst] == SLIDE else "rad"
     names = solutions.system.structure.velocity_names
     still = immovable(solutions.system, [i for i, name in enumerate(names) if name in lines.names])
-    far = f"the nearest to them has {lines.names[worst]!r} {row[worst]:.6g} {unit} beyond its limit"
-    return f" ({far}{f'; {still}' if still else ''})"
+    return wording.beyond_limit(lines.names[worst], row[worst], "m" if lines.kinds[worst] == SLIDE else "rad", still)
 
 
 # ---- not reached
 
 
-def _why(solutions: Solutions, index: int) -> tuple[str, bool]:
+def _reasons(solutions: Solutions, index: int) -> tuple[list[Any], bool]:
     """What is to be said of a target without solutions, and whether it holds wherever spare joints are held."""
     question, plan, system = solutions.question, solutions.plan, solutions.system
     target, tolerance = question.targets[index : index + 1], question.tolerance
-    reasons = []
-    if question.task not in ("orientation", "direction"):
-        if system.dim == 2 and abs(target[0, 2, 3]) > tolerance:
-            return words.off_plane(abs(target[0, 2, 3])), True
+    far = None
+    if question.task not in TURNS:
+        off = abs(float(target[0, 2, 3])) if system.dim == 2 else 0.0
+        if off > tolerance:
+            return [lengths(plane=off)], True
         bounds = chain_of(system, question.frame).bounds
-        far = Lengths(float(by_lengths(bounds, target, (tolerance, tolerance), False)[0, 0]))
-        reasons += [far.text] if far else []
-    proven = bool(reasons)
+        far = lengths(float(by_lengths(bounds, target, (tolerance, tolerance), False)[0, 0]))
     wide = plan.lines.span.wide
-    failed = "" if wide or spare_joints(plan) or plan.method != "closed" else _without_root(solutions, index)
-    reasons += [failed] if failed else []
-    if reasons:
-        return "; ".join(reasons), proven
+    failed = None if wide or spare_joints(plan) or plan.method != "closed" else _without_root(solutions, index)
+    if far or failed:
+        return [x for x in (far, failed) if x], far is not None
     over = _overdetermined(solutions)
     if wide and not over:
-        return plan.lines.span.sentence(), True
-    return over or NO_ROOT[plan.method], bool(over)
+        return [plan.lines.span.sentence()], True
+    return [over or NO_ROOT[plan.method]], over is not None
 
 
-def _overdetermined(solutions: Solutions) -> str:
+def _overdetermined(solutions: Solutions) -> Evidence | None:
     """Whether the task asks for more than the chain can do anywhere."""
     plan, planar = solutions.plan, solutions.system.dim == 2
     unknown = [i for i in range(len(plan.lines)) if i not in fixed_joints(plan)]
     free = free_lines(plan.lines, plan.task, planar)
     full = 3 if planar else 6
-    rank = rank_of(plan.lines, free, unknown)
+    rank, others = rank_of(plan.lines, free, unknown), len(free.kinds)
     if rank >= full:
-        return ""
-    equations, held = full - len(free.kinds), " to move" if fixed_joints(plan) else ""
-    able = rank - len(free.kinds)
-    few = f", which give it {in_words(able, 'freedom')}" if able < len(unknown) else ""
-    return (f"the chain has {len(unknown)} joint{'' if len(unknown) == 1 else 's'}{held}{few}, the task {equations} "
-            f"equations: {CANNOT}")  # fmt: skip
+        return None
+    held = bool(fixed_joints(plan))
+    return evidence("joints", joints=len(unknown), held=held, freedoms=rank - others, equations=full - others)
 
 
-def _without_root(solutions: Solutions, index: int) -> str:
-    """The equation of a closed form that has no root, in words; '' where there is none of one unknown."""
+def _without_root(solutions: Solutions, index: int) -> Evidence | None:
+    """The equation of a closed form that has no root; None where there is none of one unknown."""
     plan, way = solutions.plan, solutions.plan.way
     if way is None or way.mode in (AT_REST, COUPLED):
-        return ""
+        return None
     terms = _terms(solutions, index, way)
     slides = np.concatenate([plan.lines.kinds, plan.extra.kinds]) == SLIDE
     first, second = (0, 1) if way.mode == X_FIRST else (1, 0)
@@ -239,16 +218,16 @@ def _without_root(solutions: Solutions, index: int) -> str:
     roots = _roots(t, wanted, bool(slides[joint[first]]))
     if not len(roots):
         return _named(solutions, way, joint[first], measures[0], t, wanted)
-    texts = []
+    found: list[tuple[float, Evidence | None]] = []
     for f, g in roots:
         if math.isnan(f):
-            return ""
+            return None
         known = terms[first, measures[1]] @ (1.0, f, g)
         t = terms[second, measures[1]]
         if len(_roots(t, known, bool(slides[joint[second]]))):
-            return ""
-        texts.append((_range(t, known)[0], _named(solutions, way, joint[second], measures[1], t, known)))
-    return min(texts)[1]
+            return None
+        found.append((_range(t, known)[0], _named(solutions, way, joint[second], measures[1], t, known)))
+    return min(found, key=lambda x: x[0])[1]
 
 
 def _terms(solutions: Solutions, index: int, way: Strategy) -> Array:
@@ -292,31 +271,28 @@ def _roots(t: Array, wanted: float, slides: bool) -> list[tuple[float, float]]:
     return [(math.cos(middle + s * half), math.sin(middle + s * half)) for s in (1.0, -1.0)]
 
 
-def _named(solutions: Solutions, way: Strategy, joint: int, measure: int, t: Array, wanted: float) -> str:
-    """That a joint cannot bring what the inner joints keep to where the target wants it; '' for joints of nobody."""
+def _named(solutions: Solutions, way: Strategy, joint: int, measure: int, t: Array, wanted: float) -> Evidence | None:
+    """That a joint cannot bring what the inner joints keep to where the target wants it; None for joints of nobody."""
     plan = solutions.plan
     n, length = len(plan.lines), plan.lines.length
     if joint >= n or plan.lines.kinds[joint] == SLIDE:
-        return ""
+        return None
     _, low, high = _range(t, wanted)
     inner = sorted(i for i in way.order[way.inner : way.inner + 3] if i < n)
-    axes = f"{'axis' if len(inner) == 1 else 'axes'} {', '.join(str(i + 1) for i in inner)}" if inner else "the tip"
     middle = way.order[(way.inner + 4) % 6]
     turning = middle >= n and plan.extra.kinds[middle - n] != SLIDE or middle < n and plan.lines.kinds[middle] != SLIDE
-    name = plan.lines.names[joint]
+    what, off = "plane", 0.0
+    edge = low if wanted < low else high
     if way.what == PLANE:
         if measure == 0 and turning:
-            edge = low if wanted < low else high
+            what = "direction"
             off = abs(math.acos(min(1.0, max(-1.0, wanted))) - math.acos(min(1.0, max(-1.0, edge))))
-            return f"no angle of {name!r} gives {axes} the direction that is needed: {off:.2g} rad off"
-        return f"no angle of {name!r} brings {axes} to where the target needs it"
-    what = ("the tip", f"a point of {axes}", f"the point where {axes} meet")[min(len(inner), 2)]
-    if measure == 1 and turning:
-        far = wanted > high
-        off = abs(math.sqrt(max(wanted, 0.0)) - math.sqrt(max(high if far else low, 0.0))) * length
-        return f"no angle of {name!r} brings {what} to its distance: {off:.6g} m too {'far' if far else 'near'}"
-    off = max(low - wanted, wanted - high) * length
-    return f"no angle of {name!r} brings {what} to its height: {off:.6g} m off"
+    elif measure == 1 and turning:
+        what = "far" if wanted > high else "near"
+        off = abs(math.sqrt(max(wanted, 0.0)) - math.sqrt(max(edge, 0.0))) * length
+    else:
+        what, off = "height", max(low - wanted, wanted - high) * length
+    return evidence("no root", joint=plan.lines.names[joint], axes=inner, what=what, off=off)
 
 
 # ---- families
@@ -337,29 +313,13 @@ def _moving(family: Family) -> str:
     names = list(family.joints)
     if family.dimension > 1:
         return f"{joined(names)} can move"
-    equations = family.equations
-    if equations is not None:
-        parts = [_equation(e) for e in equations] or [f"{names[0]} is free"]
-        rest = [f"{n} = {number(x)}" for n, x in _conditions(family)]
-        return joined(parts) + (f" while {joined(rest)}" if rest else "")
-    if family.parameter is not None and family.closed:
-        others = [n for n in names if n != family.parameter]
-        return f"{family.parameter} turns all the way round and {joined(others)} follow"
+    if family.equations is not None:
+        return wording.linear_motion(names, family.equations, _conditions(family))
     lines = family._motion.aim.lines
     first = family.parameter or names[0]
     x = family.q[:, lines.q_index[lines.names.index(first)]]
-    how = "on a closed curve" if family.closed else "on a curve that does not close"
-    return f"{joined(names)} move together {how}, {first} from {number(x.min())} to {number(x.max())}"
-
-
-def _equation(terms: dict[str, float]) -> str:
-    text = ""
-    for name, a in terms.items():
-        if name == "":
-            continue
-        sign = ("-" if a < 0 else "") if not text else (" - " if a < 0 else " + ")
-        text += f"{sign}{'' if abs(abs(a) - 1.0) < 1e-9 else f'{abs(a):.6g} '}{name}"
-    return f"{text} = {number(terms[''])}"
+    turns = family.parameter is not None and family.closed
+    return wording.curved_motion(names, first, turns, family.closed, (x.min(), x.max()))
 
 
 def _conditions(family: Family) -> list[tuple[str, float]]:

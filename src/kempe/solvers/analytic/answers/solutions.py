@@ -370,7 +370,7 @@ class Solutions(ConfigurationList, Answer):
     also = ("complete", "inside", "multiplicity", "branch", "names", "held", "spare", "tried")
 
     def _headline(self) -> str:
-        from kempe.solvers.analytic.answers.explain_held import held_sentence
+        from kempe.solvers.analytic.answers.explain_ik_all import held_sentence
 
         text = super()._headline() + ("" if self.single else f", {int(self._used.sum())} solutions")
         return f"{text}; {held_sentence(self)}" if self.spare and not self.single else text
