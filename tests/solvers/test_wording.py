@@ -1,0 +1,90 @@
+"""Evidence is data; each kind has one sentence, in one module, which says its figures."""
+
+from __future__ import annotations
+
+import ast
+import pickle
+from pathlib import Path
+
+import pytest
+
+import kempe
+from kempe.solvers.common import wording
+from kempe.solvers.common.proofs import Evidence, evidence, lengths, outside_limits
+
+SOLVERS = Path(kempe.__file__).parent / "solvers"
+KINDS = {**wording.PROOFS, **wording.FOUND_OUT}
+
+
+def kinds_made() -> set[str]:
+    """Kinds of all evidence that is made in solvers, read from their syntax trees."""
+    calls = [
+        node
+        for path in SOLVERS.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "evidence"
+    ]
+    return {ast.literal_eval(call.args[0]) for call in calls}
+
+
+def test_each_kind_of_evidence_is_found_out_somewhere_and_has_a_sentence():
+    assert kinds_made() == set(KINDS) and not set(wording.PROOFS) & set(wording.FOUND_OUT)
+
+
+@pytest.mark.parametrize("kind, figures, said", [
+    ("lengths", {"place": 0.5}, "outside the workspace by at least 0.5 m, by the lengths of the links"),
+    ("lengths", {"place": 0.5, "turned": 0.75, "task": "t"}, "'t' is outside the workspace by at least 0.5 m, with "
+     "this orientation by at least 0.75 m, by the lengths of the links"),
+    ("lengths", {"plane": 2.0}, "outside the plane of the system by 2 m"),
+    ("outside", {"count": 1}, "the only configuration that reaches it is outside"),
+    ("contradiction", {"how": "turns", "off": 0.25, "first": "a", "second": "b"},
+     "contradictory: 'a' and 'b': they turn one body to orientations 0.25 rad apart"),
+    ("no root", {"joint": "q1", "axes": [3, 4, 5], "what": "near", "off": 0.1},
+     "no angle of 'q1' brings the point where axes 4, 5, 6 meet to its distance: 0.1 m too near"),
+    ("no root", {"joint": "q1", "axes": [3], "what": "direction", "off": 0.1},
+     "no angle of 'q1' gives axis 4 the direction that is needed: 0.1 rad off"),
+    ("rank", {"equations": 6, "freedoms": 5, "frame": "tool", "position": True}, "the task has 6 equations, but the "
+     "chain moves this frame in 5 freedoms only (its position alone can be reached)"),
+    ("rank", {"equations": 6, "freedoms": 0, "frame": "tool"}, "no joint moves frame 'tool'"),
+    ("limits", {"names": ["a", "b"], "each": True},
+     "without the limit of 'a' or of 'b' it is reached, so that may be what blocks it"),
+    ("limits", {"names": ["a", "b"], "done": "closes"},
+     "without the limits of 'a', 'b' it closes, so these may be what blocks it"),
+    ("one-sided", {"violated": ["x", "y"], "known": True}, "what is known contradicts x, y"),
+    ("tried", {"held": [("q", 0.5)], "values": 1, "starts": 9},
+     "no solution with 'q' at 0.5, and none from 9 starts of a search"),
+])  # fmt: skip
+def test_a_sentence_says_the_figures(kind, figures, said):
+    found = Evidence(kind, figures)
+    assert found.text == str(found) == said and found.proof == (kind in wording.PROOFS)
+    assert all(getattr(found, name) == value for name, value in figures.items())
+    assert pickle.loads(pickle.dumps(found)) == found
+
+
+def test_a_figure_that_is_not_there_is_an_attribute_that_is_missing():
+    with pytest.raises(AttributeError, match="place"):
+        evidence("outside", count=2).place  # noqa: B018
+    assert lengths() is None and lengths(plane=1e-9) is not None
+
+
+def test_a_proof_within_evidence_makes_it_one():
+    """Limits block a target where a proof says so, else they may."""
+    proof = evidence("outside", count=2)
+    text = evidence("limits", names=["a"], proof=proof).text
+    assert text == f"blocked by the limit of 'a' ({proof.text}); without limits it is reachable"
+
+
+def test_parts_that_are_empty_leave_no_mark():
+    assert (
+        wording.failed("not reached", "", None, evidence("more starts"), 0) == "not reached: more starts find an answer"
+    )
+    assert wording.failed("", "a", "b") == "a; b"
+
+
+def test_coordinates_outside_of_their_limits_count_modulo_turns():
+    s, turn = kempe.load("two_link"), 6.283185307179586
+    first, second = s.coordinate_names
+    s = s.with_limits({first: (-1.0, 1.0), second: (2.0, 3.0)})
+    assert outside_limits(s, s.q([0.5 + 3 * turn, 2.5 - turn])) == []
+    assert outside_limits(s, s.q([1.5, 2.5 - turn]), turns=False) == [first, second]
+    assert outside_limits(s, s.q([1.5, 2.5 - turn])) == [first]
