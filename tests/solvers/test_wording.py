@@ -6,6 +6,7 @@ import ast
 import pickle
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import kempe
@@ -85,6 +86,6 @@ def test_coordinates_outside_of_their_limits_count_modulo_turns():
     s, turn = kempe.load("two_link"), 6.283185307179586
     first, second = s.coordinate_names
     s = s.with_limits({first: (-1.0, 1.0), second: (2.0, 3.0)})
-    assert outside_limits(s, s.q([0.5 + 3 * turn, 2.5 - turn])) == []
-    assert outside_limits(s, s.q([1.5, 2.5 - turn]), turns=False) == [first, second]
-    assert outside_limits(s, s.q([1.5, 2.5 - turn])) == [first]
+    assert outside_limits(s, np.array([0.5 + 3 * turn, 2.5 - turn])) == []
+    assert outside_limits(s, np.array([1.5, 2.5 - turn]), turns=False) == [first, second]
+    assert outside_limits(s, np.array([1.5, 2.5 - turn])) == [first]
