@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from math import atan2, pi
 
 import numpy as np
@@ -173,13 +174,13 @@ def projected(system: System, q: np.ndarray) -> np.ndarray:
     return q
 
 
-def kicked(case: Case, size: float, n: int) -> tuple[System, list[np.ndarray]]:
-    """Closed configurations next to a posture, from random steps along the kernel of the Jacobian."""
+def kicked(case: Case, size: float, n: int) -> Iterator[np.ndarray]:
+    """Closed configurations next to a posture, from random steps along the null space of the Jacobian."""
     system = kempe.load(case.name)
     q = system.q(case.posture)
     kernel = np.linalg.svd(closure_rows.jacobian(system, q))[2][system.nv - case.rank :]
     steps = np.random.default_rng(3).normal(size=(n, case.rank)) * size
-    return system, [projected(system, system.configuration_space.integrate(q, step @ kernel)) for step in steps]
+    return (projected(system, system.configuration_space.integrate(q, step @ kernel)) for step in steps)
 
 
 def from_motion(system: System, q: np.ndarray, dim: int, motion: Motion) -> float:
@@ -194,9 +195,11 @@ def from_motion(system: System, q: np.ndarray, dim: int, motion: Motion) -> floa
 def test_nothing_else_moves_through_singular_postures(case: Case):
     """What random steps find is on one of the motions, and each motion is found; a structure does not move."""
     motions = branches(case.name) or [(1, lambda x: {})]
-    system, found = kicked(case, 0.1, 100 if len(motions) > 4 else 12)
-    hits = set()
-    for q in found:
+    system, least = kempe.load(case.name), 100 if len(motions) > 4 else 12
+    hits: set[int] = set()
+    for i, q in enumerate(kicked(case, 0.1, 4 * least)):  # which are hit first depends on the basis of the null space
+        if i >= least and len(hits) == len(motions):
+            break
         distances = [from_motion(system, q, *motion) for motion in motions]
         assert min(distances) < 1e-4
         hits.add(int(np.argmin(distances)))
@@ -206,8 +209,8 @@ def test_nothing_else_moves_through_singular_postures(case: Case):
 def test_the_cusp_of_the_double_watt_linkage():
     """u^2 = (k L / 2) w^3 near the tip, u and w the difference and the sum of the heights of the two middles."""
     case = next(case for case in PLANAR if case.name == "double_watt")
-    system, found = kicked(case, 0.1, 20)
-    heights = np.array([system.fk(q, ["p1", "p2"])[:, 1, 3] for q in found])
+    system = kempe.load(case.name)
+    heights = np.array([system.fk(q, ["p1", "p2"])[:, 1, 3] for q in kicked(case, 0.1, 20)])
     u, w = heights[:, 1] - heights[:, 0], heights.sum(axis=1)
     away = w < -2e-3
     assert w.max() < 2e-3 and 5 < away.sum() < 20 and len(set(np.sign(u[away]))) == 2
