@@ -110,6 +110,15 @@ def begin(system: System, start: Any, hold: Mapping[str, float]) -> tuple[Closur
     return equations, q
 
 
+def why_open(system: System, start: Any, hold: Mapping[str, float]) -> str:
+    """The sentence for a motion that cannot begin: which loop is open at the start, by how much, and why."""
+    from kempe.solvers.assembly.assembly import assemble
+
+    known = {**start, **hold} if isinstance(start, Mapping) else hold
+    answer = assemble(system, known=known, start=start_of(system, start, hold))
+    return f"the loops do not close near the start{'' if answer.success else f': {answer.status}'}"
+
+
 class WoundFollower(NamedTuple):
     """A coupled coordinate that is not where it was when its `source` (index) has turned round: it turns or slides on
     by `factor`, in radians or metres, with each radian of the source."""

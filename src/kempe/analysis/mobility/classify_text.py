@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from kempe.solvers.assembly.ideal import said
 from kempe.words import counted, cut
 
 if TYPE_CHECKING:
@@ -21,7 +22,11 @@ def vector(growth: tuple[int, ...], open_end: bool = False) -> str:
 
 
 def sentence(c: Classification) -> str:
-    """The result in one sentence."""
+    """The result in one sentence, and within which tolerance it holds."""
+    return _sentence(c) + said(c.within)
+
+
+def _sentence(c: Classification) -> str:
     both = f"{counted(c.position_dof, 'freedom')} of position, {c.velocity_dof} of velocity"
     if c.kind in ("", "unilateral") or (c.kind == "holonomic" and c.position_dof == c.velocity_dof):
         return both + (f"; {c.why}" if c.why else "")

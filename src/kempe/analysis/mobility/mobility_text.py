@@ -23,7 +23,7 @@ def sentence(m: Mobility) -> str:
     if not m.closed:
         return (
             f"Gruebler says {m.gruebler}; the mechanism cannot be closed here (residual {m.residual:.2g}), "
-            "so nothing is said about rank and true freedoms"
+            f"so nothing is said about rank and true freedoms{f'; {m.why_open}' if m.why_open else ''}"
         )
     if m.dof is None:
         most = f"the rank {m.rank_dof}; the truth is {m.rank_dof} or less (not tested further)"
@@ -117,7 +117,6 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
     if len(m.clusters) > 1:
         out.append(("groups of loops", cut([_cluster(c) for c in m.clusters], SHOWN)))
     if not m.closed:
-        out.append(("open", [m.why_open or f"residual {m.residual:.2g}"]))
         return out
     if m.given_residual > 1e-9:
         out.append(("closed", [f"given with residual {m.given_residual:.2g}; this is the nearest closed one"]))

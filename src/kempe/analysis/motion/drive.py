@@ -15,7 +15,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.analysis.continuation.beginning import angle_or_slide, begin, longest_step, periods, start_of, wish_of
+from kempe.analysis.continuation.beginning import (
+    angle_or_slide,
+    begin,
+    longest_step,
+    periods,
+    start_of,
+    why_open,
+    wish_of,
+)
 from kempe.analysis.continuation.continuation import Closure
 from kempe.analysis.continuation.one_sided_ends import OneSidedEnds
 from kempe.analysis.continuation.path import Event, Motion
@@ -191,7 +199,7 @@ def drive(
     closure, q = _begin(system, start, dict(hold or {}), first, index)
     if q is None:
         near, requested = start_of(system, start, dict(hold or {})), {n: np.array([v]) for n, v in first.items()}
-        said = "the loops do not close near the start"
+        said = why_open(system, start, {**(hold or {}), **first})
         return Drive(system, near[None], clock[:1], requested, np.ones(1, dtype=bool), (), (), (), False, False, said)
     closure.budget = time
     wish = wish_of(system, toward)

@@ -14,7 +14,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.analysis.continuation.beginning import angle_or_slide, begin, first_node, longest_step, periods, start_of
+from kempe.analysis.continuation.beginning import (
+    angle_or_slide,
+    begin,
+    first_node,
+    longest_step,
+    periods,
+    start_of,
+    why_open,
+)
 from kempe.analysis.continuation.continuation import Closure
 from kempe.analysis.continuation.deflation import rank_held
 from kempe.analysis.continuation.events import WalkEnd, extreme, hidden_crossings, home, turns, walk
@@ -102,7 +110,7 @@ def trace(
     held = dict(hold or {})
     equations, q = begin(system, start, held)
     if q is None:
-        return _failed(equations, options, "the loops do not close near the start", start_of(system, start, held))
+        return _failed(equations, options, why_open(system, start, held), start_of(system, start, held))
     if said := OneSidedEnds(equations, limits).outside(q):
         return _failed(equations, options, f"{said} at the start", q)
     equations.budget = options.time

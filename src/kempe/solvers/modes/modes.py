@@ -15,6 +15,7 @@ from kempe.kinematics.common.result import Cells
 from kempe.kinematics.configuration import as_start, home_of
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.kept import kept
+from kempe.solvers.assembly.assembly import assemble
 from kempe.solvers.assembly.ideal import tolerant
 from kempe.solvers.common.answer import Configurations
 from kempe.solvers.common.arguments import start_count
@@ -223,7 +224,8 @@ def by_starts(question: Problem) -> Modes:
     if found.odd:
         status += "; one is missing at least, since their number is even"
     if not closed:
-        status = f"none found, which proves nothing: of {found.tried} starts none closed"
+        why = assemble(system, question.known, start=question.start).status
+        status = f"none found, which proves nothing: of {found.tried} starts none closed; {why}"
     if len(families):
         besides = f"besides {counted(len(isolated), 'isolated configuration')}, " if len(isolated) else ""
         left = "1 freedom" if free.max() == 1 else f"up to {free.max()} freedoms"
