@@ -460,3 +460,33 @@ def test_guards_end_a_process_that_reads_out_of_bounds():
         assert printed(BEYOND.format(index=0), KEMPE_GUARD=guard) == "0"
         assert run(BEYOND.format(index=index), KEMPE_GUARD=guard).returncode == -signal.SIGSEGV
     assert "KEMPE_GUARD is 'on'; allowed: 'after', 'before'" in run(BEYOND.format(index=0), KEMPE_GUARD="on").stderr
+
+
+TOO_SMALL = """
+import numpy as np, kempe
+from kempe.kernels.constraints import loop_layout as L
+from kempe.model.closures.packed_loops import loops_of, must_be_explicit
+system = kempe.load("four_bar")
+loops = loops_of(system, must_be_explicit(system))
+plan, q, pins = loops.plan.copy(), system.mid[None].copy(), np.zeros((1, 0))
+plan[L.{size}] -= {less}
+from kempe.kernels.compiled import closure_batch, loop_closing
+if "{size}" == "BLOCKS":
+    out, J = np.empty((1, plan[L.N_ROWS])), np.empty((1, plan[L.N_ROWS], system.nv))
+    closure_batch.equations(loops.ints, loops.floats, plan, loops.weights, pins, q, True, out, J)
+else:
+    to, residual, info = np.empty((1, system.nq)), np.empty(1), np.empty((1, 3), dtype=np.int64)
+    loop_closing.assemble(loops.ints, loops.floats, plan, loops.weights, q, pins, 3, 50, 1e-9, 0, 0, 0, False,
+                          to, residual, info)
+print("done")
+"""
+"""A kernel whose plan says that its scratch is smaller than what it writes there."""
+
+
+@native
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no guards on Windows")
+@pytest.mark.parametrize("size, less", [("BLOCKS", 1), ("ENVELOPE", 9)])
+def test_guards_end_a_process_whose_scratch_is_too_small(size, less):
+    """By one entry; of the block that begins at a whole register, by one more than what it may pass over."""
+    assert printed(TOO_SMALL.format(size=size, less=0), KEMPE_GUARD="after") == "done"
+    assert run(TOO_SMALL.format(size=size, less=less), KEMPE_GUARD="after").returncode == -signal.SIGSEGV
