@@ -154,3 +154,43 @@ def test_rows_of_a_batch_are_single_calls_whatever_the_threads():
     np.testing.assert_array_equal(together.q, solve(s, wanted(slice(None)), start=seed, threads=4).q)
     for i in range(n):
         np.testing.assert_array_equal(together.q[i], solve(s, wanted(i), start=seed[i]).q)
+
+
+def lexicographic(levels: list[tuple[np.ndarray, np.ndarray]], n: int) -> list[float]:
+    """The least |A x - b| of each level among those that keep the levels before at theirs, by dense null spaces."""
+    x, free, out = np.zeros(n), np.eye(n), []
+    for A, b in levels:
+        left = A @ free
+        x = x + free @ np.linalg.lstsq(left, b - A @ x, rcond=1e-10)[0] if free.size else x
+        out.append(float(np.linalg.norm(A @ x - b)))
+        _, s, Vt = np.linalg.svd(left, full_matrices=True)
+        free = free @ Vt[int((s > 1e-10).sum()) :].T
+    return out
+
+
+def test_levels_of_a_gantry_are_those_of_linear_algebra(hunt):
+    """Slides only: each height over a plane is linear in q, so that levels have a closed form."""
+    for _ in range(hunt.cases(60)):
+        rng = hunt.rng()
+        count = int(rng.integers(2, 6))
+        m, before, axes = kempe.Mechanism("gantry"), "ground", rng.normal(size=(count, 3))
+        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+        for k in range(count):
+            link = m.body(f"b{k}")
+            m.prismatic(f"s{k}", before, link, axis=axes[k])
+            before = f"b{k}"
+        s, wanted, levels = m.build(), [], []
+        for priority in range(int(rng.integers(2, 5))):
+            rows = int(rng.integers(1, 4))
+            A, b = np.zeros((rows, count)), rng.normal(size=rows)
+            for i in range(rows):
+                body, n = int(rng.integers(count)), rng.normal(size=3)
+                n /= np.linalg.norm(n)
+                A[i, : body + 1] = axes[: body + 1] @ n
+                wanted.append(tasks.OnPlane(f"b{body}", b[i] * n, n, weight=1.0, priority=priority + 1,
+                                            name=f"{priority}.{i}"))  # fmt: skip
+            levels.append((A, b))
+        answer = solve(s, wanted)
+        for priority, least in enumerate(lexicographic(levels, count)):
+            found = math.hypot(*(answer.errors[t.name][0] for t in wanted if t.priority == priority + 1))
+            assert found == pytest.approx(least, abs=1e-6)
