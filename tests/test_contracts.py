@@ -438,8 +438,9 @@ def test_proofs_are_data_and_their_words_are_in_the_sentence():
 
 def test_lengths_are_the_distance_beyond_the_longest_reach(hunt):
     """For an arm of two links: the distance of the target less the sum of the lengths, and no proof within."""
+    rng = hunt.rng()
     for _ in range(hunt.cases(200)):
-        p = hunt.rng().uniform(-2.0, 2.0, 2)
+        p = rng.uniform(-2.0, 2.0, 2)
         answer = TWO.ik(p, "e", task="position", budget=kempe.Budget(starts=4))
         past = max(float(np.linalg.norm(p)) - 0.9, 0.1 - float(np.linalg.norm(p)), 0.0)
         found = answer.proofs()
