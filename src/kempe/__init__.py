@@ -18,9 +18,10 @@ from kempe.model.system import System
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from kempe import convert
+    from kempe import constraints, convert, tasks
     from kempe.analysis.spaces.workspace.workspace import open_workspace
     from kempe.budget import Budget, Tolerance
+    from kempe.description.dh.dh import from_dh, from_screws
     from kempe.status import Status
 
 __version__ = "0.1.0"

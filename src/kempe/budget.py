@@ -52,7 +52,7 @@ class Usual:
     def __init__(self, verb: str, **reads: Any):
         self.verb, self.reads, self.budget = verb, reads, _filled(reads)
 
-    def of(self, budget: Budget | None) -> Budget:
+    def of(self, budget: object) -> Budget:
         """The budget, completed; `time_limit` is None where there is none. Errors: `InputError`."""
         if budget is None:
             return self.budget

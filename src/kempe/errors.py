@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
 import reprlib
-import sys
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -162,8 +162,8 @@ def requirement(package: str) -> str:
 
 def warn(message: str, kind: type[Warning] = RoundedWarning) -> None:
     """Warn at the line that called Kempe; by default, that numbers were taken as what they nearly are."""
-    level, frame = 1, sys._getframe()
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "kempe":
+    level, frame = 1, inspect.currentframe()
+    while frame and frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] == "kempe":
         level, frame = level + 1, frame.f_back
     warnings.warn(message, kind, stacklevel=level)
 

@@ -77,7 +77,7 @@ class JointType:
     @property
     def decomposition(self) -> str:
         """The joint as a combination of revolute (R) and prismatic (P) joints, as text."""
-        parts = []
+        parts: list[str] = []
         for kind, axis, _, multiplier in self.layout()[1]:
             if kind == Q:
                 parts.append("R R R (as one unit quaternion)")
@@ -312,7 +312,7 @@ TYPES: dict[str, type[JointType]] = {
 """The table of the zoo: one row a joint type."""
 
 
-def joint_type(name: str | JointType, **options: object) -> JointType:
+def joint_type(name: object, **options: object) -> JointType:
     """A joint type by its name, by a product in words (see `Product`), or another joint type with options.
 
     Errors: `UnknownNameError` for the name, `InputError` for products that cannot be read and for options that the

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, cast
 
 import numpy as np
 
@@ -34,15 +34,16 @@ def arrays(x: Any, what: str) -> Any:
     if x.__class__ is np.ndarray or x.__class__ in PLAIN or is_plain(x):
         return x
     if isinstance(x, Mapping):
-        return _in_words(x, what)
+        return _in_words(cast("Mapping[str, Any]", x), what)
     if isinstance(x, (list, tuple)):
         if (pair := _of_pair(x, what)) is not None:
             return pair
-        if not any(isinstance(e, (Mapping, list, tuple)) or _matrix(e) is not None for e in x):
-            return x
-        parts = [arrays(e, what) for e in x]
-        if all(a is b for a, b in zip(parts, x, strict=True)):
-            return x
+        entries = cast("Sequence[Any]", x)
+        if not any(isinstance(e, (Mapping, list, tuple)) or _matrix(e) is not None for e in entries):
+            return entries
+        parts = [arrays(e, what) for e in entries]
+        if all(a is b for a, b in zip(parts, entries, strict=True)):
+            return entries
         shapes = {np.shape(p) for p in parts}
         if len(shapes) > 1:
             raise InputError(f"{what} is a list of poses of different shapes, {sorted(shapes)}; all must have one")

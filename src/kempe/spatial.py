@@ -6,6 +6,8 @@ order that the function's name says. Angles are radians.
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -40,21 +42,21 @@ def skew(v: ArrayLike) -> Array:
 
 def pose(R: ArrayLike | None = None, p: ArrayLike | None = None) -> Array:
     """Pose (..., 4, 4) of a rotation (..., 3, 3) and a position (..., 3); what is not given is zero motion."""
-    R = np.eye(3) if R is None else numbers(R, "R", 3, 3)
+    turn = np.eye(3) if R is None else numbers(R, "R", 3, 3)
     p = np.zeros(3) if p is None else numbers(p, "p", 3)
-    shape = R.shape[:-2]
+    shape = turn.shape[:-2]
     if p.shape[:-1] != shape:
         shape = together({"R": shape, "p": p.shape[:-1]})
     out = np.zeros((*shape, 4, 4))
-    out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = R, p, 1.0
+    out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = turn, p, 1.0
     return out
 
 
 def inverse(X: ArrayLike) -> Array:
     """Inverse (..., 4, 4) of poses, by transposing the rotation."""
-    X = numbers(X, "X", 4, 4)
-    R = np.swapaxes(X[..., :3, :3], -1, -2)
-    return pose(R, -np.einsum("...ij,...j->...i", R, X[..., :3, 3]))
+    given = numbers(X, "X", 4, 4)
+    R = np.swapaxes(given[..., :3, :3], -1, -2)
+    return pose(R, -np.einsum("...ij,...j->...i", R, given[..., :3, 3]))
 
 
 def rot_x(angle: ArrayLike) -> Array:
@@ -110,12 +112,12 @@ def rpy_to_matrix(rpy: ArrayLike) -> Array:
 
 def matrix_to_rpy(R: ArrayLike) -> Array:
     """Fixed-axis angles (..., 3) roll, pitch, yaw of rotations; at pitch = +-90 degrees roll is chosen zero."""
-    R = numbers(R, "R", 3, 3)
-    cos_pitch = np.hypot(R[..., 0, 0], R[..., 1, 0])
-    pitch = np.arctan2(-R[..., 2, 0], cos_pitch)
+    m = numbers(R, "R", 3, 3)
+    cos_pitch = np.hypot(m[..., 0, 0], m[..., 1, 0])
+    pitch = np.arctan2(-m[..., 2, 0], cos_pitch)
     regular = cos_pitch > 1e-12
-    roll = np.where(regular, np.arctan2(R[..., 2, 1], R[..., 2, 2]), 0.0 * pitch)  # or NaN
-    yaw = np.where(regular, np.arctan2(R[..., 1, 0], R[..., 0, 0]), np.arctan2(-R[..., 0, 1], R[..., 1, 1]))
+    roll = np.where(regular, np.arctan2(m[..., 2, 1], m[..., 2, 2]), 0.0 * pitch)  # or NaN
+    yaw = np.where(regular, np.arctan2(m[..., 1, 0], m[..., 0, 0]), np.arctan2(-m[..., 0, 1], m[..., 1, 1]))
     return np.stack([roll, pitch, yaw], axis=-1)
 
 
@@ -129,14 +131,14 @@ def quat_wxyz_to_matrix(quat_wxyz: ArrayLike) -> Array:
 
 def matrix_to_quat_wxyz(R: ArrayLike) -> Array:
     """Unit quaternion (..., 4) with w >= 0 of rotations (..., 3, 3), by the largest component (Shepperd, 1978)."""
-    R = numbers(R, "R", 3, 3)
-    d = np.stack([R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]], axis=-1)
+    m = numbers(R, "R", 3, 3)
+    d = np.stack([m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]], axis=-1)
     trace = d.sum(axis=-1)
     # squares of (w, x, y, z), times 4
     squares = np.concatenate([1.0 + trace[..., None], 1.0 - trace[..., None] + 2.0 * d], axis=-1)
-    products = np.empty((*R.shape[:-2], 4, 4))
-    wx, wy, wz = (R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1])
-    xy, xz, yz = (R[..., 0, 1] + R[..., 1, 0], R[..., 0, 2] + R[..., 2, 0], R[..., 1, 2] + R[..., 2, 1])
+    products = np.empty((*m.shape[:-2], 4, 4))
+    wx, wy, wz = (m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1])
+    xy, xz, yz = (m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1])
     for row, values in enumerate(
         [(squares[..., 0], wx, wy, wz), (wx, squares[..., 1], xy, xz), (wy, xy, squares[..., 2], yz),
          (wz, xz, yz, squares[..., 3])]
@@ -145,7 +147,7 @@ def matrix_to_quat_wxyz(R: ArrayLike) -> Array:
     best = np.argmax(squares, axis=-1)
     q = np.take_along_axis(products, best[..., None, None], axis=-2)[..., 0, :]
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    return np.where(q[..., :1] < 0.0, -q, q)
+    return cast(Array, np.where(q[..., :1] < 0.0, -q, q))
 
 
 def quat_wxyz_multiply(a: ArrayLike, b: ArrayLike) -> Array:
@@ -181,7 +183,7 @@ def quat_wxyz_log(q: ArrayLike) -> Array:
     angle = 2.0 * np.arctan2(sine, q[..., :1])
     with np.errstate(invalid="ignore", divide="ignore"):
         # asin(s)/s = 1 + s^2/6 + ...
-        factor = np.where(sine < SMALL_ANGLE, 2.0 + sine**2 / 3.0, angle / sine)
+        factor = cast(Array, np.where(sine < SMALL_ANGLE, 2.0 + sine**2 / 3.0, angle / sine))
     return factor * q[..., 1:]
 
 
@@ -207,15 +209,15 @@ def exp_se3(twist: ArrayLike) -> Array:
 
 def log_se3(X: ArrayLike) -> Array:
     """Twist [v; w] (..., 6) whose exponential is the pose; the rotation is at most a half turn."""
-    X = numbers(X, "X", 4, 4)
-    w = log_so3(X[..., :3, :3])
+    given = numbers(X, "X", 4, 4)
+    w = log_so3(given[..., :3, :3])
     K = skew(w)
     a, b, _ = _series(np.linalg.norm(w, axis=-1))
     angle2 = np.sum(w * w, axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        k = np.where(angle2 < SMALL_ANGLE**2, 1.0 / 12.0 + angle2 / 720.0, (1.0 - 0.5 * a / b) / angle2)
+        k = cast(Array, np.where(angle2 < SMALL_ANGLE**2, 1.0 / 12.0 + angle2 / 720.0, (1.0 - 0.5 * a / b) / angle2))
     V_inverse = np.eye(3) - 0.5 * K + k[..., None, None] * (K @ K)
-    return np.concatenate([np.einsum("...ij,...j->...i", V_inverse, X[..., :3, 3]), w], axis=-1)
+    return np.concatenate([np.einsum("...ij,...j->...i", V_inverse, given[..., :3, 3]), w], axis=-1)
 
 
 def _series(angle: Array) -> tuple[Array, Array, Array]:
@@ -231,9 +233,9 @@ def _series(angle: Array) -> tuple[Array, Array, Array]:
 
 def adjoint(X: ArrayLike) -> Array:
     """Matrix (..., 6, 6) that takes twists [v; w] seen from B to twists seen from A, for X = X_AB."""
-    X = numbers(X, "X", 4, 4)
-    R, p = X[..., :3, :3], X[..., :3, 3]
-    out = np.zeros((*X.shape[:-2], 6, 6))
+    given = numbers(X, "X", 4, 4)
+    R, p = given[..., :3, :3], given[..., :3, 3]
+    out = np.zeros((*given.shape[:-2], 6, 6))
     out[..., :3, :3], out[..., 3:, 3:] = R, R
     out[..., :3, 3:] = skew(p) @ R
     return out
@@ -247,5 +249,5 @@ def pose_from_xyz_rpy(values: ArrayLike) -> Array:
 
 def xyz_rpy_from_pose(X: ArrayLike) -> Array:
     """x, y, z, roll, pitch, yaw (..., 6) of poses."""
-    X = numbers(X, "X", 4, 4)
-    return np.concatenate([X[..., :3, 3], matrix_to_rpy(X[..., :3, :3])], axis=-1)
+    given = numbers(X, "X", 4, 4)
+    return np.concatenate([given[..., :3, 3], matrix_to_rpy(given[..., :3, :3])], axis=-1)

@@ -56,7 +56,7 @@ PROOFS = tuple(s for s in MEMBERS if s.proof)
 
 def member(code: Any) -> Any:
     """The member of one number; the numbers (...) of a batch as they are."""
-    return MEMBERS[code] if code.__class__ is int else code if np.ndim(code) else MEMBERS[int(code)]
+    return MEMBERS[code] if type(code) is int else code if np.ndim(code) else MEMBERS[int(code)]
 
 
 def named(code: Any) -> Any:

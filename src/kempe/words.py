@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterable, Sequence
 from html import escape
 from textwrap import fill
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -94,13 +94,13 @@ def json_text(data: Any, ascii_only: bool = False) -> str:
 def jsonable(values: Any) -> Any:
     """Arrays as nested lists of numbers, None in place of NaN and infinities, which JSON does not have."""
     if isinstance(values, dict):
-        return {key: jsonable(value) for key, value in values.items()}
+        return {key: jsonable(value) for key, value in cast("dict[Any, Any]", values).items()}
     if isinstance(values, np.generic):
         return jsonable(values.item())
     if isinstance(values, np.ndarray):
         return jsonable(values.tolist())
     if isinstance(values, (list, tuple)):
-        return [jsonable(v) for v in values]
+        return [jsonable(v) for v in cast("Sequence[Any]", values)]
     if isinstance(values, float):
         return values + 0.0 if math.isfinite(values) else None
     return values

@@ -156,8 +156,8 @@ def test_rows_of_a_batch_are_single_calls_whatever_the_threads():
         np.testing.assert_array_equal(together.q[i], solve(s, wanted(i), start=seed[i]).q)
 
 
-def lexicographic(levels: list[tuple[np.ndarray, np.ndarray]], n: int) -> list[float]:
-    """The least |A x - b| of each level among those that keep the levels before at theirs, by dense null spaces."""
+def lexicographic(levels: list[tuple[np.ndarray, np.ndarray]], n: int) -> tuple[np.ndarray, list[float]]:
+    """x (n,) and the least |A x - b| of each level that keeps the levels before at theirs, by dense null spaces."""
     x, free, out = np.zeros(n), np.eye(n), []
     for A, b in levels:
         U, sizes, Vt = np.linalg.svd(A @ free, full_matrices=True)
@@ -165,13 +165,13 @@ def lexicographic(levels: list[tuple[np.ndarray, np.ndarray]], n: int) -> list[f
         x = x + free @ Vt[:rank].T @ (U[:, :rank].T @ (b - A @ x) / sizes[:rank])
         out.append(float(np.linalg.norm(A @ x - b)))
         free = free @ Vt[rank:].T
-    return out
+    return x, out
 
 
 def test_levels_of_a_gantry_are_those_of_linear_algebra(hunt):
     """Slides only: each height over a plane is linear in q, so that levels have a closed form."""
-    rng = hunt.rng()
-    for _ in range(hunt.cases(60)):
+    rng, compared, cases = hunt.rng(), 0, hunt.cases(60)
+    for _ in range(cases):
         count = int(rng.integers(2, 6))
         m, before, axes = kempe.Mechanism("gantry"), "ground", rng.normal(size=(count, 3))
         axes /= np.linalg.norm(axes, axis=1, keepdims=True)
@@ -190,7 +190,11 @@ def test_levels_of_a_gantry_are_those_of_linear_algebra(hunt):
                 wanted.append(tasks.OnPlane(f"b{body}", b[i] * n, n, weight=1.0, priority=priority + 1,
                                             name=f"{priority}.{i}"))  # fmt: skip
             levels.append((A, b))
-        answer = solve(s, wanted)
-        for priority, least in enumerate(lexicographic(levels, count)):
+        answer, (x, leasts) = solve(s, wanted), lexicographic(levels, count)
+        if np.abs(x).max() > 20.0:  # some rows nearly depend on others: which rank they have is a matter of digits
+            continue
+        compared += 1
+        for priority, least in enumerate(leasts):
             found = math.hypot(*(answer.errors[t.name][0] for t in wanted if t.priority == priority + 1))
             assert found == pytest.approx(least, abs=1e-6)
+    assert compared > 0.7 * cases

@@ -28,10 +28,11 @@ MEETS = 1e-12
 
 def poses_of(x: Any, dim: int, what: str) -> Array:
     """Poses (..., 4, 4) as given, in the plane also (..., 3, 3); kernels check rotations. Errors: `InputError`."""
-    X = numbers_of(arrays(x, what), what)
-    if dim == 2 and X.ndim >= 2 and X.shape[-2:] == (3, 3):
-        flat, X = X, np.zeros((*X.shape[:-2], 4, 4))
-        X[..., :2, :2], X[..., :2, 3], X[..., 2, 2], X[..., 3, 3] = flat[..., :2, :2], flat[..., :2, 2], 1.0, 1.0
+    given = numbers_of(arrays(x, what), what)
+    is_planar = dim == 2 and given.ndim >= 2 and given.shape[-2:] == (3, 3)
+    X = np.zeros((*given.shape[:-2], 4, 4)) if is_planar else given
+    if is_planar:
+        X[..., :2, :2], X[..., :2, 3], X[..., 2, 2], X[..., 3, 3] = given[..., :2, :2], given[..., :2, 2], 1.0, 1.0
     if X.ndim < 2 or X.shape[-2:] != (4, 4):
         raise InputError(f"{what} has shape {X.shape}; it must be a pose (..., 4, 4)")
     last = X[..., 3, :]

@@ -6,6 +6,7 @@ import re
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 from kempe.description.constrain import renamed
 from kempe.description.mechanism import Mechanism
@@ -15,7 +16,9 @@ from kempe.joints import Fixed
 from kempe.values import evaluate
 
 
-def attach(host: Mechanism, guest: Mechanism, to: Body | Frame | str | None, prefix: str, placement: Mapping) -> None:
+def attach(
+    host: Mechanism, guest: Mechanism, to: Body | Frame | str | None, prefix: str, placement: Mapping[str, Any]
+) -> None:
     """Copy `guest` into `host`, its ground fixed to the body or frame `to` (the ground where None)."""
     if guest.dim != host.dim:
         raise InputError(f"{guest.name!r} has dim {guest.dim}, {host.name!r} has dim {host.dim}; they must be equal")

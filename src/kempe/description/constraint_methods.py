@@ -39,14 +39,14 @@ class ConstraintMethods:
 
     def point_on_line(
         self: Any, name: str, a: BodyLike | Frame, b: BodyLike | Frame, at: object = (0.0, 0.0, 0.0),
-        child_at: object = (0.0, 0.0, 0.0), where: Where | None = None, **turn,
+        child_at: object = (0.0, 0.0, 0.0), where: Where | None = None, **turn: Any,
     ) -> Declared:  # fmt: skip
         """Point `child_at` of `b` stays on the line through `at` of `a` along z (or `axis`, as in `joint`)."""
         return between(self, name, "point_on_line", (a, at, turn), (b, child_at, {}), None, where)
 
     def point_on_plane(
         self: Any, name: str, a: BodyLike | Frame, b: BodyLike | Frame, at: object = (0.0, 0.0, 0.0),
-        child_at: object = (0.0, 0.0, 0.0), where: Where | None = None, **turn,
+        child_at: object = (0.0, 0.0, 0.0), where: Where | None = None, **turn: Any,
     ) -> Declared:  # fmt: skip
         """Point `child_at` of `b` stays in the plane through `at` of `a` across z (or `axis`, as in `joint`)."""
         return between(self, name, "point_on_plane", (a, at, turn), (b, child_at, {}), None, where)

@@ -38,7 +38,7 @@ class Format:
     """Whether a text that begins so, blanks left out, is in this format whatever its file is called."""
     options: tuple[str, ...] = ()
     """Options of `kempe.load` that the reader takes; `beside` are the names of files in the same folder."""
-    cannot: Mapping[str, str] = field(default_factory=dict)
+    cannot: Mapping[str, str] = field(default_factory=dict[str, str])
     """What the format cannot say, and so the writer refuses, with what is allowed instead."""
     loses: tuple[str, ...] = ()
     """What the writer leaves out or replaces without refusing it; with nothing here a file gives an equal mechanism."""

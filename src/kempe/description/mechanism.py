@@ -1,10 +1,13 @@
 """The builder: what the user says of a system, as a graph of bodies and joints. No kinematics here."""
 
+# What arguments are is looked at, whatever their annotations say: they come from people.
+# pyright: reportUnnecessaryIsInstance=false
+
 from __future__ import annotations
 
 import copy
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from kempe.calls import explained, explained_methods, flag
 from kempe.description import checks
@@ -84,7 +87,7 @@ class Mechanism(ConstraintMethods):
         return body
 
     def frame(
-        self, name: str, body: BodyLike, at: object = (0.0, 0.0, 0.0), where: Where | None = None, **turn
+        self, name: str, body: BodyLike, at: object = (0.0, 0.0, 0.0), where: Where | None = None, **turn: Any
     ) -> Frame:
         """A named frame on a body, placed as `place` says (`at`, `rpy`, `angle`, `axis`, `quat_wxyz`, `matrix`)."""
         on = self._body(body, f"frame {name!r}", where)
@@ -117,7 +120,7 @@ class Mechanism(ConstraintMethods):
         child_rpy: object = None, child_angle: object = None, child_axis: object = None,
         quat_wxyz: object = None, matrix: object = None, child_quat_wxyz: object = None, child_matrix: object = None,
         limits: object = None, velocity: object = None, effort: object = None, actuated: bool | None = None,
-        cut: bool = False, where: Where | None = None, **options,
+        cut: bool = False, where: Where | None = None, **options: Any,
     ) -> Joint:  # fmt: skip
         """A new joint of type `kind` between any two bodies.
 
@@ -157,43 +160,43 @@ class Mechanism(ConstraintMethods):
         )  # fmt: skip
         return self.joints[name]
 
-    def fixed(self, name: str, parent: BodyLike, child: BodyLike, **keywords) -> Joint:
+    def fixed(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
         """A joint that does not move; keywords as in `joint`."""
         return self.joint(name, "fixed", parent, child, **keywords)
 
-    def revolute(self, name: str, parent: BodyLike, child: BodyLike, **keywords) -> Joint:
+    def revolute(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
         """A hinge about z of its frame (or `axis`); keywords as in `joint`."""
         return self.joint(name, "revolute", parent, child, **keywords)
 
-    def prismatic(self, name: str, parent: BodyLike, child: BodyLike, **keywords) -> Joint:
+    def prismatic(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
         """A slider along z of its frame (or `axis`); keywords as in `joint`."""
         return self.joint(name, "prismatic", parent, child, **keywords)
 
-    def helical(self, name: str, parent: BodyLike, child: BodyLike, pitch: float, **keywords) -> Joint:
+    def helical(self, name: str, parent: BodyLike, child: BodyLike, pitch: float, **keywords: Any) -> Joint:
         """A screw about z with `pitch` metres a radian; keywords as in `joint`."""
         return self.joint(name, "helical", parent, child, pitch=pitch, **keywords)
 
-    def cylindrical(self, name: str, parent: BodyLike, child: BodyLike, **keywords) -> Joint:
+    def cylindrical(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
         """A turn about z and a slide along it; keywords as in `joint`."""
         return self.joint(name, "cylindrical", parent, child, **keywords)
 
-    def universal(self, name: str, parent: BodyLike, child: BodyLike, **keywords) -> Joint:
+    def universal(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
         """A turn about x of F, then about y of M; keywords as in `joint`."""
         return self.joint(name, "universal", parent, child, **keywords)
 
-    def planar(self, name: str, parent: BodyLike, child: BodyLike, **keywords) -> Joint:
+    def planar(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
         """Slides along x and y and a turn about z; keywords as in `joint`."""
         return self.joint(name, "planar", parent, child, **keywords)
 
-    def translation(self, name: str, parent: BodyLike, child: BodyLike, **keywords) -> Joint:
+    def translation(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
         """Slides along x, y and z (in the plane x and y); keywords as in `joint`."""
         return self.joint(name, "translation", parent, child, **keywords)
 
-    def spherical(self, name: str, parent: BodyLike, child: BodyLike, **keywords) -> Joint:
+    def spherical(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
         """A ball joint, by quaternion or, with `angles=True`, as three turns; keywords as in `joint`."""
         return self.joint(name, "spherical", parent, child, **keywords)
 
-    def free(self, name: str, parent: BodyLike, child: BodyLike, **keywords) -> Joint:
+    def free(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
         """No constraint, but coordinates for where the child is; keywords as in `joint`."""
         return self.joint(name, "free", parent, child, **keywords)
 
@@ -239,7 +242,7 @@ class Mechanism(ConstraintMethods):
     # ---- composition
 
     def attach(
-        self, other: Mechanism | System, to: BodyLike | Frame | None = None, prefix: str = "", **placement
+        self, other: Mechanism | System, to: BodyLike | Frame | None = None, prefix: str = "", **placement: Any
     ) -> Mechanism:  # fmt: skip
         """Mount a copy of `other` on a body or frame of this mechanism by a fixed joint; returns the mechanism itself.
 
@@ -286,7 +289,7 @@ class Mechanism(ConstraintMethods):
 
     __hash__ = None  # type: ignore[assignment]
 
-    def content(self) -> tuple:
+    def content(self) -> tuple[Any, ...]:
         """All that matters, as nested tuples, in the order given; file positions and notes are left out."""
         return (
             self.name, self.dim, self._ground, tuple(self.bodies.values()),
@@ -319,7 +322,7 @@ class Mechanism(ConstraintMethods):
             checks.refuse(subject, str(UnknownNameError("body", name, self.bodies, self.name)), where)
         return self.bodies[name]
 
-    def _place(self, at: object, turn: Mapping, subject: str, where: Where | None, on: Body) -> Placement:
+    def _place(self, at: object, turn: Mapping[str, Any], subject: str, where: Where | None, on: Body) -> Placement:
         try:
             if isinstance(at, (Frame, str)):
                 frame = self.frames.get(str(at))

@@ -19,7 +19,7 @@ Limits = tuple[float, float]
 """Lower and upper bound of one velocity coordinate; an infinity where there is none."""
 
 
-class ReadOnlyDict(dict):
+class ReadOnlyDict(dict[Any, Any]):
     """A dict that can only be read: what it says is part of something that does not change."""
 
     def _refuse(self, *_: Any, **__: Any) -> NoReturn:
@@ -63,9 +63,9 @@ class Joint:
     child: str
     X_PF: Placement = Placement()
     X_CM: Placement = Placement()
-    limits: dict[str, Limits] = field(default_factory=dict)
-    velocity_limits: dict[str, float] = field(default_factory=dict)
-    effort_limits: dict[str, float] = field(default_factory=dict)
+    limits: dict[str, Limits] = field(default_factory=dict[str, Limits])
+    velocity_limits: dict[str, float] = field(default_factory=dict[str, float])
+    effort_limits: dict[str, float] = field(default_factory=dict[str, float])
     actuated: bool | None = None
     cut: bool = False
     where: Where | None = field(default=None, compare=False, repr=False)

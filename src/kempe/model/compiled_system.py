@@ -281,7 +281,7 @@ class Compiled:
         return f"System({self.name!r}, {counts}{more})"
 
 
-def _digest(content: tuple) -> str:
+def _digest(content: object) -> str:
     """Digest of what a tuple prints as."""
     from hashlib import sha256
 

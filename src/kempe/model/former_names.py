@@ -65,7 +65,7 @@ def found(system: Any, name: str) -> Any:
     if place.endswith(".build()"):
         return _built(getattr(system.mechanism, name))
     if name == "posture":
-        return lambda name: system.q(name)
+        return system.q
     return attrgetter(place)(system)
 
 

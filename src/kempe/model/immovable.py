@@ -28,7 +28,7 @@ def immovable(system: System, coordinates: Iterable[int] | None = None, unstated
     ours = {name for name, joint in system.structure.joints.items() if joint.unstated}
     ours |= {f.source for of, f in system.structure.couplings.items() if of in ours and f.source is not None}
     reported, given = [n for n in names if n in ours], [n for n in names if n not in ours and not unstated]
-    parts = []
+    parts: list[str] = []
     for group, why in (
         (reported, f"0..0 because the file gives no bounds; lenient_limits=True reads {_them(reported)} as unlimited"),
         (given, f"lower and upper limit of {_them(given)} are the same"),

@@ -96,7 +96,7 @@ def _header(start: _Token, tokens: Iterator[_Token], counts: dict[Path, int]) ->
 
 def _key(token: _Token, tokens: Iterator[_Token], stop: str) -> list[str]:
     """Names of a dotted key, which `token` begins and `stop` ends."""
-    names = []
+    names: list[str] = []
     while token.text != stop or token.kind == "string":
         if token.kind == "string":
             names.append(tomllib.loads(f"k={token.text}")["k"])

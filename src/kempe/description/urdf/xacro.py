@@ -13,6 +13,7 @@ import sys
 import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import IO
 
 from kempe.description.source import SIZE_LIMIT, fail, folders_of
 from kempe.errors import DescriptionError, MissingExtraError, UnsupportedError, Where
@@ -141,7 +142,9 @@ def _failed(said: str, where: Where, package_dirs: tuple[str | Path, ...]) -> De
     )
 
 
-def _run(command: list[str], environment: dict[str, str], output, complaints, seconds: float) -> int | None:
+def _run(
+    command: list[str], environment: dict[str, str], output: IO[bytes], complaints: IO[bytes], seconds: float
+) -> int | None:
     """Exit code of a command, or None where it took too long and was stopped, with its children."""
     with subprocess.Popen(
         command,

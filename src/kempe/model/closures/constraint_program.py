@@ -175,7 +175,7 @@ def input_of(made: Constraint, name: str) -> Any:
 def numbers_of(made: Constraint) -> dict[str, float]:
     """The numbers of a constraint, parameters among them, by the names that expressions have for them."""
     own = {k: x for k, x in numbers_in(made).items() if x is not None and np.ndim(x) == 0 and not isinstance(x, str)}
-    given = {**(getattr(made, "parameters", None) or {}), **own}
+    given: dict[str, Any] = {**(getattr(made, "parameters", None) or {}), **own}
     return {k: float(x) for k, x in given.items() if k not in made.reads}
 
 

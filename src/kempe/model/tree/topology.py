@@ -12,6 +12,7 @@ import heapq
 import re
 from collections import deque
 from dataclasses import dataclass
+from typing import Any
 
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Joint
@@ -34,7 +35,7 @@ class Topology:
     closures: tuple[str, ...]
 
 
-def natural(name: str) -> tuple:
+def natural(name: str) -> tuple[Any, ...]:
     """Sort key in which 'J2' comes before 'J10'."""
     parts = ((p, p.lstrip("0")) for p in re.split(r"(\d+)", name) if p)
     return tuple((0, len(d), d) if p.isdecimal() else (1, 0, p) for p, d in parts) + ((-1, 0, name),)
@@ -100,7 +101,7 @@ def _kruskal(mechanism: Mechanism, level: dict[str, int]) -> set[str]:
     coupled = {c if c in mechanism.joints else c.rpartition(".")[0]
                for k in mechanism.couplings.values() for c in (k.of, *k.sources)}  # fmt: skip
 
-    def cost(joint: Joint) -> tuple:
+    def cost(joint: Joint) -> tuple[Any, ...]:
         dof = joint.type.dof(mechanism.dim, mechanism.bodies[joint.child].particle)
         wish = 0 if joint.actuated or joint.name in coupled else 1 if joint.actuated is None else 2
         return joint.cut, dof > 0, wish, dof, level[joint.parent] + level[joint.child], natural(joint.name)
@@ -134,7 +135,7 @@ def _number(mechanism: Mechanism, came: dict[str, tuple[str, Joint]]) -> list[st
     children: dict[str, list[str]] = {b: [] for b in names}
     for child, (parent, _) in came.items():
         children[parent].append(child)
-    ready, order = [declared[mechanism.ground.name]], []
+    ready, order = [declared[mechanism.ground.name]], list[str]()
     while ready:
         body = names[heapq.heappop(ready)]
         order.append(body)
