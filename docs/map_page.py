@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -21,6 +22,7 @@ BELOW, ABOVE = "shared", "on top"
 Arrows = dict[str, set[str]]
 
 
+@cache
 def modules() -> dict[str, Path]:
     """The modules of the package by dotted name below `kempe`, packages themselves left out."""
     paths = (p for p in sorted(SOURCE.rglob("*.py")) if p.stem != "__init__")

@@ -459,12 +459,12 @@ def test_convert_refuses(arm, four_bar, tmp_path):
 
 
 def test_library():
-    data = json.loads(Result("library", "--json").out)
+    data, listed = json.loads(Result("library", "--json").out), Result("library").out
     assert [d["name"] for d in data] == list(library_models())
     for model in data:
         assert model["description"], model["name"]
         shown = Result("library", model["name"])
-        assert shown.code == 0 and model["description"] in Result("library").out
+        assert shown.code == 0 and model["description"] in listed
         assert kempe.read(shown.out) == kempe.read(model["name"])
         assert Result("library", model["name"], "--json").json()["toml"] == shown.out
     assert Result("library", "no such model").code == 2
