@@ -344,7 +344,7 @@ UNPACKED = {
 def test_packed_layouts_are_read_where_they_are_written():
     """Others read them by the functions of the layouts, and by what packed loops offer."""
     found: dict[str, set[str]] = {}
-    for path in MODULES:
+    for path in (p for p in MODULES if "layout" in p.read_text()):
         rel = path.relative_to(SOURCE).as_posix()
         tree = ast.parse(path.read_text())
         layouts = {

@@ -63,7 +63,8 @@ def test_functions_are_short(path):
 def test_exceptions_are_needed():
     for name in LONG_MODULES:
         assert len((SOURCE / name).read_text().splitlines()) > MODULE_LINES, name
-    names = {(file(p), f.name) for p in MODULES for f in functions(ast.parse(p.read_text()))}
+    long = {SOURCE / name for name, _ in LONG_FUNCTIONS}
+    names = {(file(p), f.name) for p in long for f in functions(ast.parse(p.read_text()))}
     assert set(LONG_FUNCTIONS) <= names
 
 
