@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.solvers.common import wording
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -39,12 +38,16 @@ class Evidence:
     @property
     def proof(self) -> bool:
         """Whether it proves that there is no answer; else it is what was found out by asking again."""
-        return self.kind in wording.PROOFS
+        from kempe.solvers.common.wording import PROOFS  # only here: a success needs no sentences
+
+        return self.kind in PROOFS
 
     @property
     def text(self) -> str:
         """The sentence that says it."""
-        return (wording.PROOFS.get(self.kind) or wording.FOUND_OUT[self.kind])(**self.figures)
+        from kempe.solvers.common.wording import FOUND_OUT, PROOFS
+
+        return (PROOFS.get(self.kind) or FOUND_OUT[self.kind])(**self.figures)
 
     def __str__(self) -> str:
         return self.text
