@@ -39,6 +39,8 @@ class Sheet:
     extent: list[Array] = field(default_factory=list)
     labels: list[tuple[str, Array, float, dict[str, Any]]] = field(default_factory=list)
     """Text, point, clearance and text properties: they are placed when everything else is drawn."""
+    arcs: list[Array] = field(default_factory=list)
+    """Where angles are measured."""
 
     def patch(self, path: Path, gid: str, layer: float, **how: Any) -> None:
         """Draw an outline."""
@@ -64,8 +66,11 @@ def flat(X: Array) -> Array:
     return X[:2, 3] if X.shape == (4, 4) else X[..., :2]
 
 
-def draw(sheet: Sheet, labels: bool = True) -> None:
-    """Draw the scene: links, rails, blocks, ground symbols, pins, frames, drivers; labels are only collected."""
+def draw(sheet: Sheet, texts: dict[str, str], frames: bool = True) -> None:
+    """Draw the scene: links, rails, blocks, ground symbols, pins, frames, drivers.
+
+    Labels are only collected: `texts` of the joints, and names of frames.
+    """
     scene = sheet.scene
     for joint in scene.joints:
         if joint.kind == "prismatic":
@@ -77,14 +82,13 @@ def draw(sheet: Sheet, labels: bool = True) -> None:
     _rods(sheet)
     pins = _pins(sheet)
     for link in scene.links:
-        _frames(sheet, link, labels)
+        _frames(sheet, link, frames)
     for joint in scene.joints:
         _open(sheet, joint)
     for joint in scene.joints:
         if joint.driven:
             _driver(sheet, joint)
-    if labels:
-        _joint_labels(sheet, pins)
+    _joint_labels(sheet, pins, texts)
 
 
 def _slides(sheet: Sheet, joint: SeenJoint) -> None:
@@ -378,9 +382,11 @@ def mark(sheet: Sheet, name: str, X: Array, labels: bool) -> None:
         sheet.labels.append((name, c, 1.2 * sheet.r, {**look, "size": style.FONT - 1}))
 
 
-def _joint_labels(sheet: Sheet, groups: list[tuple[Array, list[SeenJoint]]]) -> None:
+def _joint_labels(sheet: Sheet, groups: list[tuple[Array, list[SeenJoint]]], texts: dict[str, str]) -> None:
     for c, joints in groups:
-        names = ", ".join(j.name for j in joints)
+        names = ", ".join(texts[j.name] for j in joints if texts[j.name])
+        if not names:
+            continue
         slides = any(j.kind == "prismatic" for j in joints)
         clearance = (1.9 if slides else 1.25) * sheet.r
         look = {"gid": f"label:{names}", "color": INK}

@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from kempe import spatial
-from kempe.joints import P, Q
+from kempe.joints import P, Primitive, Q, R
 from kempe.spatial import Array
 from kempe.views.drawing import style
 from kempe.views.drawing.scene import Scene, SeenJoint, SeenLink, SeenMark, distinct, travel
 from kempe.views.drawing.solids import Solids, flat_hull
-from kempe.views.drawing.style import DRIVER, GROUND, INK, OPEN, WRONG
+from kempe.views.drawing.style import DRIVER, GROUND, INK, MOTION, OPEN, WRONG
 
 OF_SIZE, OF_LINK, LEAST = 0.02, 0.13, 0.0125
 """Radius of a hinge: as part of the whole drawing, at most as part of a short link, at least of the drawing."""
@@ -84,11 +84,12 @@ def _constraint(solids: Solids, mark: SeenMark, r: float) -> None:
 def lines(scene: Scene) -> Iterator[tuple[SeenLink, Array]]:
     """For each moving link the polylines (n, 3) that it is drawn along."""
     for link in scene.links[1:]:
-        for line in _lines(scene, link):
+        for line in lines_of(scene, link):
             yield link, line
 
 
-def _lines(scene: Scene, link: SeenLink) -> list[Array]:
+def lines_of(scene: Scene, link: SeenLink) -> list[Array]:
+    """The polylines (n, 3) that a link is drawn along."""
     joints = [scene.joints[j] for j in link.joints]
     centres = distinct(np.array([j.on(link.number)[:3, 3] for j in joints]
                                 + [e[k] for _, n, e, _ in scene.rods for k in (0, 1) if n[k] == link.number]
@@ -150,7 +151,7 @@ def _along_axes(A: Array, B: Array, use_a: bool, use_b: bool) -> Array:
 
 def _link(solids: Solids, scene: Scene, link: SeenLink, r: float, skeleton: list[Array]) -> None:
     colour, name = style.link_colour(link.number), f"link:{link.name}"
-    drawn = _lines(scene, link)
+    drawn = lines_of(scene, link)
     for line in drawn:
         _pipe(solids, name, line, LINK * r, style.mix(colour, style.PAPER, 0.15))
         if len(line) > 3 and np.allclose(line[0], line[-1]):
@@ -355,6 +356,26 @@ def _turning_arrow(solids: Solids, j: SeenJoint, r: float) -> None:
     angles = np.linspace(0.0, np.deg2rad(235.0), 22)
     circle = np.cos(angles)[:, None] * x + np.sin(angles)[:, None] * y
     solids.arrow(f"driver:{j.name}", j.centre + 2.2 * r * circle, 0.2 * r, DRIVER)
+
+
+def freedoms(solids: Solids, j: SeenJoint, r: float) -> None:
+    """Draw an arrow with two heads for each freedom of a joint: round the axis that it turns about, or along it."""
+    for p in (j.motions[0]._replace(kind=k, axis=a) for m in j.motions for k, a in _single(m)):
+        axis = j.F[:3, "xyz".index(p.axis)]
+        x, y = (j.F[:3, ("xyz".index(p.axis) + n) % 3] for n in (1, 2))
+        if p.kind == P:
+            middle = j.centre + 2.4 * r * (x + y) / np.sqrt(2.0)
+            line = middle + np.linspace(-3.2, 3.2, 12)[:, None] * r * axis
+        else:
+            t = np.deg2rad(np.linspace(-35.0, 215.0, 30))[:, None]
+            line = j.centre + 2.9 * r * (np.cos(t) * x + np.sin(t) * y)
+        solids.arrow(f"motion:{j.name}", line[1:], 0.17 * r, MOTION)
+        solids.arrow(f"motion:{j.name}", line[:3][::-1], 0.17 * r, MOTION)
+
+
+def _single(p: Primitive) -> list[tuple[int, str]]:
+    """The single freedoms of a motion, as kind and axis: a ball turns about all axes."""
+    return [(R, axis) for axis in "xyz"] if p.kind == Q else [(p.kind, p.axis)]
 
 
 def _open(solids: Solids, j: SeenJoint, r: float) -> None:

@@ -1,0 +1,40 @@
+"""Methods of `System` by which it is looked at: pictures, motions, pages."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, cast
+
+from numpy.typing import ArrayLike
+
+from kempe.calls import explained, with_options
+from kempe.model.compiled_system import FrameLike
+from kempe.model.plot_options import PlotOptions
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from kempe.model.system import System
+
+
+class Pictured:
+    """What a system looks like. Base of `System`."""
+
+    @explained
+    @with_options(PlotOptions)
+    def plot(self, q: Any = None, *, path: Any = None, **options: Any) -> Any:
+        """Matplotlib axes with a drawing of the system at one or several configurations, or along a motion.
+
+        See `kempe.views.plots.plot` for what is drawn, `kempe.model.plot_options.PlotOptions` for the options.
+        """
+        from kempe.views.plots import plot
+
+        return plot(cast("System", self), q, path=path, **options)
+
+    @explained
+    def plot_spaces(
+        self, frame: FrameLike, *, points: ArrayLike = (), ax: Any = None, resolution: int = 240
+    ) -> tuple[Axes, Axes]:  # fmt: skip
+        """Pictures of configuration space and task space beside one another; see `kempe.views.space_pictures`."""
+        from kempe.views.space_pictures import plot_spaces
+
+        return plot_spaces(cast("System", self), frame, points=points, ax=ax, resolution=resolution)
