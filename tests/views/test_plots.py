@@ -19,7 +19,7 @@ from kempe.kinematics.measure import judge
 
 pytest.importorskip("matplotlib")
 from kempe.views import plots
-from kempe.views.drawing import labels, page, shapes, symbols
+from kempe.views.drawing import labels, measured, page, shapes, symbols
 from kempe.views.drawing.scene import look
 from kempe.views.drawing.solids import Solids, flat_hull
 
@@ -772,16 +772,22 @@ def test_an_arrow_for_each_freedom(name):
         return
     scene, solids = look(system, start(system)), Solids()
     (joint,) = scene.joints
-    symbols.freedoms(solids, joint, 1.0)
-    p = vertices(solids, f"motion:{joint.name}") - joint.centre
-    reach = np.abs(p @ joint.F[:3, :3]).max(axis=0)
-    assert reach.min() > 0.1 and np.isfinite(reach).all()
-    assert len(solids.named[f"motion:{joint.name}"]) % joint_arrows(system) == 0
+    lines = measured.freedoms(solids, joint, 1.0)
+    (own,) = (j for j in system.structure.joints.values() if j.type.dof(3))
+    assert len(lines) == own.type.dof(3) and len(solids.named[f"motion:{joint.name}"]) > 50 * len(lines)
+    for line in lines:
+        arc = np.ptp(np.linalg.norm(line - joint.centre, axis=1)) < 1e-9
+        straight = np.linalg.norm(np.cross(line - line[0], joint.axis), axis=1).max() < 1e-9
+        assert arc != straight
 
 
-def joint_arrows(system) -> int:
-    (joint,) = (j for j in system.structure.joints.values() if j.type.dof(3))
-    return joint.type.dof(3)
+def test_joints_show_both_bodies():
+    """A knuckle and a barrel, a socket and a ball, two forks: each half is as near to its link as it can be."""
+    for name, parts in (("spherical", ("joint", "socket")), ("universal", ("joint", "fork")), ("revolute", ("joint",))):
+        solids, _ = solids_of(system := kempe.load(f"joint_{name}"), system.mid)
+        colours = {solids.colours[k][:3] for part in parts for k in solids.named[f"{part}:joint"]}
+        reds = {round(c[0] / max(c[2], 1e-9), 2) for c in colours}
+        assert len(reds) >= 2, "grey of the ground, blue of the link"
 
 
 def test_options_are_written_out():

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
 MOST = 32
 """Configurations that one picture shows at most."""
-FEW, NEAR = 3, 0.35
-"""Coordinates up to which neighbours are drawn, and how far they are: radians, or parts of the size of the drawing."""
+FEW, TURN, SLIDE = 3, 0.35, 0.08
+"""Coordinates up to which neighbours are drawn; how far away: in radians, and in parts of the size of the drawing."""
 
 
 @explained
@@ -204,7 +204,7 @@ def _neighbours(system: System, q: Array) -> Array:
     if has_loops(system) or not 0 < system.nv <= FEW:
         return np.zeros((0, system.nq))
     slides = [unit == "m" for unit in (units(system).get(n, "") for n in system.structure.velocity_names)]
-    steps = np.diag([NEAR * (look(system, q).size if slide else 1.0) for slide in slides])
+    steps = np.diag([SLIDE * look(system, q).size if slide else TURN for slide in slides])
     return np.concatenate([integrate(system, q, sign * steps) for sign in (-1.0, 1.0)])
 
 

@@ -6,11 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from kempe.joints import P, R
+from kempe.joints import P, Primitive, Q, R
 from kempe.kinematics.closure_errors import coordinate_value
 from kempe.spatial import Array
 from kempe.views.drawing import style, symbols
-from kempe.views.drawing.style import GROUND, INK
+from kempe.views.drawing.scene import SeenJoint
+from kempe.views.drawing.solids import Solids
+from kempe.views.drawing.style import GROUND, INK, MOTION
 from kempe.views.drawing.subject import Subject, length_name, lengths_by_name, subscript
 
 Text = tuple[Array, str, dict[str, Any]]
@@ -91,3 +93,26 @@ def angles(ax: Any, subject: Subject, r: float) -> list[Text]:
         ax.plot(*line[-1:].T, "o", color=INK, ms=2.5, zorder=style.ARROWS, gid=f"{gid}:end")
         out.append((line[len(line) // 2], names[0], look))
     return out
+
+
+def freedoms(solids: Solids, j: SeenJoint, r: float) -> list[Array]:
+    """Arrows with two heads, added for each freedom of a joint: round the axis that it turns about, or along it."""
+    lines = []
+    for kind, name in ((k, a) for p in j.motions for k, a in _single(p)):
+        axis = j.F[:3, "xyz".index(name)]
+        x, y = (j.F[:3, ("xyz".index(name) + n) % 3] for n in (1, 2))
+        if kind == P:
+            middle = j.centre + 2.6 * r * (x + y) / np.sqrt(2.0)
+            line = middle + np.linspace(-3.4, 3.4, 24)[:, None] * r * axis
+        else:
+            t = np.deg2rad(np.linspace(20.0, 160.0, 40))[:, None]
+            line = j.centre + 3.6 * r * (np.cos(t) * x + np.sin(t) * y)
+        solids.arrow(f"motion:{j.name}", line[2:-2], 0.13 * r, MOTION)
+        solids.arrow(f"motion:{j.name}", line[2:5][::-1], 0.13 * r, MOTION)
+        lines.append(line)
+    return lines
+
+
+def _single(p: Primitive) -> list[tuple[int, str]]:
+    """The single freedoms of a motion, as kind and axis: a ball turns about all axes."""
+    return [(R, axis) for axis in "xyz"] if p.kind == Q else [(p.kind, p.axis)]

@@ -43,7 +43,7 @@ def picture(subject: Subject, ax: Any) -> Axes:
     skeleton = symbols.build(solids, scene, radius, subject.way)
     if subject.options.motion:
         for joint in scene.joints:
-            symbols.freedoms(solids, joint, radius)
+            skeleton += measured.freedoms(solids, joint, radius)
     faces = Poly3DCollection(solids.faces, facecolors=solids.colours, edgecolors=solids.edges, linewidths=0.35,
                              zorder=style.BARS, gid="solids")  # fmt: skip
     ax.add_collection3d(faces, autolim=False)
@@ -76,10 +76,11 @@ def picture(subject: Subject, ax: Any) -> Axes:
 def _positions(ax: Any, subject: Subject) -> list[Array]:
     """Draw earlier positions faintly, further configurations in colours and dashes of their own; their points."""
     drawn = []
+    thick = 3.0 if subject.options.motion else 1.6
     for k, old in enumerate(subject.ghosts):
         for link, line in symbols.lines(old):
             drawn.append(line)
-            ax.plot(*line.T, color=style.link_colour(link.number), alpha=0.3, lw=1.6, zorder=style.GHOSTS,
+            ax.plot(*line.T, color=style.link_colour(link.number), alpha=0.3, lw=thick, zorder=style.GHOSTS,
                     gid=f"ghost{k}:{link.name}")  # fmt: skip
     for k, other in enumerate(subject.others, 1):
         for link, line in symbols.lines(other):
