@@ -99,6 +99,8 @@ Axis = Annotated[str | None, option("--axis", "Axis of the tool for the last two
 Hold = Annotated[
     list[str] | None, option("--hold", "Hold a joint of a redundant chain; can be repeated.", "NAME=VALUE", _ALL)
 ]
+PICTURES = (".png", ".svg", ".pdf")
+Picture = Annotated[Path | None, option("--plot", "Draw a .png, .svg or .pdf file (needs matplotlib).", "FILE")]
 
 
 # ---- what all commands share
@@ -182,3 +184,18 @@ def written_to(out: Path | None, option: Path | None) -> Path:
 def say_written(out: Path, json: bool) -> None:
     """Say which file was written."""
     print_json({"written": str(out)}) if json else print(f"written to {out}")
+
+
+def picture(path: Path | None) -> None:
+    """Refuse a picture that cannot be written, before any work."""
+    if path is None:
+        return
+    if path.suffix.lower() not in PICTURES:
+        raise InputError(f"{path}: pictures are .png, .svg or .pdf files")
+    writable(path)
+    import kempe.views.drawing  # noqa: F401  it refuses where matplotlib is missing
+
+
+def save_picture(axes: Any, path: Path) -> None:
+    """Write the figure of these axes to a file."""
+    axes.figure.savefig(path, dpi=200, bbox_inches="tight")

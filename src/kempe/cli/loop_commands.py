@@ -22,6 +22,7 @@ from kempe.cli.app import (
     Json,
     Lenient,
     Out,
+    Picture,
     Posture,
     Root,
     TimeLimit,
@@ -29,10 +30,11 @@ from kempe.cli.app import (
     app,
     load,
     option,
+    picture,
     remark,
     results,
+    save_picture,
     say_written,
-    writable,
     written_to,
 )
 from kempe.errors import InputError
@@ -42,8 +44,6 @@ if TYPE_CHECKING:
     from kempe.analysis.continuation.path import Path as Motion
     from kempe.model.system import System
     from kempe.solvers.assembly.assembled import Assembly
-
-PICTURES = (".png", ".svg", ".pdf")
 
 Known = Annotated[
     list[str] | None,
@@ -63,7 +63,6 @@ Where = Annotated[
 Near = Annotated[
     str | None, option("--start,--near", "Where the search starts: a posture or values, as --q of fk.", "START")
 ]
-Picture = Annotated[Path | None, option("--plot", "Draw a .png, .svg or .pdf file (needs matplotlib).", "FILE")]
 Curves = Annotated[list[str] | None, option("--frame", "Frame whose curve is wanted; can be repeated.", "NAME")]
 Marks = Annotated[list[str] | None, option("--frame", "Body or frame whose axes are drawn; can be repeated.", "NAME")]
 Tolerance = Annotated[
@@ -314,21 +313,6 @@ def _open(closing: Assembly, deg: bool, json: bool) -> NoReturn:
 
     print_json(facts.answer_facts(closing, deg)) if json else show(loop_report.assembly(closing, deg))
     raise typer.Exit(INCOMPLETE)
-
-
-def picture(path: Path | None) -> None:
-    """Refuse a picture that cannot be written, before any work."""
-    if path is None:
-        return
-    if path.suffix.lower() not in PICTURES:
-        raise InputError(f"{path}: pictures are .png, .svg or .pdf files")
-    writable(path)
-    import kempe.views.drawing  # noqa: F401  it refuses where matplotlib is missing
-
-
-def save_picture(axes: Any, path: Path) -> None:
-    """Write the figure of these axes to a file."""
-    axes.figure.savefig(path, dpi=200, bbox_inches="tight")
 
 
 def _resampled(path: Motion, points: int, budget: Budget) -> Motion:

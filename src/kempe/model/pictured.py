@@ -31,6 +31,19 @@ class Pictured:
         return plot(cast("System", self), q, path=path, **options)
 
     @explained
+    def plot_tree(self, ax: Axes | None = None) -> Axes:
+        """Matplotlib axes with the tree of bodies and joints; see `kempe.views.overviews.plot_tree`."""
+        from kempe.views.overviews import plot_tree
+
+        return plot_tree(cast("System", self), ax)
+
+    def _repr_html_(self) -> str:
+        """The system in a notebook: a picture, its freedoms, its tree."""
+        from kempe.views.overviews import notebook_page
+
+        return notebook_page(cast("System", self))
+
+    @explained
     def plot_spaces(
         self, frame: FrameLike, *, points: ArrayLike = (), ax: Any = None, resolution: int = 240
     ) -> tuple[Axes, Axes]:  # fmt: skip

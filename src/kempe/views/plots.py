@@ -69,6 +69,12 @@ def plot(system: System, q: Any = None, *, path: Any = None, **options: Any) -> 
     return _side_by_side(drawing, subjects)
 
 
+def bare(system: System) -> Axes:
+    """Axes with the system as it is drawn by default, in a figure of their own that nothing else knows of."""
+    subject = _subject(system, _usual(system, None)[None], None, None, (), PlotOptions(), ())
+    return _drawing(system).picture(subject, None, make=page.bare_figure)
+
+
 def _drawing(system: System) -> Any:
     """The module that draws systems of this dimension."""
     from kempe.views.drawing import plane, space

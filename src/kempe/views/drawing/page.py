@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import sys
+import warnings
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,9 +31,10 @@ def new_figure(width: float = 6.4, height: float = 4.8) -> Figure:
     """
     if "matplotlib.pyplot" not in sys.modules and not _in_notebook():
         return bare_figure(width, height)
-    from matplotlib import pyplot, rc_context
+    from matplotlib import pyplot
 
-    with rc_context({"figure.max_open_warning": 0}):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # that many figures are open
         return pyplot.figure(figsize=(width, height), facecolor="white")
 
 
@@ -66,7 +69,9 @@ def limits(sheet: Sheet, room: float = 4.0) -> tuple[Array, Array]:
     return lower, upper
 
 
-def figure_for(span: Array, with_axes: bool, above: float = 0.0) -> Axes:
+def figure_for(
+    span: Array, with_axes: bool, above: float = 0.0, make: Callable[..., Figure] = new_figure
+) -> Axes:  # fmt: skip
     """Axes in a new figure whose shape suits a drawing of a span (2,) in metres, with some inches left above it."""
     width = WIDTH[1] - 0.7 * with_axes
     height = width * span[1] / span[0]
@@ -77,7 +82,7 @@ def figure_for(span: Array, with_axes: bool, above: float = 0.0) -> Axes:
     right, top = 0.12, 0.12 + above
     w, h = width + left + right, height + bottom + top
     rect: Any = (left / w, bottom / h, width / w, height / h)
-    return new_figure(w, h).add_axes(rect)
+    return make(w, h).add_axes(rect)
 
 
 def finish(sheet: Sheet, lower: Array, upper: Array, with_axes: bool) -> None:

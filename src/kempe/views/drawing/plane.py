@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,15 +18,20 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-def picture(subject: Subject, ax: Any, bounds: tuple[Array, Array] | None = None) -> Axes:
-    """Axes with the subject; `bounds` are its lower left and upper right corner (2,), where they are not its own."""
+def picture(
+    subject: Subject, ax: Any, bounds: tuple[Array, Array] | None = None, make: Callable[..., Any] = page.new_figure
+) -> Axes:  # fmt: skip
+    """Axes with the subject; `bounds` are its lower left and upper right corner (2,), where they are not its own.
+
+    Without `ax` the figure is made by `make`.
+    """
     if ax is not None and hasattr(ax, "get_zlim"):
         raise InputError("ax is in space; a planar system needs plain axes")
     radius = planar.pin_radius(subject.scene)
     if ax is None:  # the extent of the drawing decides the shape of the figure
         lower, upper = extent(subject)
         lines = subject.parameter_text().count("\n") + 1 if subject.parameter_text() else 0
-        ax = page.figure_for(upper - lower, bool(subject.curves), 0.16 * lines)
+        ax = page.figure_for(upper - lower, bool(subject.curves), 0.16 * lines, make)
     sheet = Sheet(ax, subject.scene, radius, subject.way)
     drawn(sheet, subject)
     lower, upper = page.limits(sheet) if bounds is None else bounds

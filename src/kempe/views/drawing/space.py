@@ -5,6 +5,7 @@ All solids are one collection of faces, so that matplotlib sorts them by depth t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,14 +26,14 @@ VIEWS = [(float(elev), float(azim)) for elev in (22, 32) for azim in range(-75, 
 """Elevations and azimuths [degrees] among which the one is taken that keeps the points furthest apart."""
 
 
-def picture(subject: Subject, ax: Any) -> Axes:
+def picture(subject: Subject, ax: Any, make: Callable[..., Any] = page.new_figure) -> Axes:
     """Axes in space with the scene, the curves (n, 3) by frame, and other positions as lines.
 
-    Frames are marked: by a dot on their curve, or by their axes.
+    Frames are marked: by a dot on their curve, or by their axes. Without `ax` the figure is made by `make`.
     """
     own = ax is None
     if own:
-        ax = page.new_figure().add_axes((0.0, 0.0, 1.0, 1.0), projection="3d")
+        ax = make().add_axes((0.0, 0.0, 1.0, 1.0), projection="3d")
     elif not hasattr(ax, "get_zlim"):
         raise InputError("ax is flat; a system in space needs axes with projection='3d'")
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection

@@ -15,7 +15,7 @@ from kempe.views.drawing.solids import Solids, flat_hull
 from kempe.views.drawing.style import DRIVER, GROUND, INK, OPEN, WRONG
 
 OF_SIZE, OF_LINK, LEAST = 0.02, 0.13, 0.0125
-"""Radius of a hinge: as part of the whole drawing, at most as part of a short link, at least of the drawing."""
+"""Radius of a hinge: as part of the drawing, at most as part of a short link, at least of the drawing."""
 DETOUR = 1.76
 """How much longer the way along two axes and their common normal may be than the straight one: sqrt(3) and a bit."""
 LINK = 0.5
@@ -122,7 +122,7 @@ def lines_of(scene: Scene, link: SeenLink) -> list[Array]:
             near = hub[-1]
         out.append(np.array([near, p]))
     least = 1e-9 * scene.size
-    out = [line for line in out if float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()) > least]
+    out = [line for line in out if np.linalg.norm(np.diff(line, axis=0), axis=1).sum() > least]
     if not out and len(joints) == 1 and not link.particle:  # nothing but its joint: a handle along x shows it
         X = next(iter(link.bodies.values()))
         out.append(np.stack([X[:3, 3], X[:3, 3] + HANDLE * radius(scene) * X[:3, 0]]))
@@ -224,9 +224,6 @@ def _mark(solids: Solids, name: str, p: Array, r: float) -> None:
         normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
         solids.face(name, corners, normal / np.linalg.norm(normal), fill, edge=GROUND)
     solids.plate(name, base + 2.4 * r * square, style.mix(GROUND, style.PAPER, 0.2), 0.45, GROUND)
-
-
-# ---- joints
 
 
 def _tone(link: int) -> str:
@@ -332,7 +329,8 @@ def _universal(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str
         for end, sign in ((a, -1.0), (b, 1.0)):
             solids.tube(f"joint:{j.name}", end, end + 0.35 * sign * r * arm, 0.62 * r, tint, 1, edge=INK)
             solids.tube(f"fork:{j.name}", end, end + back, 0.33 * r, tint, 2, edge=INK)
-        solids.tube(f"fork:{j.name}", a + back - 0.3 * r * arm, b + back + 0.3 * r * arm, 0.33 * r, tint, 2, edge=INK)
+        more = 0.3 * r * arm
+        solids.tube(f"fork:{j.name}", a + back - more, b + back + more, 0.33 * r, tint, 2, edge=INK)
     solids.ball(f"joint:{j.name}", j.centre, 0.7 * r, colour)
 
 
@@ -382,9 +380,8 @@ SYMBOLS: dict[str, Callable[[Solids, Scene, SeenJoint, float, str, Array | None]
 
 
 def _turning_arrow(solids: Solids, j: SeenJoint, r: float) -> None:
-    x, y = j.F[:3, 0], j.F[:3, 1]
-    angles = np.linspace(0.0, np.deg2rad(235.0), 22)
-    circle = np.cos(angles)[:, None] * x + np.sin(angles)[:, None] * y
+    angles = np.linspace(0.0, np.deg2rad(235.0), 22)[:, None]
+    circle = np.cos(angles) * j.F[:3, 0] + np.sin(angles) * j.F[:3, 1]
     solids.arrow(f"driver:{j.name}", j.centre + 2.2 * r * circle, 0.2 * r, DRIVER)
 
 
