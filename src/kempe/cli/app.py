@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import typer
 
 from kempe import __version__
@@ -101,6 +102,7 @@ Hold = Annotated[
 ]
 PICTURES = (".png", ".svg", ".pdf")
 Picture = Annotated[Path | None, option("--plot", "Draw a .png, .svg or .pdf file (needs matplotlib).", "FILE")]
+Film = Annotated[Path | None, option("--gif,--html,--mp4", "Write the motion as a .gif, .html or .mp4 file.", "FILE")]
 
 
 # ---- what all commands share
@@ -199,3 +201,28 @@ def picture(path: Path | None) -> None:
 def save_picture(axes: Any, path: Path) -> None:
     """Write the figure of these axes to a file."""
     axes.figure.savefig(path, dpi=200, bbox_inches="tight")
+
+
+def film(path: Path | None) -> None:
+    """Refuse a moving picture that cannot be written, before any work."""
+    if path is None:
+        return
+    from kempe.views.films import film_file
+
+    film_file(path)
+    writable(path)
+
+
+def drawn(answer: Any, plot: Path | None, film: Path | None = None, **options: Any) -> list[Path]:
+    """Draw an answer, and its configurations as a moving picture, where there are files for these; those written."""
+    files = [path for path in (plot, film) if path is not None]
+    if not np.isfinite(answer.q).any():
+        for path in files:
+            remark(f"{path} is not written: there is no configuration to draw")
+        return []
+    if plot is not None:
+        axes = answer.plot(**options)
+        save_picture(axes[0] if isinstance(axes, tuple) else axes, plot)
+    if film is not None:
+        answer.animate(film, frames=options.get("frames", ()))
+    return files

@@ -11,6 +11,8 @@ from kempe.model.compiled_system import FrameLike
 from kempe.model.plot_options import PlotOptions
 
 if TYPE_CHECKING:
+    from pathlib import Path as FilePath
+
     from matplotlib.axes import Axes
 
     from kempe.model.system import System
@@ -29,6 +31,16 @@ class Pictured:
         from kempe.views.plots import plot
 
         return plot(cast("System", self), q, path=path, **options)
+
+    @explained
+    def animate(
+        self, path: Any, file: str | FilePath, *, frames: Any = (), labels: Any = False, seconds: float = 4.0,
+        fps: float = 15.0,
+    ) -> FilePath:  # fmt: skip
+        """Write a motion as a moving picture (.gif, .mp4, .html); see `kempe.views.films.animate`."""
+        from kempe.views.films import animate
+
+        return animate(cast("System", self), path, file, frames=frames, labels=labels, seconds=seconds, fps=fps)
 
     @explained
     def plot_tree(self, ax: Axes | None = None) -> Axes:

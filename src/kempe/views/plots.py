@@ -54,16 +54,16 @@ def plot(system: System, q: Any = None, *, path: Any = None, **options: Any) -> 
     chosen = PlotOptions(**options)
     if path is None and getattr(q, "is_motion", False):
         q, path = None, q
-    way, drivers = _path(system, path)
+    way, drivers = motion_of(system, path)
     several, titles = _configurations(system, q, way)
     titles = tuple(listed(chosen.titles, "titles")) or titles
-    subjects = [_subject(system, several[:1], way, path, drivers, chosen, titles)]
+    subjects = [subject_of(system, several[:1], way, path, drivers, chosen, titles)]
     if len(several) > 1 and chosen.side_by_side:
-        subjects = [_subject(system, x[None], way, path, drivers, chosen, titles[k : k + 1])
+        subjects = [subject_of(system, x[None], way, path, drivers, chosen, titles[k : k + 1])
                     for k, x in enumerate(several)]  # fmt: skip
     elif len(several) > 1:
-        subjects = [_subject(system, several, way, path, drivers, chosen, titles)]
-    drawing = _drawing(system)
+        subjects = [subject_of(system, several, way, path, drivers, chosen, titles)]
+    drawing = drawing_of(system)
     if not chosen.side_by_side:
         return drawing.picture(subjects[0], chosen.ax)
     return _side_by_side(drawing, subjects)
@@ -71,18 +71,18 @@ def plot(system: System, q: Any = None, *, path: Any = None, **options: Any) -> 
 
 def bare(system: System) -> Axes:
     """Axes with the system as it is drawn by default, in a figure of their own that nothing else knows of."""
-    subject = _subject(system, _usual(system, None)[None], None, None, (), PlotOptions(), ())
-    return _drawing(system).picture(subject, None, make=page.bare_figure)
+    subject = subject_of(system, _usual(system, None)[None], None, None, (), PlotOptions(), ())
+    return drawing_of(system).picture(subject, None, make=page.bare_figure)
 
 
-def _drawing(system: System) -> Any:
+def drawing_of(system: System) -> Any:
     """The module that draws systems of this dimension."""
     from kempe.views.drawing import plane, space
 
     return space if system.dim == 3 else plane
 
 
-def _subject(
+def subject_of(
     system: System, several: Array, way: Array | None, path: Any, drivers: tuple[str, ...], options: PlotOptions,
     titles: tuple[str, ...],
 ) -> Subject:  # fmt: skip
@@ -99,7 +99,7 @@ def _subject(
     return Subject(
         system, scene, options, tuple(look(system, x, drivers) for x in several[1:]), titles,
         tuple(look(system, x) for x in earlier), way, curves, {n: fk(system, q, n) for n in names},
-        {n: fk(system, q, n) for n in axes}, _workspace(system, options), units(system),
+        {n: fk(system, q, n) for n in axes}, _workspace(system, options), units=units(system),
     )  # fmt: skip
 
 
@@ -123,8 +123,7 @@ def _side_by_side(drawing: Any, subjects: list[Subject]) -> tuple[Axes, ...]:
             figure.add_subplot(1, len(subjects), k + 1, projection="3d") for k in range(len(subjects))]  # fmt: skip
         bounds: Any = [()] * len(subjects)
     else:
-        corners = [drawing.extent(s) for s in subjects]
-        bounds = [((np.min([c[0] for c in corners], axis=0), np.max([c[1] for c in corners], axis=0)),)] * len(subjects)
+        bounds = [(drawing.bounds_of(subjects),)] * len(subjects)
         span = bounds[0][0][1] - bounds[0][0][0]
         height = float(np.clip(4.2 * span[1] / span[0], 1.8, 5.0))
         axes = page.new_figure(4.2 * len(subjects), height + 0.5).subplots(1, len(subjects)) if own is None else own
@@ -224,7 +223,7 @@ def _usual(system: System, configurations: Array | None) -> Array:
     return finite[int(np.argmin(distance(system, finite, q)))]
 
 
-def _path(system: System, path: Any) -> tuple[Array | None, tuple[str, ...]]:
+def motion_of(system: System, path: Any) -> tuple[Array | None, tuple[str, ...]]:
     """Configurations (n, nq) of a path or None, and the joints that its `.driver` names."""
     if path is None:
         return None, ()

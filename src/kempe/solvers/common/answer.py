@@ -124,6 +124,10 @@ class Answer(Result, Tabular):
         """Matplotlib axes with its configurations, or its motion, with the options of `System.plot`."""
         return self.system.plot(self, **options)
 
+    def animate(self, file: Any, **options: Any) -> Any:
+        """Write its configurations as a moving picture (.gif, .mp4, .html), with the options of `System.animate`."""
+        return self.system.animate(self, file, **options)
+
     def table(self) -> tuple[list[str], Array]:
         """Names and columns (n, nq) for a file: the coordinates of each row of `q`, in radians and metres."""
         return list(self.system.coordinate_names), np.reshape(self.q, (-1, self.system.nq))

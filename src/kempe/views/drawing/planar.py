@@ -41,6 +41,8 @@ class Sheet:
     """Text, point, clearance and text properties: they are placed when everything else is drawn."""
     arcs: list[Array] = field(default_factory=list)
     """Where angles are measured."""
+    steady: bool = False
+    """Whether it is a frame of a motion: symbols then keep their side."""
 
     def patch(self, path: Path, gid: str, layer: float, **how: Any) -> None:
         """Draw an outline."""
@@ -223,7 +225,7 @@ def _down(sheet: Sheet, p: Array) -> Array:
         where = p + np.outer(np.linspace(1.5, style.GROUND_HEIGHT + style.HATCH, 6), d) * sheet.r
         where = where[:, None] + np.outer(np.linspace(-1.2, 1.2, 5), along) * sheet.r
         cost = float((sheet.obstacles.covered(where) > 0.5).mean()) + dislike
-        if cost < least:
+        if cost < least and not sheet.steady:
             best, least = d, cost
     return best
 
@@ -339,7 +341,7 @@ def _driver(sheet: Sheet, joint: SeenJoint) -> None:
         line = c + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
         up = 0.15 * np.sin(start + sweep / 2)
         costs.append((float(sheet.obstacles.covered(line).mean()) - up, start))
-    start = min(costs)[1]
+    start = 0.6 if sheet.steady else min(costs)[1]
     line, head = shapes.arc(c, radius, start, start + sweep, 1.5 * r)
     sheet.line(line, gid, style.ARROWS, color=DRIVER, lw=1.7, solid_capstyle="butt")
     sheet.patch(head, f"{gid}:head", style.ARROWS, **look)

@@ -27,18 +27,32 @@ def picture(
     """
     if ax is not None and hasattr(ax, "get_zlim"):
         raise InputError("ax is in space; a planar system needs plain axes")
-    radius = planar.pin_radius(subject.scene)
+    radius = subject.radius or planar.pin_radius(subject.scene)
     if ax is None:  # the extent of the drawing decides the shape of the figure
         lower, upper = extent(subject)
         lines = subject.parameter_text().count("\n") + 1 if subject.parameter_text() else 0
         ax = page.figure_for(upper - lower, bool(subject.curves), 0.16 * lines, make)
-    sheet = Sheet(ax, subject.scene, radius, subject.way)
+    sheet = Sheet(ax, subject.scene, radius, subject.way, steady=subject.radius is not None)
     drawn(sheet, subject)
     lower, upper = page.limits(sheet) if bounds is None else bounds
     page.finish(sheet, lower, upper, bool(subject.curves))
     if subject.parameter_text():
         ax.set_title(subject.parameter_text(), loc="left", size=style.FONT - 1, color=style.INK, pad=3.0)
     return ax
+
+
+def bounds_of(subjects: list[Subject]) -> tuple[Array, Array]:
+    """Lower left and upper right corner (2,) of several drawings together."""
+    corners = [extent(s) for s in subjects]
+    return np.min([c[0] for c in corners], axis=0), np.max([c[1] for c in corners], axis=0)
+
+
+usual_radius = planar.pin_radius
+
+
+def empty(subject: Subject, bounds: tuple[Array, Array], make: Callable[..., Any]) -> Axes:
+    """Axes without a drawing, in a figure whose shape suits these bounds."""
+    return page.figure_for(bounds[1] - bounds[0], bool(subject.curves), make=make)
 
 
 def extent(subject: Subject) -> tuple[Array, Array]:

@@ -26,10 +26,39 @@ VIEWS = [(float(elev), float(azim)) for elev in (22, 32) for azim in range(-75, 
 """Elevations and azimuths [degrees] among which the one is taken that keeps the points furthest apart."""
 
 
-def picture(subject: Subject, ax: Any, make: Callable[..., Any] = page.new_figure) -> Axes:
+def bounds_of(subjects: list[Subject]) -> tuple[Array, tuple[float, float]]:
+    """Points (n, 3) that several drawings together hold, and the view of the first."""
+    points = [p for s in subjects for scene in (s.scene, *s.others) for p in _solid_points(scene)]
+    points += [c[np.isfinite(c).all(axis=1)] for s in subjects[:1] for c in s.curves.values()]
+    return np.concatenate([p for p in points if len(p)]), _view(subjects[0].scene)
+
+
+def _solid_points(scene: Scene) -> list[Array]:
+    """The corners of everything that is drawn of a scene."""
+    solids = Solids()
+    symbols.build(solids, scene, symbols.radius(scene), None)
+    return solids.faces
+
+
+usual_radius = symbols.radius
+
+
+def empty(subject: Subject, bounds: tuple[Array, tuple[float, float]], make: Callable[..., Any]) -> Axes:
+    """Axes without a drawing, in a figure whose shape suits these bounds."""
+    ax = make().add_axes((0.0, 0.0, 1.0, 1.0), projection="3d")
+    _frame(ax, bounds[0], *bounds[1])
+    _fit(ax)
+    return ax
+
+
+def picture(
+    subject: Subject, ax: Any, bounds: tuple[Array, tuple[float, float]] | None = None,
+    make: Callable[..., Any] = page.new_figure,
+) -> Axes:  # fmt: skip
     """Axes in space with the scene, the curves (n, 3) by frame, and other positions as lines.
 
     Frames are marked: by a dot on their curve, or by their axes. Without `ax` the figure is made by `make`.
+    `bounds` are points (n, 3) and the view for which the axes are made already, by `empty`.
     """
     own = ax is None
     if own:
@@ -40,7 +69,7 @@ def picture(subject: Subject, ax: Any, make: Callable[..., Any] = page.new_figur
 
     ax.computed_zorder = False
     scene, solids = subject.scene, Solids()
-    radius = symbols.radius(scene)
+    radius = subject.radius or symbols.radius(scene)
     skeleton = symbols.build(solids, scene, radius, subject.way)
     if subject.options.motion:
         for joint in scene.joints:
@@ -62,8 +91,9 @@ def picture(subject: Subject, ax: Any, make: Callable[..., Any] = page.new_figur
     all_points += [p[None] for p, _, _ in angles]
     if not any(len(p) for p in all_points):  # nothing moves and nothing is named
         all_points.append(np.zeros((1, 3)))
-    elev, azim = _view(scene)
-    _frame(ax, np.concatenate(all_points), elev, azim)
+    elev, azim = _view(scene) if bounds is None else bounds[1]
+    if bounds is None:
+        _frame(ax, np.concatenate(all_points), elev, azim)
     if own:
         _fit(ax)
     skeleton += [np.stack([e[0], tip]) for e in ends for tip in e[1:]]

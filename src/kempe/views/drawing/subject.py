@@ -35,6 +35,8 @@ class Subject:
     axes: dict[str, Array] = field(default_factory=dict)
     """Poses (4, 4) of the frames whose axes are drawn with their names."""
     workspace: Any = None
+    radius: float | None = None
+    """Radius [m] of a pin, the same in all frames of a motion; None: as suits the scene."""
     units: dict[str, str] = field(default_factory=dict)
     """The unit of each coordinate."""
 
