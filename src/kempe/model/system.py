@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from kempe.calls import explained
 from kempe.model.compiled_system import Compiled, FrameLike
 from kempe.model.former_names import FormerNames
+from kempe.model.pictured import Pictured
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ ARRAY = np.ndarray
 """Looked up once: bound calls take four microseconds."""
 
 
-class System(Compiled, FormerNames):
+class System(Compiled, Pictured, FormerNames):
     """A multibody system, compiled from a `Mechanism`: spanning tree, loop closures, coordinates, primitive table.
 
     Frozen, hashable by content, picklable, safe to share between threads. A configuration `q` is an array (..., nq) in
