@@ -35,7 +35,7 @@ FOLDERS: dict[str, list[set[str]]] = {
     "analysis": [{"first_order"}, {"local"}, {"mobility"}, {"continuation"}, {"motion"}, {"manoeuvre"}, {"simulation"},
                  {"spaces"}],
     "analysis.spaces": [{"configuration", "planar", "singular", "workspace"}, {"reach"}],
-    "views": [{"drawing"}, {"."}, {"input"}],
+    "views": [{"drawing"}, {"."}, {"input", "viewer"}],
 }  # fmt: skip
 """In each package the order of its folders, and of single modules that stand apart; "." is what lies in no folder.
 
@@ -53,8 +53,7 @@ LARGEST_FOLDER = 14
 
 UPWARD = {
     ("description/mechanism.py", "build"), ("model/system.py", "*"), ("model/namespaces.py", "*"),
-    ("model/pictured.py", "*"),
-    ("model/former_names.py", "found"), ("analysis/spaces/workspace/workspace.py", "plot"),
+    ("model/pictured.py", "*"), ("model/former_names.py", "found"), ("analysis/spaces/workspace/workspace.py", "plot"),
 }  # fmt: skip
 """Functions that import upwards inside their bodies: the builder's last step, and the map of the library."""
 

@@ -184,6 +184,11 @@ def plot_path(
     return ax
 
 
+def configuration_of(system: System, q: Any, way: Array | None = None) -> Array:
+    """The configuration (nq,) that is drawn for what `plot` takes as `q`: of several the first."""
+    return _configurations(system, q, way)[0][0]
+
+
 def _configurations(system: System, q: Any, way: Array | None) -> tuple[Array, tuple[str, ...]]:
     """Configurations (k, nq) that are drawn, and their names, if they have any."""
     if q is None:

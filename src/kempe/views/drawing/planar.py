@@ -386,7 +386,7 @@ def mark(sheet: Sheet, name: str, X: Array, labels: bool) -> None:
 
 def _joint_labels(sheet: Sheet, groups: list[tuple[Array, list[SeenJoint]]], texts: dict[str, str]) -> None:
     for c, joints in groups:
-        names = ", ".join(texts[j.name] for j in joints if texts[j.name])
+        names = ", ".join(texts[j.name] for j in joints if texts.get(j.name))
         if not names:
             continue
         slides = any(j.kind == "prismatic" for j in joints)
