@@ -82,6 +82,7 @@ class Viewer:
 
     @q.setter
     def q(self, q: Any) -> None:
+        """Put all pages at a configuration (nq,) or dict. Errors: `InputError`."""
         with self.lock:
             for session in {id(s): s for s in (self.session, *(p.session for p in self.pages.values()))}.values():
                 session.put(q)
@@ -106,7 +107,7 @@ class Viewer:
             page.close()
 
     def wait(self) -> None:
-        """Wait until the page is closed; Ctrl-C closes it."""
+        """Hold the program until the page is closed; Ctrl-C closes it."""
         try:
             while not self._closed.wait(0.2):
                 pass

@@ -53,7 +53,7 @@ class Page:
     # ---- events
 
     def post(self, key: str, action: Callable[[], Any]) -> None:
-        """Have an action done after those that wait, in place of one with the same key."""
+        """Append an action to those that wait, in place of one with the same key."""
         with self.ready:
             if not self.waiting:
                 self.arrived = time.perf_counter()
@@ -94,7 +94,7 @@ class Page:
             slow = True
 
     def show(self) -> None:
-        """Send what the session is now, at once."""
+        """Show what the session is now, at once."""
         session = self.session
         if self.revision != session.revision:
             self._make_sliders()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.errors import InputError
+from kempe.errors import InputError, shown
 from kempe.reals import reals
 from kempe.views.viewer.live import HOST, quiet, viser
 from kempe.views.viewer.scene_nodes import Drawn, Nodes
@@ -32,6 +32,8 @@ def save_html(system: System, file: Any, q: Any = None, *, path: Any = None, sec
     has them as `.q`, played over and over in `seconds`. Sliders and targets need the live page: `System.show`. Errors:
     `InputError` for shapes, an ending that is not .html, and a folder that does not exist.
     """
+    if not isinstance(file, (str, Path)):
+        raise InputError(f"file is {shown(file)}; it must be the name of a file")
     out = Path(file)
     if out.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{out}: a page ends in .html")

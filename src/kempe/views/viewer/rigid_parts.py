@@ -39,7 +39,7 @@ OWN = ("cylinder", "neck", "rail", "rod", "line", "slot", "ground", "hatch")
 """Beginnings of names of what moves with no link, and stays with the first of its two."""
 
 
-class Piece(NamedTuple):
+class DrawnPiece(NamedTuple):
     """Triangles (m, 3) over corners (n, 3) with a name, of one colour (4,): red, green, blue, alpha from 0 to 1."""
 
     name: str
@@ -52,14 +52,14 @@ class Piece(NamedTuple):
 class SolidRecord(Solids):
     """Solids as pieces, without light: the page has its own."""
 
-    pieces: list[Piece] = field(default_factory=list)
+    pieces: list[DrawnPiece] = field(default_factory=list)
 
     def face(self, name: str, corners: Array, normal: Array, colour: str, alpha: float = 1.0, edge: str = "") -> None:
         """Add a flat convex face with its outward normal, seen from both sides where it can be looked through."""
         turned = normal @ np.cross(corners[1] - corners[0], corners[-1] - corners[0]) < 0.0
         fan = _fan(len(corners))[:, :: -1 if turned else 1]
         both = fan if alpha == 1.0 else np.concatenate([fan, fan[:, ::-1]])
-        self.pieces.append(Piece(name, np.array(corners), both, (*rgb(colour), alpha)))
+        self.pieces.append(DrawnPiece(name, np.array(corners), both, (*rgb(colour), alpha)))
 
 
 class SheetRecord(planar.Sheet):
@@ -67,7 +67,7 @@ class SheetRecord(planar.Sheet):
 
     def __init__(self, scene: Scene, r: float, configurations: Array | None):
         super().__init__(None, scene, r, configurations)  # type: ignore[arg-type]
-        self.pieces: list[Piece] = []
+        self.pieces: list[DrawnPiece] = []
 
     def patch(self, path: Path, gid: str, layer: float, **how: Any) -> None:
         """Add an outline, filled and with its line."""
@@ -102,7 +102,7 @@ class SheetRecord(planar.Sheet):
     def _add(self, gid: str, corners: Array, triangles: np.ndarray, layer: float, colour: Any) -> None:
         above = np.full((len(corners), 1), THICK * self.r * layer)
         both = np.concatenate([triangles, triangles[:, ::-1]])
-        self.pieces.append(Piece(gid, np.concatenate([corners, above], axis=1), both, colour))
+        self.pieces.append(DrawnPiece(gid, np.concatenate([corners, above], axis=1), both, colour))
 
 
 def _fan(n: int) -> np.ndarray:
@@ -119,7 +119,7 @@ def _rgba(colour: Any) -> tuple[float, float, float, float]:
 
 
 @dataclass(frozen=True)
-class Part:
+class RigidPart:
     """Triangles (m, 3) over corners (n, 3) in the frame of carrier `carrier`, a colour (m, 4) each."""
 
     carrier: int
@@ -158,17 +158,17 @@ class RigidParts:
                          for rod in self.rods], axis=-3)  # fmt: skip
         return np.concatenate([links, _of_ends(ends)], axis=-3)
 
-    def _parts(self, scene: Scene) -> list[Part]:
+    def _parts(self, scene: Scene) -> list[RigidPart]:
         system, q = self.system, scene.q
         rng = np.random.default_rng(0)
         other = integrate(system, q, APART * rng.choice([-1.0, 1.0], system.nv) * rng.uniform(0.5, 1.0, system.nv))
         first = [p for p in self._record(scene) if not p.name.startswith("open:")]
-        second: dict[str, list[Piece]] = {}
+        second: dict[str, list[DrawnPiece]] = {}
         for piece in self._record(look(system, other)):
             second.setdefault(piece.name, []).append(piece)
         X, Y = self.poses(q), self.poses(other)
         X_inv = np.linalg.inv(X)
-        held: dict[tuple[int, bool], list[Piece]] = {}
+        held: dict[tuple[int, bool], list[DrawnPiece]] = {}
         count: dict[str, int] = {}
         for piece in first:
             k = count.get(piece.name, 0)
@@ -180,7 +180,7 @@ class RigidParts:
             held.setdefault((carrier, piece.colour[3] < 1.0), []).append(piece._replace(corners=local))
         return [_joined(carrier, pieces) for (carrier, _), pieces in sorted(held.items(), key=lambda x: x[0])]
 
-    def _record(self, scene: Scene) -> list[Piece]:
+    def _record(self, scene: Scene) -> list[DrawnPiece]:
         lengths = [i for i, unit in enumerate(_is_length(self.system)) if unit]
         wide = np.repeat(scene.q[None], 2, axis=0)
         wide[:, lengths] += np.array([[-0.5], [0.5]]) * self.size
@@ -192,7 +192,7 @@ class RigidParts:
         symbols.build(solids, scene, self.r, wide)
         return solids.pieces
 
-    def _carrier(self, scene: Scene, piece: Piece, twin: Array | None, moved: Array) -> int:
+    def _carrier(self, scene: Scene, piece: DrawnPiece, twin: Array | None, moved: Array) -> int:
         """The number of the carrier that brings the corners of a piece to those of its twin."""
         likely = _likely(scene, piece.name, len(self.heads))
         if twin is not None:
@@ -247,8 +247,8 @@ def _is_length(system: System) -> list[bool]:
     return [unit.get(name) == "m" for name in system.coordinate_names]
 
 
-def _joined(carrier: int, pieces: Sequence[Piece]) -> Part:
+def _joined(carrier: int, pieces: Sequence[DrawnPiece]) -> RigidPart:
     first = np.cumsum([0, *(len(p.corners) for p in pieces)])
     triangles = np.concatenate([p.triangles + k for p, k in zip(pieces, first, strict=False)])
     colours = np.concatenate([np.tile(p.colour, (len(p.triangles), 1)) for p in pieces])
-    return Part(carrier, np.concatenate([p.corners for p in pieces]), triangles, colours)
+    return RigidPart(carrier, np.concatenate([p.corners for p in pieces]), triangles, colours)

@@ -12,12 +12,12 @@ from kempe.spatial import Array
 from kempe.views.drawing import style
 from kempe.views.drawing.solids import rgb
 from kempe.views.viewer.mesh_files import meshes_of
-from kempe.views.viewer.rigid_parts import Part, RigidParts
+from kempe.views.viewer.rigid_parts import RigidPart, RigidParts
 
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-GHOST = 0.28
+GHOST = 0.4
 """How much of a ghost is seen."""
 PALE = (225, 228, 232)
 """Colour of the lines of the floor."""
@@ -82,7 +82,7 @@ class Drawn:
         camera.look_at = tuple(self.rigid.middle)
 
 
-def _mesh(part: Part) -> Any:
+def _mesh(part: RigidPart) -> Any:
     """The triangles of a part as a mesh of trimesh."""
     import trimesh
 
@@ -121,14 +121,14 @@ class Nodes:
                            shadow_opacity=0.12, cell_color=PALE, section_color=PALE)  # fmt: skip
 
     def move(self, q: Array) -> None:
-        """Send the poses of all links at a configuration."""
+        """Put all links where a configuration has them."""
         quats, places = poses_as(self.drawn.rigid.poses(q))
         for k, frame in self.frames.items():
             if k:
                 frame.wxyz, frame.position = quats[k], places[k]
 
     def haunt(self, solutions: Array, clicked: Any = None) -> None:
-        """Send the other solutions (k, nq) as ghosts; `clicked` is called with the number of the one clicked."""
+        """Show the other solutions (k, nq) as ghosts; `clicked` is called with the event of a click on one."""
         if not len(solutions) and not self.ghosts:
             return
         if not self.ghosts or len(self.ghosts[0][1].batched_positions) < len(solutions):

@@ -113,11 +113,11 @@ class Session:
         self.target = None
         k, known = chart.useful.index(name), self.system.coordinate_names
         if not chart.dependent and name in known:
-            self.q = np.array(self.q)
-            self.q[known.index(name)] = value
-            self.status = ""
-            self._after()
-            return
+            q = np.array(self.q)
+            q[known.index(name)] = value
+            if judge(self.system, q):
+                self._go(q, "")
+                return
         u = chart.u(self.q)[: len(chart.useful)]
         wide = abs(value - u[k]) / (LEAD if self._units.get(name, "rad") == "rad" else LEAD * self.size)
         for x in np.linspace(u[k], value, max(1, int(np.ceil(wide))) + 1)[1:]:
@@ -132,7 +132,7 @@ class Session:
         self._after()
 
     def _choose(self) -> None:
-        """Choose independent coordinates here, unless the loops are open."""
+        """Find independent coordinates here, unless the loops are open."""
         with self._said():
             self.chart: Chart | None = independent(self.system, self.q)
             self.revision += 1
@@ -316,10 +316,7 @@ class Session:
                 self._after()
 
     def curve(self) -> Array:
-        """What the frame's origin passes: the curve (n, 3) of a motion with one freedom, else points; or of the path.
-
-        The second is told by `is_curve`.
-        """
+        """What the frame's origin passes: a line (n, 3) where `is_curve`, else points of what it reaches."""
         if self.path is not None:
             return self.system.fk(self.path, self.frame)[..., :3, 3]
         with self._said():

@@ -1,0 +1,66 @@
+"""Commands that show a system in a browser; each is a few lines over the library."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from kempe.cli.app import (
+    DESCRIBE,
+    MODELS,
+    Base,
+    Deg,
+    Dirs,
+    File,
+    Lenient,
+    Posture,
+    Root,
+    Values,
+    Xacro,
+    app,
+    load,
+    option,
+)
+from kempe.views.terminal import guarded
+
+DEMO = "panda"
+"""The model that `kempe demo` shows."""
+
+Frame = Annotated[str | None, option("--frame", "Body or frame that is dragged (the last one declared).", "NAME")]
+Port = Annotated[int | None, option("--port", "Port of the page (8080, or the next that is free).", "N")]
+NoBrowser = Annotated[bool, option("--no-browser", "Open no browser: only say where the page is.")]
+Html = Annotated[Path | None, option("-o,--html", "Write a page that opens from disk, and serve none.", "FILE")]
+
+
+@app.command(rich_help_panel=DESCRIBE)
+@guarded
+def view(
+    file: File, frame: Frame = None, q: Values = None, posture: Posture = None, deg: Deg = False, html: Html = None,
+    port: Port = None, no_browser: NoBrowser = False, base: Base = None, root: Root = None, package_dir: Dirs = None,
+    xacro: Xacro = False, lenient_limits: Lenient = False,
+) -> None:  # fmt: skip
+    """Show a system in the browser: sliders, targets to drag, all solutions. Ctrl-C ends it.
+
+    Example: kempe view panda.urdf --frame panda_hand_tcp
+    """
+    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    from kempe.views import rows
+
+    start = None if q is None and posture is None else rows.configuration(system, q, posture, deg)
+    if html is not None:
+        system.save_html(html, start)
+        print(f"{system.name} written to {html}")
+        return
+    with system.show(start, frame=frame, port=port, browser=not no_browser) as viewer:
+        print(f"{system.name}: {viewer.url} (Ctrl-C ends it)", flush=True)
+        viewer.wait()
+
+
+@app.command(rich_help_panel=MODELS)
+@guarded
+def demo(port: Port = None, no_browser: NoBrowser = False) -> None:
+    """Show a shipped arm in the browser.
+
+    Example: kempe demo
+    """
+    view(DEMO, port=port, no_browser=no_browser)
