@@ -571,6 +571,20 @@ def test_wrong_calls_say_what_is_allowed():
 # ---- coordinates over arc length
 
 
+def test_answers_draw_their_coordinates():
+    bar, arm = kempe.load("four_bar"), kempe.load("puma560")
+    path = bar.trace("A")
+    ax = path.plot_curve(["A", "D"])
+    found = artists(ax)
+    assert np.array_equal(found["coordinate:D"][0].get_xydata(), np.stack([path.s, path.values("D")], axis=1))
+    assert ax.get_xlabel() == "arc length" and "coordinate:B" not in found
+    follow = arm.ik_path(arm.fk(np.linspace(arm.mid, arm.mid + 0.1, 4), "tool"), "tool", arm.mid)
+    ax = follow.plot_curve()
+    assert ax.get_xlabel() == "row" and np.array_equal(artists(ax)["coordinate:q1"][0].get_xdata(), [0, 1, 2, 3])
+    with pytest.raises(UnknownNameError, match="no coordinate 'E'"):
+        path.plot_curve(["E"])
+
+
 def test_coordinates_over_arc_length():
     system = kempe.load("slider_crank")
     q = np.linspace(start(system), start(system) + 1.0, 6)

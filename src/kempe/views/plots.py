@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 MOST = 32
 """Configurations that one picture shows at most."""
+ALONG = {"arc length": "s", "time [s]": "t"}
+"""What coordinates are drawn over, and the attribute of a path that has it."""
 FEW, TURN, SLIDE = 3, 0.35, 0.08
 """Coordinates up to which neighbours are drawn; how far away: in radians, and in parts of the size of the drawing."""
 
@@ -147,14 +149,17 @@ def plot_path(
 ) -> Axes:  # fmt: skip
     """Axes with coordinates over the arc length of a path: angles in radians, slides in metres (dashed).
 
-    `path` is an answer with configurations `.q` (n, nq) and arc lengths `.s` (n,); its singular points are ringed, its
-    turning points dotted. `names`: the coordinates to draw, all by default. `system` is that of the path, where the
-    path has no `.system`. Errors: `InputError` for shapes, `UnknownNameError` for names.
+    `path` is an answer with configurations `.q` (n, nq) and arc lengths `.s` (n,), else times `.t` [s], else they are
+    numbered; its singular points are ringed, its turning points dotted. `names`: the coordinates to draw, all by
+    default. `system` is that of the path, where the path has no `.system`. Errors: `InputError` for shapes,
+    `UnknownNameError` for names.
     """
     system = getattr(path, "system", None) if system is None else system
     if system is None:
         raise InputError("the path does not say which system it belongs to; give it as `system`")
-    q, s = as_q(system, path.q), reals(path.s, "the arc length of the path")
+    over, along = next(((n, a) for n, a in ALONG.items() if hasattr(path, a)), ("row", ""))
+    q = as_q(system, path.q)
+    s = reals(getattr(path, along), "the arc length of the path") if along else np.arange(float(len(q)))
     if q.ndim != 2 or s.shape != q.shape[:1]:
         need = f"they must be (n, {system.nq}) and (n,)"
         raise InputError(f"path has q of shape {q.shape} and s of shape {s.shape}; {need}")
@@ -179,7 +184,7 @@ def plot_path(
     page.light_axes(ax)
     kinds = [text for u, text in (("rad", "angles [rad]"), ("m", "slides [m]")) if u in {unit[n] for n in chosen}]
     ax.set_ylabel(", ".join(kinds) or "coordinates", size=style.FONT, color=style.INK)
-    ax.set_xlabel("arc length", size=style.FONT, color=style.INK)
+    ax.set_xlabel(over, size=style.FONT, color=style.INK)
     ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=style.FONT - 1, frameon=False)
     return ax
 

@@ -124,6 +124,15 @@ class Answer(Result, Tabular):
         """Matplotlib axes with its configurations, or its motion, with the options of `System.plot`."""
         return self.system.plot(self, **options)
 
+    def plot_curve(self, names: Sequence[str] = (), ax: Any = None) -> Any:
+        """Matplotlib axes with its coordinates over arc length, time, or the numbers of its rows.
+
+        `names` are those that are drawn, all by default. Errors: `UnknownNameError`.
+        """
+        from kempe.views.plots import plot_path
+
+        return plot_path(self, names=names, ax=ax)
+
     def animate(self, file: Any, **options: Any) -> Any:
         """Write its configurations as a moving picture (.gif, .mp4, .html), with the options of `System.animate`."""
         return self.system.animate(self, file, **options)
