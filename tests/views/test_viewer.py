@@ -23,7 +23,7 @@ from kempe.views.viewer.rigid_parts import RigidParts
 CHROMIUM = next((p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None)
 SOFTWARE = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
             "--ignore-gpu-blocklist"]  # fmt: skip
-WIDE, HIGH = 720, 460
+WIDE, HIGH = 960, 400
 TALOS = "talos_data/robots/talos_reduced.urdf"
 SOON = 15.0
 DRAWN = ("panda", "four_bar", "slider_crank", "three_rpr", "watt_straight", "bennett", "stewart_sps", "car", "ball",
@@ -182,7 +182,7 @@ class Seen:
 
         from matplotlib.image import imread
 
-        shot = self.tab.screenshot(clip={"x": 150, "y": 0, "width": 240, "height": HIGH})
+        shot = self.tab.screenshot(clip={"x": 320, "y": 0, "width": 280, "height": HIGH})
         return imread(io.BytesIO(shot), format="png")[..., :3]
 
 
@@ -199,7 +199,7 @@ def systems(name: str) -> kempe.System:
 def test_sliders_and_targets_move_the_robot_and_no_request_goes_outside(browser, name):
     """By the mouse: an arrow of the gizmo, along which the frame goes, then a slider of the panel."""
     system = systems(name)
-    frame = "body" if name == "car" else None  # its front is under the panel
+    frame = "car" if name == "car" else None  # its front is under the panel
     with system.show(frame=frame, port=0, browser=False) as viewer:
         seen = Seen(browser, viewer)
         assert (seen.picture().min(axis=2) < 0.8).mean() > 0.002, "nothing is seen"
@@ -235,7 +235,7 @@ def test_a_ghost_is_clicked(browser):
         for k in range(len(solutions)):
             points = np.asarray(joints[k])[..., :3, 3]
             for a, b in zip(points[:-1], points[1:], strict=True):
-                if np.allclose(viewer.q, q) and seen.at(0.5 * (a + b))[0] < 390:
+                if np.allclose(viewer.q, q) and seen.at(0.5 * (a + b))[0] < 600:
                     seen.tab.mouse.click(*seen.at(0.5 * (a + b)))
                     seen.tab.wait_for_timeout(150)
         assert seen.until(lambda: not np.allclose(viewer.q, q)), "no ghost was hit"
