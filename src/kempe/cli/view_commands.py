@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +13,7 @@ from kempe.cli.app import (
     Deg,
     Dirs,
     File,
+    Json,
     Lenient,
     Posture,
     Root,
@@ -20,8 +22,9 @@ from kempe.cli.app import (
     app,
     load,
     option,
-)
-from kempe.views.terminal import guarded
+    say_written,
+)  # fmt: skip
+from kempe.views.terminal import guarded, print_json
 
 DEMO = "panda"
 """The model that `kempe demo` shows."""
@@ -37,7 +40,7 @@ Html = Annotated[Path | None, option("-o,--html", "Write a page that opens from 
 def view(
     file: File, frame: Frame = None, q: Values = None, posture: Posture = None, deg: Deg = False, html: Html = None,
     port: Port = None, no_browser: NoBrowser = False, base: Base = None, root: Root = None, package_dir: Dirs = None,
-    xacro: Xacro = False, lenient_limits: Lenient = False,
+    xacro: Xacro = False, lenient_limits: Lenient = False, json: Json = False,
 ) -> None:  # fmt: skip
     """Show a system in the browser: sliders, targets to drag, all solutions. Ctrl-C ends it.
 
@@ -49,18 +52,22 @@ def view(
     start = None if q is None and posture is None else rows.configuration(system, q, posture, deg)
     if html is not None:
         system.save_html(html, start)
-        print(f"{system.name} written to {html}")
+        say_written(html, json)
         return
     with system.show(start, frame=frame, port=port, browser=not no_browser) as viewer:
-        print(f"{system.name}: {viewer.url} (Ctrl-C ends it)", flush=True)
+        if json:
+            print_json({"system": system.name, "url": viewer.url})
+        else:
+            print(f"{system.name}: {viewer.url} (Ctrl-C ends it)")
+        sys.stdout.flush()
         viewer.wait()
 
 
 @app.command(rich_help_panel=MODELS)
 @guarded
-def demo(port: Port = None, no_browser: NoBrowser = False) -> None:
+def demo(port: Port = None, no_browser: NoBrowser = False, json: Json = False) -> None:
     """Show a shipped arm in the browser.
 
     Example: kempe demo
     """
-    view(DEMO, port=port, no_browser=no_browser)
+    view(DEMO, port=port, no_browser=no_browser, json=json)

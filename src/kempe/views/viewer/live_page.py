@@ -25,6 +25,8 @@ FRAMES = 30.0
 """Frames a second of a motion that is played."""
 SLOW = 4.0
 """Seconds in which a path is played."""
+SLIDE = 0.1
+"""Seconds between two updates of sliders while something else is dragged."""
 PAUSE = 0.25
 """Seconds of rest after which the slower sentences are said."""
 
@@ -43,7 +45,7 @@ class Page:
         self.revision = -1
         self.nodes = Nodes(client.scene, drawn, session.q)
         self.sliders: dict[str, Any] = {}
-        self.arrived = 0.0
+        self.arrived = self.slid = 0.0
         with client.atomic():
             self._panel(drawn)
             self._gizmo()
@@ -80,7 +82,9 @@ class Page:
                 self.arrived = time.perf_counter()
             if action is None:
                 slow = False
-                self.counted.content = self.session.mobility()
+                with self.client.atomic():
+                    self._slide()
+                    self.counted.content = self.session.mobility()
                 continue
             try:
                 with self.viewer.lock:
@@ -101,16 +105,22 @@ class Page:
         with self.client.atomic():
             self.nodes.move(session.q)
             self.nodes.haunt(session.solutions, self._clicked)
-            for slider in session.sliders:
-                handle = self.sliders.get(slider.name)
-                if handle is not None and slider.name != self.dragging and abs(handle.value - slider.value) > 1e-9:
-                    handle.value = min(max(slider.value, handle.min), handle.max)
+            if time.perf_counter() - self.slid > SLIDE:
+                self._slide()
             if self.dragging != "gizmo":
                 self.gizmo.wxyz, self.gizmo.position = poses_as(session.pose)
             self._miss()
             said = session.said()
             if self.said.content != said:
                 self.said.content = said
+
+    def _slide(self) -> None:
+        """Put the sliders where the coordinates are, but for the one that is dragged."""
+        self.slid = time.perf_counter()
+        for slider in self.session.sliders:
+            handle = self.sliders.get(slider.name)
+            if handle is not None and slider.name != self.dragging and abs(handle.value - slider.value) > 1e-9:
+                handle.value = min(max(slider.value, handle.min), handle.max)
 
     def _miss(self) -> None:
         """Draw the way from the frame to a target that it does not reach."""

@@ -102,7 +102,8 @@ class Nodes:
         self.scene, self.drawn = scene, drawn
         self.frames: dict[int, Any] = {}
         self.ghosts: list[tuple[int, Any]] = []
-        quats, places = poses_as(drawn.rigid.poses(q))
+        self.poses = drawn.rigid.poses(q)
+        quats, places = poses_as(self.poses)
         for k in sorted({s.carrier for s in drawn.shapes}):
             self.frames[k] = scene.add_frame(f"/system/{k}", show_axes=False, wxyz=quats[k], position=places[k])
         for i, (shape, file) in enumerate(zip(drawn.shapes, drawn.files, strict=True)):
@@ -122,9 +123,12 @@ class Nodes:
 
     def move(self, q: Array) -> None:
         """Put all links where a configuration has them."""
-        quats, places = poses_as(self.drawn.rigid.poses(q))
+        X = self.drawn.rigid.poses(q)
+        moved = np.abs(X - self.poses).max(axis=(-2, -1)) > 1e-12
+        self.poses = X
+        quats, places = poses_as(X)
         for k, frame in self.frames.items():
-            if k:
+            if moved[k]:
                 frame.wxyz, frame.position = quats[k], places[k]
 
     def haunt(self, solutions: Array, clicked: Any = None) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from kempe.budget import Budget
 from kempe.errors import InputError, KempeError
+from kempe.kinematics.closure_rows import evaluate
 from kempe.kinematics.configuration import as_q, distance, has_loops, mid, random
 from kempe.kinematics.measure import judge
 from kempe.solvers.assembly.charts import Chart, independent
@@ -64,6 +65,7 @@ class Session:
         self.q = np.array(configuration_of(system, q, self.path))
         self.status, self.target, self.revision, self.chart = "", None, 0, None
         self.solutions = np.empty((0, system.nq))
+        self._bare = not (has_loops(system) or system.mechanism.constraints)
         self._modes: tuple[Array, int] = np.empty((0, system.nq)), 0
         self._units, self._rng = units(system), np.random.default_rng(0)
         if q is not None and has_loops(system) and not judge(system, self.q):
@@ -115,7 +117,7 @@ class Session:
         if not chart.dependent and name in known:
             q = np.array(self.q)
             q[known.index(name)] = value
-            if judge(self.system, q):
+            if self._bare or judge(self.system, q):
                 self._go(q, "")
                 return
         u = chart.u(self.q)[: len(chart.useful)]
@@ -347,9 +349,8 @@ class Session:
     # ---- what is said
 
     def residual(self) -> float:
-        """The largest error of what the system holds, in units of what is allowed: closed up to 1."""
-        found = judge(self.system, self.q)
-        return float(np.max(found.errors, initial=0.0))
+        """The largest error of what the system holds, lengths in parts of a characteristic one, angles in radians."""
+        return 0.0 if self._bare else float(np.abs(evaluate(self.system, self.q, False, True)[0]).max(initial=0.0))
 
     def singular(self) -> str:
         """How far the independent coordinates are from not moving the others, in a sentence."""
@@ -373,6 +374,6 @@ class Session:
 
     def said(self) -> str:
         """The live sentences: residual, singularity, and what the last thing done led to; Markdown."""
-        lines = [f"loops closed to {self.residual():.1e} m, rad" if has_loops(self.system) else "", self.singular(),
+        lines = [f"closed to {self.residual():.1e}" if not self._bare else "", self.singular(),
                  self.status]  # fmt: skip
         return "\n\n".join(line for line in lines if line)
