@@ -446,3 +446,16 @@ def test_lengths_are_the_distance_beyond_the_longest_reach(hunt):
         found = answer.proofs()
         assert bool(found) == (past > 1e-6) == (answer.code == Status.OUT_OF_REACH)
         assert not found or found[0].place == pytest.approx(past, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ANSWERS)
+def test_an_answer_draws_itself(name):
+    """Its configurations, or its motion; where there is none to draw, the error says so."""
+    pytest.importorskip("matplotlib")
+    answer, _ = answered(name)
+    finite = np.isfinite(answer.q).all(axis=-1)
+    if finite.any() and (answer.is_motion or finite.sum() <= 32):
+        assert answer.plot(labels=False).get_children()
+    else:
+        with pytest.raises(InputError, match="nothing to draw|not all of it NaN|at most 32"):
+            answer.plot()

@@ -222,7 +222,6 @@ PLACES = [(n, p) for n, f in OF_SYSTEMS.items() for p in QS if takes(f, p) and n
 ARM_ONLY = {"self_motion", "arm_angle"}
 LOOP_ONLY = {"mechanical_advantage", "transmission_angle", "dead_points", "independent", "loop_jacobian"}
 ONE_Q = {
-    "plot",
     "mobility",
     "self_motion",
     "ik_step",

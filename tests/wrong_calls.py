@@ -21,7 +21,18 @@ from kempe.kinematics import closure_rows
 
 SYSTEMS = ("puma560", "panda", "two_link", "four_bar", "bennett", "joint_spherical", "slider_crank", "nothing")
 FORWARDED = re.compile(r"from (kempe[\w.]+) import (\w+)(?: as \w+)?\n(?:.*\n)*? *return \2?")
-LEFT_OUT = {"save", "plot", "plot_spaces", "symbolic_fk", "show", "run", "workspace"}
+LEFT_OUT = {
+    "save",
+    "plot",
+    "plot_spaces",
+    "plot_tree",
+    "animate",
+    "symbolic_fk",
+    "show",
+    "save_html",
+    "run",
+    "workspace",
+}
 """Methods that write files or draw, and one that solvers call with arrays of theirs."""
 
 

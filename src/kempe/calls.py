@@ -57,6 +57,21 @@ def _renamed(function: Callable, args: tuple[Any, ...], options: Mapping[str, An
     return renamed(function, args, options)
 
 
+def with_options(cls: type) -> Callable[[Function], Function]:
+    """A decorator that writes the fields of a dataclass into the signature of a function that takes `**options`."""
+    from inspect import Parameter, signature  # only here: few functions have it
+
+    more = [Parameter(f.name, Parameter.KEYWORD_ONLY, default=f.default, annotation=f.type) for f in fields(cls)]
+
+    def write(function: Function) -> Function:
+        own = signature(function)
+        kept = [p for p in own.parameters.values() if p.kind is not Parameter.VAR_KEYWORD]
+        function.__signature__ = own.replace(parameters=[*kept, *more])  # type: ignore[attr-defined]
+        return function
+
+    return write
+
+
 def explained_methods(cls: Class) -> Class:
     """The class with its public methods and its calls `explained`."""
     for name, value in list(vars(cls).items()):

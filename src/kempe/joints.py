@@ -42,6 +42,8 @@ class JointType:
     summary: ClassVar[str] = ""
     planar: ClassVar[bool] = False
     """Whether the joint can be used in planar systems (dim = 2)."""
+    short: ClassVar[str] = ""
+    """The letter of the type, where it is none of R, P and S."""
 
     def layout(self, dim: int = 3, particle: bool = False) -> tuple[tuple[str, ...], tuple[Primitive, ...]]:
         """Coordinate names within the joint and its primitives, in space or in the plane, for a body or a particle."""
@@ -85,6 +87,11 @@ class JointType:
                 coupled = f", {multiplier:g} q" if multiplier != 1.0 else ""
                 parts.append(f"{'RP'[kind]}({axis}{coupled})")
         return " ".join(parts) or "rigid"
+
+    @property
+    def letter(self) -> str:
+        """The letter that stands for the type in pictures, or those of its primitives; '' where nothing moves."""
+        return self.short or "".join("RPS"[p.kind] for p in _unique(self.layout()[1]))
 
     @property
     def options(self) -> dict[str, object]:
@@ -141,6 +148,7 @@ class Helical(JointType):
     """A screw: turn about z and slide along it together, `pitch` metres a radian (Lynch, Park, 2017, section 2.2)."""
 
     type_name = "helical"
+    short = "H"
     summary = "turn about z and slide along it by pitch times the angle"
     pitch: float = 0.0
 
@@ -154,6 +162,7 @@ class Cylindrical(JointType):
     """A sleeve on a shaft: turn about z and slide along it, independently."""
 
     type_name = "cylindrical"
+    short = "C"
     summary = "turn about z, slide along z"
 
     def layout(self, dim: int = 3, particle: bool = False):
@@ -166,6 +175,7 @@ class Universal(JointType):
     """A Cardan joint: turn about x of F, then about y of the cross."""
 
     type_name = "universal"
+    short = "U"
     summary = "turn about x of F, then about y of M"
 
     def layout(self, dim: int = 3, particle: bool = False):
@@ -178,6 +188,7 @@ class Planar(JointType):
     """A block on a table: slide along x and y of F, then turn about z."""
 
     type_name = "planar"
+    short = "E"
     summary = "slide along x and y, turn about z"
     planar = True
 
@@ -193,6 +204,7 @@ class Translation(JointType):
     """Three sliders (two in the plane): the orientation stays, the position is free."""
 
     type_name = "translation"
+    short = "T"
     summary = "slide along x, y and z (in the plane x and y)"
     planar = True
 
@@ -224,6 +236,7 @@ class Free(JointType):
     """No constraint at all: 6 degrees of freedom in space, 3 in the plane, as many as a particle has for one."""
 
     type_name = "free"
+    short = "F"
     summary = "any motion"
     planar = True
     angles: bool = False

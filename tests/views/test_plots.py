@@ -13,13 +13,13 @@ from drawn import artists
 
 import kempe
 from kempe import Mechanism, constraints, library
-from kempe.errors import InputError, UnknownNameError
+from kempe.errors import CallError, InputError, UnknownNameError, UnsupportedError
 from kempe.kinematics.configuration import home_of
 from kempe.kinematics.measure import judge
 
 pytest.importorskip("matplotlib")
 from kempe.views import plots
-from kempe.views.drawing import labels, page, shapes, symbols
+from kempe.views.drawing import labels, measured, page, shapes, symbols
 from kempe.views.drawing.scene import look
 from kempe.views.drawing.solids import Solids, flat_hull
 
@@ -550,8 +550,12 @@ def test_wrong_calls_say_what_is_allowed():
     system, q = parallelogram(5)
     with pytest.raises(UnknownNameError, match="'P'"):
         plots.plot(system, path=q, frames=["p"])
-    with pytest.raises(InputError, match="one configuration"):
-        plots.plot(system, q)
+    with pytest.raises(InputError, match="at most 32 are drawn"):
+        plots.plot(system, np.repeat(q, 7, axis=0))
+    with pytest.raises(InputError, match="labels has 'body'; allowed are 'joints', 'frames', 'bodies'"):
+        plots.plot(system, labels="body")
+    with pytest.raises(CallError, match="no option 'dimension'; did you mean 'dimensions'"):
+        plots.plot(system, dimension=True)
     with pytest.raises(InputError, match=r"must be \(n, 4\)"):
         plots.plot(system, path=q[0])
     with pytest.raises(InputError, match="not all of it NaN"):
@@ -565,6 +569,20 @@ def test_wrong_calls_say_what_is_allowed():
 
 
 # ---- coordinates over arc length
+
+
+def test_answers_draw_their_coordinates():
+    bar, arm = kempe.load("four_bar"), kempe.load("puma560")
+    path = bar.trace("A")
+    ax = path.plot_curve(["A", "D"])
+    found = artists(ax)
+    assert np.array_equal(found["coordinate:D"][0].get_xydata(), np.stack([path.s, path.values("D")], axis=1))
+    assert ax.get_xlabel() == "arc length" and "coordinate:B" not in found
+    follow = arm.ik_path(arm.fk(np.linspace(arm.mid, arm.mid + 0.1, 4), "tool"), "tool", arm.mid)
+    ax = follow.plot_curve()
+    assert ax.get_xlabel() == "row" and np.array_equal(artists(ax)["coordinate:q1"][0].get_xdata(), [0, 1, 2, 3])
+    with pytest.raises(UnknownNameError, match="no coordinate 'E'"):
+        path.plot_curve(["E"])
 
 
 def test_coordinates_over_arc_length():
@@ -601,11 +619,20 @@ def run(code: str) -> str:
 
 def test_no_global_state_is_touched():
     code = (
-        "import sys, matplotlib\nbefore = dict(matplotlib.rcParams)\nimport kempe\nfrom kempe.views.plots import plot\n"
+        "import sys, matplotlib\nbefore = matplotlib.rcParams.copy()\nimport kempe\n"
+        "from kempe.views.plots import plot\n"
         "plot(kempe.load('four_bar')), plot(kempe.load('bennett'))\n"
-        "same = dict(matplotlib.rcParams) == before\nimport matplotlib.pyplot as plt\nprint(plt.get_fignums(), same)"
+        "same = matplotlib.rcParams.copy() == before\nimport matplotlib.pyplot as plt\nprint(plt.get_fignums(), same)"
     )
     assert run(code) == "[] True"
+
+
+def test_figures_are_those_of_pyplot_where_it_is_in_use():
+    code = (
+        "import matplotlib\nmatplotlib.use('agg')\nimport matplotlib.pyplot as plt\nimport kempe\n"
+        "ax = kempe.load('four_bar').plot()\nprint(plt.get_fignums(), plt.gcf() is ax.figure)"
+    )
+    assert run(code) == "[1] True"
 
 
 def test_without_matplotlib_the_error_names_the_extra():
@@ -623,14 +650,14 @@ def test_without_matplotlib_the_error_names_the_extra():
 def test_what_is_drawn_by_default_holds(name):
     """The default configuration satisfies all that is declared, where assembling from home can."""
     system = kempe.load(name)
-    q = plots._configuration(system, None, None)
+    q = plots._usual(system, None)
     assert judge(system, q) or not system.assemble(start=home_of(system))
 
 
 def test_a_ball_rests_on_its_ground():
     solids = kempe.load("ball").plot()
     assert solids.get_zlim()[0] <= 1e-9 and solids.get_zlim()[1] >= 0.2 - 1e-9
-    q = plots._configuration(kempe.load("ball"), None, None)
+    q = plots._usual(kempe.load("ball"), None)
     assert q[2] >= 0.1 - 1e-9
 
 
@@ -649,8 +676,143 @@ def test_what_rolls_stands_on_its_plane(dim):
     m = Mechanism("coin", dim)
     m.free("J", m.ground, m.body("coin"))
     m.constrain(constraints.Rolls("coin", radius=0.3, shape="disc"), "rolls")
-    scene = look(system := m.build(), plots._configuration(system, None, None))
+    scene = look(system := m.build(), plots._usual(system, None))
     (mark,) = scene.marks
     assert mark.symbol == "wheel" and mark.disc and mark.radius == 0.3
     np.testing.assert_allclose(np.linalg.norm(mark.point - mark.plane[0]), 0.3, atol=1e-8)
     system.plot()
+
+
+# ---- what options add
+
+
+def text_of(ax, gid: str) -> str:
+    return next(t.get_text() for t in ax.texts if t.get_gid() == gid)
+
+
+def test_the_two_link_arm_with_its_frames_angles_and_lengths():
+    """As in the figure of the lecture: x_0, x_1, x_2, x_e, arcs of q1 and q2 by their size, l1 and l2."""
+    arm, q = kempe.load("two_link"), np.array([0.5, 0.9])
+    ax = arm.plot(q, axes="all", angles=True, dimensions=True, labels=("bodies", "joints"))
+    found = artists(ax)
+    for name, below in (("ground", "0"), ("B1", "1"), ("B2", "2"), ("e", "e")):
+        assert text_of(ax, f"label:{name}:x") == f"$x_{{{below}}}$"
+        assert np.allclose(found[f"mark:{name}:x"][0].get_xydata()[0], arm.fk(q, name)[:2, 3])
+    assert "mark:p" not in found, "a target on the ground"
+    for joint, value, at in (("q1", 0.5, (0, 0)), ("q2", 0.9, arm.fk(q, "B2")[:2, 3])):
+        arc = found[f"angle:{joint}"][0].get_xydata() - at
+        (tip,) = found[f"angle:{joint}:head"]
+        tip = tip.get_path().vertices[0] - at
+        assert np.ptp(np.linalg.norm(arc, axis=1)) < 1e-9
+        start = np.arctan2(*arc[0][::-1])
+        assert start == pytest.approx({"q1": 0.0, "q2": 0.5}[joint]), "from x of the link before"
+        assert np.arctan2(*tip[::-1]) - start == pytest.approx(value)
+    for name, body, length in (("l1", "B1", 0.5), ("l2", "B2", 0.4)):
+        assert text_of(ax, f"label:dimension:{body}:0") == name
+        line = found[f"dimension:{body}:0"][0].get_xydata()
+        assert np.linalg.norm(line[1] - line[0]) == pytest.approx(length)
+    assert text_of(ax, "label:body:B1") == "B1" and "label:q1" not in found, "the angle says it"
+
+
+def test_the_angles_alpha_and_beta_of_the_inverse_model():
+    """alpha = atan2(p_y, p_x), beta = atan2(l2 s2, l1 + l2 c2), and q1 = alpha - beta."""
+    arm, q = kempe.load("two_link"), np.array([0.5, 0.9])
+    found = artists(arm.plot(q, angles="e"))
+    p = arm.fk(q, "e")[:2, 3]
+    way = {"alpha": np.arctan2(p[1], p[0]), "beta": np.arctan2(0.4 * np.sin(0.9), 0.5 + 0.4 * np.cos(0.9))}
+    assert way["alpha"] - way["beta"] == pytest.approx(0.5)
+    for name, angle in way.items():
+        start = np.arctan2(*found[f"angle:{name}"][0].get_xydata()[0][::-1])
+        tip = found[f"angle:{name}:head"][0].get_path().vertices[0]
+        assert np.arctan2(*tip[::-1]) - start == pytest.approx(angle)
+
+
+def test_labels_say_values_bodies_and_parameters():
+    bar = kempe.load("four_bar")
+    ax = bar.plot(bar.assemble({"A": 1.0}), labels="all")
+    assert {t.get_text() for t in ax.texts} >= {"ground", "1 crank", "2 coupler", "3 rocker", "A = 1 rad"}
+    assert "a = 0.1" in ax.get_title(loc="left") and ax.texts
+    slide = kempe.load("slider_crank").plot(labels=("joints", "coordinates"))
+    assert any(t.get_text().endswith(" m") for t in slide.texts if "=" in t.get_text())
+
+
+def test_several_configurations_lie_over_one_another():
+    arm = kempe.load("two_link")
+    both = arm.ik_all([0.6, 0.3], "e")
+    ax = arm.plot(both, workspace="e")
+    found = artists(ax)
+    titles = {text_of(ax, f"label:configuration{k}") for k in (0, 1)}
+    assert titles == {"elbow-up", "elbow-down"} == set(both.titles)
+    middle_of = found["configuration1:q2"][0].get_path().get_extents()
+    elbow = 0.5 * np.array([middle_of.x0 + middle_of.x1, middle_of.y0 + middle_of.y1])
+    assert np.allclose(elbow, arm.fk(both.q[1], "B2")[:2, 3]), "the second elbow"
+    box = found["workspace:0"][0].get_path().get_extents()
+    assert np.allclose([box.x0, box.x1], [-0.9, 0.9], atol=1e-3), "l1 + l2"
+    assert arm.plot(arm.ik([0.6, 0.3], "e")) and arm.plot("elbow_up") and both.plot()
+
+
+def test_several_configurations_side_by_side():
+    bar = kempe.load("four_bar")
+    modes = bar.assembly_modes({"A": 1.0})
+    axes = modes.plot(side_by_side=True)
+    assert [ax.get_title() for ax in axes] == list(modes.branches) == ["+", "-"]
+    assert axes[0].get_xlim() == axes[1].get_xlim() and axes[0].get_ylim() == axes[1].get_ylim()
+    for ax, q in zip(axes, modes.q, strict=True):
+        assert np.allclose(middle(artists(ax)["joint:C"][0]), centres(bar, q)["C"][:2])
+    named = bar.plot(modes.q, side_by_side=True, titles=("open", "crossed"))
+    assert [ax.get_title() for ax in named] == ["open", "crossed"]
+    arm = kempe.load("puma560")
+    every = arm.ik_all(arm.fk(arm.mid + 0.3, "tool"), "tool")
+    assert len(arm.plot(every.q[:2], side_by_side=True)) == 2
+    with pytest.raises(InputError, match="side by side 2 are needed"):
+        bar.plot(modes, side_by_side=True, ax=axes[0])
+
+
+def test_a_motion_is_a_path():
+    bar = kempe.load("four_bar")
+    path = bar.trace("A")
+    one, two = artists(bar.plot(path)), artists(bar.plot(path=path))
+    assert one.keys() == two.keys() and "curve:coupler_point" in one
+
+
+@pytest.mark.parametrize("name", ["four_bar", "slider_crank", "four_links"])
+def test_an_arrow_for_each_freedom_in_the_plane(name):
+    system = kempe.load(name)
+    drawn = [g for g in artists(system.plot(motion=True)) if g.startswith("motion:") and not g.endswith("head")]
+    assert len(drawn) == sum(j.type.dof(2) for j in system.structure.joints.values())
+
+
+@pytest.mark.parametrize("name", ["joint_revolute", "joint_cylindrical", "joint_spherical", "joint_universal"])
+def test_an_arrow_for_each_freedom(name):
+    """Those of a joint go round its axes, or along them; a ball has three."""
+    system = kempe.load(name)
+    assert system.plot(motion=True).collections
+    scene, solids = look(system, start(system)), Solids()
+    (joint,) = scene.joints
+    lines = measured.freedoms(solids, joint, 1.0)
+    (own,) = (j for j in system.structure.joints.values() if j.type.dof(3))
+    assert len(lines) == own.type.dof(3) and len(solids.named[f"motion:{joint.name}"]) > 50 * len(lines)
+    for line in lines:
+        arc = np.ptp(np.linalg.norm(line - joint.centre, axis=1)) < 1e-9
+        straight = np.linalg.norm(np.cross(line - line[0], line[-1] - line[0]), axis=1).max() < 1e-9
+        assert arc != straight
+
+
+def test_joints_show_both_bodies():
+    """A knuckle and a barrel, a socket and a ball, two forks: each half is as near to its link as it can be."""
+    for name, parts in (("spherical", ("joint", "socket")), ("universal", ("joint", "fork")), ("revolute", ("joint",))):
+        solids, _ = solids_of(system := kempe.load(f"joint_{name}"), system.mid)
+        colours = {solids.colours[k][:3] for part in parts for k in solids.named[f"{part}:joint"]}
+        greens = [c[1] for c in colours]
+        assert any(0.2 < g < 0.4 for g in greens) and any(0.45 < g < 0.75 for g in greens), "dark parent, light child"
+
+
+def test_options_are_written_out():
+    import inspect
+
+    from kempe.model.plot_options import PlotOptions
+
+    names = list(inspect.signature(kempe.System.plot).parameters)
+    assert names[:3] == ["self", "q", "path"] and set(names[3:]) == set(PlotOptions.__dataclass_fields__)
+    with pytest.raises(UnsupportedError, match="planar"):
+        kempe.load("puma560").plot(workspace="tool")

@@ -15,6 +15,7 @@ from kempe.cli import loop_commands  # isort: skip
 from kempe.cli import space_commands  # isort: skip
 from kempe.cli import workspace_commands  # isort: skip
 from kempe.cli import reach_commands  # isort: skip
+from kempe.cli import view_commands  # isort: skip
 from kempe.cli import library_commands  # isort: skip
 from kempe.cli.app import app
 
@@ -27,6 +28,7 @@ __all__ = [
     "reach_commands",
     "space_commands",
     "system_commands",
+    "view_commands",
     "workspace_commands",
 ]
 

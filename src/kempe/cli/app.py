@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import typer
 
 from kempe import __version__
@@ -99,6 +100,9 @@ Axis = Annotated[str | None, option("--axis", "Axis of the tool for the last two
 Hold = Annotated[
     list[str] | None, option("--hold", "Hold a joint of a redundant chain; can be repeated.", "NAME=VALUE", _ALL)
 ]
+PICTURES = (".png", ".svg", ".pdf")
+Picture = Annotated[Path | None, option("--plot", "Draw a .png, .svg or .pdf file (needs matplotlib).", "FILE")]
+Film = Annotated[Path | None, option("--gif,--html,--mp4", "Write the motion as a .gif, .html or .mp4 file.", "FILE")]
 
 
 # ---- what all commands share
@@ -182,3 +186,43 @@ def written_to(out: Path | None, option: Path | None) -> Path:
 def say_written(out: Path, json: bool) -> None:
     """Say which file was written."""
     print_json({"written": str(out)}) if json else print(f"written to {out}")
+
+
+def picture(path: Path | None) -> None:
+    """Refuse a picture that cannot be written, before any work."""
+    if path is None:
+        return
+    if path.suffix.lower() not in PICTURES:
+        raise InputError(f"{path}: pictures are .png, .svg or .pdf files")
+    writable(path)
+    import kempe.views.drawing  # noqa: F401  it refuses where matplotlib is missing
+
+
+def save_picture(axes: Any, path: Path) -> None:
+    """Write the figure of these axes to a file."""
+    axes.figure.savefig(path, dpi=200, bbox_inches="tight")
+
+
+def film(path: Path | None) -> None:
+    """Refuse a moving picture that cannot be written, before any work."""
+    if path is None:
+        return
+    from kempe.views.films import film_file
+
+    film_file(path)
+    writable(path)
+
+
+def drawn(answer: Any, plot: Path | None, film: Path | None = None, **options: Any) -> list[Path]:
+    """Draw an answer, and its configurations as a moving picture, where there are files for these; those written."""
+    files = [path for path in (plot, film) if path is not None]
+    if not np.isfinite(answer.q).any():
+        for path in files:
+            remark(f"{path} is not written: there is no configuration to draw")
+        return []
+    if plot is not None:
+        axes = answer.plot(**options)
+        save_picture(axes[0] if isinstance(axes, tuple) else axes, plot)
+    if film is not None:
+        answer.animate(film, frames=options.get("frames", ()))
+    return files

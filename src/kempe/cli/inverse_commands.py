@@ -18,6 +18,7 @@ from kempe.cli.app import (
     Deg,
     Dirs,
     File,
+    Film,
     FrameOrTasks,
     Hold,
     Json,
@@ -25,6 +26,7 @@ from kempe.cli.app import (
     Out,
     PathTargets,
     PathTolerance,
+    Picture,
     PositionOnly,
     Prefer,
     Rng,
@@ -37,8 +39,11 @@ from kempe.cli.app import (
     Tolerance,
     Xacro,
     app,
+    drawn,
+    film,
     load,
     option,
+    picture,
     results,
     say_written,
 )
@@ -60,7 +65,8 @@ def ik(
     file: File, frame: FrameOrTasks = None, target: TargetOrTasks = None, tasks: Tasks = None,
     position_only: PositionOnly = False, seed: Seed = None,
     rng: Rng = None, tolerance: Tolerance = None, all: All = False, task: Task = None, axis: Axis = None,
-    hold: Hold = None, prefer: Prefer = None, deg: Deg = False, out: Out = None, json: Json = False,
+    hold: Hold = None, prefer: Prefer = None, deg: Deg = False, out: Out = None, plot: Picture = None,
+    json: Json = False,
     base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
     lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
@@ -82,13 +88,14 @@ def ik(
     from kempe.views import rows
 
     results(out)
+    picture(plot)
     if frame is None or target is None:
         read = _read_tasks(system, tasks, deg)
         start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
         _answer(system, read.count, TASK_SLICE, lambda i, j: system.ik(
             read.tasks(i, j), start=_part(start, i, j), tolerance=rows.tolerance(tolerance or "1e-6"), prefer=prefer,
             budget=Budget(rng=rng),
-        ), deg, out, json)  # fmt: skip
+        ), deg, out, plot, json)  # fmt: skip
         return
     system.structure.frame_name(frame)  # a wrong name is reported before kernels are compiled
     X, position = rows.target(system, target, deg)
@@ -96,12 +103,12 @@ def ik(
     position = position or position_only
     task = _task(task, position)
     if all:
-        _all(system, X, frame, task, axis, hold, start, tolerance, deg, out, json)
+        _all(system, X, frame, task, axis, hold, start, tolerance, deg, out, plot, json)
         return
     wanted = {"tolerance": rows.tolerance(tolerance or "1e-6"), "budget": Budget(rng=rng),
               "task": _task_argument(task, axis)}  # fmt: skip
     _answer(system, len(X) if X.ndim > 2 else None, SLICE, lambda i, j: system.ik(
-        X[i:j] if X.ndim > 2 else X, frame, start=_part(start, i, j), **wanted), deg, out, json)  # fmt: skip
+        X[i:j] if X.ndim > 2 else X, frame, start=_part(start, i, j), **wanted), deg, out, plot, json)  # fmt: skip
 
 
 def _one_way(tasks: Path | None, single: dict[str, Any], more: dict[str, Any]) -> None:
@@ -130,7 +137,7 @@ def _part(seed: Any, i: int, j: int | None) -> Any:
 
 def _answer(
     system: System, count: int | None, size: int, solve: Callable[[int, int | None], Any], deg: bool, out: Path | None,
-    json: bool,
+    plot: Path | None, json: bool,
 ) -> None:  # fmt: skip
     """Solve, for one target or `count` of them, and print or write the answer."""
     from kempe.views import facts, report, rows, slices
@@ -142,13 +149,19 @@ def _answer(
             answer = slices.in_slices(system, count, size, solve, said)
     if out is not None:
         rows.write_configurations(out, system, answer.q, deg)
+    pictures = drawn(answer, plot)
     if json:
         print_json(facts.answer_facts(answer, deg))
     else:
         show(report.solution(system, answer, deg) if out is None else report.outcome(answer))
-        if out is not None:
-            say_written(out, json)
+        _say_all(out, pictures)
     leave(answer)
+
+
+def _say_all(out: Path | None, pictures: list[Path]) -> None:
+    """Say which files were written."""
+    for path in ([] if out is None else [out]) + pictures:
+        say_written(path, False)
 
 
 @app.command(rich_help_panel=OPEN)
@@ -162,6 +175,7 @@ def path(
     restart: Annotated[bool, option("--restart", "Where it must jump, go on instead of stopping.")] = False,
     branches: Annotated[bool, option("--branches", "Try several starts; the best path is the answer.")] = False,
     rng: Rng = None, tolerance: PathTolerance = None, time_limit: TimeLimit = None, deg: Deg = False, out: Out = None,
+    plot: Picture = None, gif: Film = None,
     json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
     lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
@@ -176,6 +190,8 @@ def path(
     from kempe.views import facts, follow_report, rows, slices
 
     results(out)
+    picture(plot)
+    film(gif)
     start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
     wanted: Any
     if frame is None or target is None:
@@ -196,12 +212,13 @@ def path(
                                 budget=Budget(rng=rng, time_limit=time_limit, progress=said))  # fmt: skip
     if out is not None:
         rows.write_configurations(out, system, answer.q, deg)
+    pictures = drawn(answer, plot, gif, frames=[] if frame is None else [frame])
     if json:
-        print_json({**facts.answer_facts(answer, deg), "written": [str(out)] if out is not None else []})
+        written = ([] if out is None else [out]) + pictures
+        print_json({**facts.answer_facts(answer, deg), "written": [str(path) for path in written]})
     else:
         show(follow_report.path(answer, deg))
-        if out is not None:
-            say_written(out, json)
+        _say_all(out, pictures)
     leave(answer)
 
 
@@ -217,16 +234,17 @@ def _task(task: str | None, position: bool) -> str | None:
 
 def _all(
     system: System, X: Any, frame: str, task: str | None, axis: str | None, hold: list[str] | None, near: Any,
-    tolerance: str | None, deg: bool, out: Path | None, json: bool,
+    tolerance: str | None, deg: bool, out: Path | None, plot: Path | None, json: bool,
 ) -> None:  # fmt: skip
-    """Print or write all solutions."""
+    """Print, write or draw all solutions."""
     from kempe.solvers.modes.modes import Modes
     from kempe.views import ik_report
 
     answer = system.ik_all(X, frame, near, task=_task_argument(task, axis), fixed=_held(system, hold, deg),
                            tolerance=None if tolerance is None else ik_report.tolerance(tolerance))  # fmt: skip
+    pictures = drawn(answer, plot)
     if isinstance(answer, Modes):
-        _modes(answer, deg, out, json)
+        _modes(answer, deg, out, pictures, json)
         return
     if out is not None:
         ik_report.write(out, answer, deg)
@@ -234,13 +252,12 @@ def _all(
         print_json(ik_report.solutions_facts(answer, deg))
     else:
         show(ik_report.solutions(answer, deg))
-        if out is not None:
-            say_written(out, json)
+        _say_all(out, pictures)
     if not (answer if answer.single else answer.inside.any(axis=-1).all()):
         raise typer.Exit(INCOMPLETE)
 
 
-def _modes(answer: Modes, deg: bool, out: Path | None, json: bool) -> None:
+def _modes(answer: Modes, deg: bool, out: Path | None, pictures: list[Path], json: bool) -> None:
     """Print or write all that was found of a frame that moves with loops."""
     from kempe.views import facts, loop_report, rows
 
@@ -250,8 +267,7 @@ def _modes(answer: Modes, deg: bool, out: Path | None, json: bool) -> None:
         print_json(facts.answer_facts(answer, deg))
     else:
         show(loop_report.modes(answer, deg))
-        if out is not None:
-            say_written(out, json)
+        _say_all(out, pictures)
     if not answer:
         raise typer.Exit(INCOMPLETE)
 

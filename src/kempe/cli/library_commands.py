@@ -1,4 +1,4 @@
-"""The command for the library of models."""
+"""Commands for what is shipped: models, joint types."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from kempe.cli.app import MODELS, Json, app
+from kempe.cli.app import MODELS, Json, Picture, app, picture, save_picture, say_written
 from kempe.views.terminal import guarded, print_json, show
 
 
@@ -31,3 +31,29 @@ def library(
         print_json([{"name": n, "description": d} for n, d in found.items()])
     else:
         show(report.table(("model", "what it is"), found.items()))
+
+
+@app.command(rich_help_panel=MODELS)
+@guarded
+def joints(plot: Picture = None, json: Json = False) -> None:
+    """List the joint types: letters, freedoms, constraints, what they are made of; or draw them all in one picture.
+
+    Example: kempe joints --plot joints.png
+    """
+    from kempe.views import overviews, report
+
+    picture(plot)
+    found = overviews.joint_rows()
+    if plot is not None:
+        save_picture(overviews.plot_joints()[0], plot)
+    if json:
+        print_json({"joints": found, "written": [] if plot is None else [str(plot)]})
+        return
+    heads = ("joint", "letter", ">freedoms", ">constraints", ">in the plane", "made of")
+    show(
+        report.table(
+            heads, [["-" if x is None else x for x in list(row.values())[:5]] + [row["made_of"]] for row in found]
+        )
+    )
+    if plot is not None:
+        say_written(plot, False)

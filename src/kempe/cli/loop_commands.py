@@ -18,21 +18,26 @@ from kempe.cli.app import (
     Deg,
     Dirs,
     File,
+    Film,
     InPlace,
     Json,
     Lenient,
     Out,
+    Picture,
     Posture,
     Root,
     TimeLimit,
     Xacro,
     app,
+    drawn,
+    film,
     load,
     option,
+    picture,
     remark,
     results,
+    save_picture,
     say_written,
-    writable,
     written_to,
 )
 from kempe.errors import InputError
@@ -43,7 +48,8 @@ if TYPE_CHECKING:
     from kempe.model.system import System
     from kempe.solvers.assembly.assembled import Assembly
 
-PICTURES = (".png", ".svg", ".pdf")
+BESIDE = 6
+"""Assembly modes up to which each is drawn beside the others."""
 
 Known = Annotated[
     list[str] | None,
@@ -63,7 +69,6 @@ Where = Annotated[
 Near = Annotated[
     str | None, option("--start,--near", "Where the search starts: a posture or values, as --q of fk.", "START")
 ]
-Picture = Annotated[Path | None, option("--plot", "Draw a .png, .svg or .pdf file (needs matplotlib).", "FILE")]
 Curves = Annotated[list[str] | None, option("--frame", "Frame whose curve is wanted; can be repeated.", "NAME")]
 Marks = Annotated[list[str] | None, option("--frame", "Body or frame whose axes are drawn; can be repeated.", "NAME")]
 Tolerance = Annotated[
@@ -194,10 +199,7 @@ def assemble(
         )  # fmt: skip
         if plot is not None and np.ndim(answer.success):
             raise InputError(f"{plot}: one configuration is drawn, and the file of known values has several")
-    written = []
-    if plot is not None and np.size(answer.q):
-        save_picture(system.plot(answer.q[0] if modes else answer.q), plot)
-        written.append(plot)
+    written = drawn(answer, plot, side_by_side=modes and 1 < len(answer) <= BESIDE)
     if out is not None and (answer or np.any(getattr(answer, "success", False))):
         from kempe.views import rows
 
@@ -229,15 +231,15 @@ def trace(
         int | None, option("--points", "Write this many points, at equal distances of arc length.", "N")
     ] = None,
     no_limits: NoLimits = False, time_limit: TimeLimit = None, out: Out = None, plot: Picture = None,
-    deg: Deg = False, json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None,
-    xacro: Xacro = False, lenient_limits: Lenient = False, tolerance: Tolerance = None,
+    gif: Film = None, deg: Deg = False, json: Json = False, base: Base = None, root: Root = None,
+    package_dir: Dirs = None, xacro: Xacro = False, lenient_limits: Lenient = False, tolerance: Tolerance = None,
 ) -> None:  # fmt: skip
     """Follow a mechanism with one freedom through its whole motion.
 
     Files get arc length, all coordinates, and x, y (and z) of the frames. Ctrl-C ends
     the work with the part that was done, as a time limit does (120 s, unless another is given).
 
-    Example: kempe trace jansen --driver O --frame foot -o foot.csv --plot foot.png
+    Example: kempe trace jansen --driver O --frame foot -o foot.csv --plot foot.png --gif foot.gif
     """
     if points is not None and points < 2:
         raise InputError(f"--points is {points}; it must be at least 2")
@@ -247,6 +249,7 @@ def trace(
 
     results(out)
     picture(plot)
+    film(gif)
     names = [system.structure.frame_name(f) for f in frame or ()]
     held = given.known(system, hold or [], deg, frames=False)
     begin, closing = given.first(system, start, held, deg)
@@ -267,6 +270,7 @@ def trace(
     if plot is not None:
         save_picture(_drawing(system, shown, names), plot)
         written.append(plot)
+    written += drawn(shown, None, gif, frames=names)
     if json:
         _say(loop_report.path_facts(shown, deg), None, written)
     else:
@@ -282,14 +286,23 @@ def plot(
     out: Annotated[
         Path | None, typer.Argument(metavar="OUT", help="Picture to write: .png, .svg or .pdf; or -o FILE.")
     ] = None,
-    output: InPlace = None, q: At = None, posture: Posture = None, frame: Marks = None, deg: Deg = False,
-    json: Json = False,
+    output: InPlace = None, q: At = None, posture: Posture = None, frame: Marks = None,
+    labels: Annotated[
+        str | None, option("--labels", "joints, frames, bodies, coordinates, parameters; or all.", "A,B,...")
+    ] = None,
+    axes: Annotated[list[str] | None, option("--axes", "Draw and name its axes; or all; repeated.", "NAME")] = None,
+    angles: Annotated[bool, option("--angles", "Arcs of the coordinates, from where they are measured.")] = False,
+    dimensions: Annotated[bool, option("--dimensions", "Lengths of the links.")] = False,
+    motion: Annotated[bool, option("--motion", "Arrows for the freedoms of the joints.")] = False,
+    workspace: Annotated[str | None, option("--workspace", "Shade what this frame reaches.", "NAME")] = None,
+    tree: Annotated[bool, option("--tree", "In place of that the tree of bodies and joints.")] = False,
+    deg: Deg = False, json: Json = False,
     base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
     lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
-    """Draw a system at a configuration.
+    """Draw a system at a configuration, or its tree.
 
-    Example: kempe plot peaucellier -o peaucellier.png
+    Example: kempe plot two_link -o arm.png --q 30,50 --deg --axes all --angles --dimensions
     """
     out = written_to(out, output)
     system = load(file, base, root, package_dir, xacro, lenient_limits)
@@ -297,8 +310,12 @@ def plot(
 
     names = [system.structure.frame_name(f) for f in frame or ()]
     picture(out)
-    at, closing = given.configuration(system, q, posture, deg)
-    save_picture(system.plot(at, frames=names), out)
+    at, closing = (None, None) if tree else given.configuration(system, q, posture, deg)
+    save_picture(system.plot_tree() if tree else system.plot(
+        at, frames=names, labels=True if labels is None else "all" if labels == "all" else labels.split(","),
+        axes="all" if axes == ["all"] else axes or (), angles=angles, dimensions=dimensions, motion=motion,
+        workspace=workspace,
+    ), out)  # fmt: skip
     say_written(out, json)
     if closing is not None and not closing:
         remark(str(closing.status))
@@ -314,21 +331,6 @@ def _open(closing: Assembly, deg: bool, json: bool) -> NoReturn:
 
     print_json(facts.answer_facts(closing, deg)) if json else show(loop_report.assembly(closing, deg))
     raise typer.Exit(INCOMPLETE)
-
-
-def picture(path: Path | None) -> None:
-    """Refuse a picture that cannot be written, before any work."""
-    if path is None:
-        return
-    if path.suffix.lower() not in PICTURES:
-        raise InputError(f"{path}: pictures are .png, .svg or .pdf files")
-    writable(path)
-    import kempe.views.drawing  # noqa: F401  it refuses where matplotlib is missing
-
-
-def save_picture(axes: Any, path: Path) -> None:
-    """Write the figure of these axes to a file."""
-    axes.figure.savefig(path, dpi=200, bbox_inches="tight")
 
 
 def _resampled(path: Motion, points: int, budget: Budget) -> Motion:

@@ -15,16 +15,18 @@ from kempe.cli.app import (
     Json,
     Lenient,
     Out,
+    Picture,
     Root,
     TimeLimit,
     Xacro,
     app,
     load,
     option,
+    picture,
     results,
+    save_picture,
     say_written,
 )
-from kempe.cli.loop_commands import Picture, picture, save_picture
 from kempe.errors import InputError
 from kempe.views.terminal import INCOMPLETE, guarded, print_json
 

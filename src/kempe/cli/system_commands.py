@@ -25,6 +25,7 @@ from kempe.cli.app import (
     Xacro,
     app,
     load,
+    option,
     reading,
     remark,
     results,
@@ -40,7 +41,9 @@ from kempe.views.terminal import COMPLETE, INCOMPLETE, guarded, print_json, show
 @app.command(rich_help_panel=DESCRIBE)
 @guarded
 def info(
-    file: File, deg: Deg = False, json: Json = False, base: Base = None, root: Root = None,
+    file: File,
+    tree: Annotated[bool, option("--tree", "Only the tree of bodies and joints, and what closes loops.")] = False,
+    deg: Deg = False, json: Json = False, base: Base = None, root: Root = None,
     package_dir: Dirs = None, xacro: Xacro = False,
     lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
@@ -53,6 +56,8 @@ def info(
 
     if json:
         print_json(facts.system_facts(system, deg))
+    elif tree:
+        show(report.tree(system))
     else:
         show(report.info(system, deg))
 

@@ -14,7 +14,7 @@ from kempe.description import checks
 from kempe.description.constraint_methods import ConstraintMethods
 from kempe.description.parts import Body, Coupling, Declared, Frame, Joint
 from kempe.description.source import collecting_later
-from kempe.errors import InputError, UnknownNameError, Where
+from kempe.errors import InputError, KempeError, UnknownNameError, Where
 from kempe.joints import JointType, joint_type
 from kempe.placement import Placement, place
 from kempe.values import Expression, Value, value
@@ -283,6 +283,13 @@ class Mechanism(ConstraintMethods):
 
     def __repr__(self) -> str:
         return f"Mechanism({self.name!r}, dim={self.dim}, bodies={len(self.bodies) - 1}, joints={len(self.joints)})"
+
+    def _repr_html_(self) -> str | None:
+        """The system that it makes, in a notebook; None, for its text, where it makes none yet."""
+        try:
+            return self.build()._repr_html_()
+        except KempeError:
+            return None
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Mechanism) and self.content() == other.content()

@@ -12,12 +12,11 @@ from numpy.typing import ArrayLike
 from kempe.calls import explained
 from kempe.model.compiled_system import Compiled, FrameLike
 from kempe.model.former_names import FormerNames
+from kempe.model.pictured import Pictured
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from pathlib import Path as FilePath
-
-    from matplotlib.axes import Axes
 
     from kempe.analysis.continuation.path import Path as Motion
     from kempe.analysis.manoeuvre.manoeuvre_path import Manoeuvre
@@ -48,7 +47,7 @@ ARRAY = np.ndarray
 """Looked up once: bound calls take four microseconds."""
 
 
-class System(Compiled, FormerNames):
+class System(Compiled, Pictured, FormerNames):
     """A multibody system, compiled from a `Mechanism`: spanning tree, loop closures, coordinates, primitive table.
 
     Frozen, hashable by content, picklable, safe to share between threads. A configuration `q` is an array (..., nq) in
@@ -363,25 +362,6 @@ class System(Compiled, FormerNames):
 
         return simulate(self, duration, start, inputs=inputs, velocity=velocity, acceleration=acceleration,
                         restitution=restitution, tolerance=tolerance, budget=budget)  # fmt: skip
-
-    @explained
-    def plot(
-        self, q: Any = None, *, path: Any = None, frames: Iterable[Any] | None = (), labels: bool = True,
-        ax: Axes | None = None, ghosts: int = 0,
-    ) -> Axes:  # fmt: skip
-        """Matplotlib axes with a drawing of the system; see `kempe.views.plots.plot`."""
-        from kempe.views.plots import plot
-
-        return plot(self, q, path=path, frames=frames, labels=labels, ax=ax, ghosts=ghosts)
-
-    @explained
-    def plot_spaces(
-        self, frame: FrameLike, *, points: ArrayLike = (), ax: Any = None, resolution: int = 240
-    ) -> tuple[Axes, Axes]:  # fmt: skip
-        """Pictures of configuration space and task space beside one another; see `kempe.views.space_pictures`."""
-        from kempe.views.space_pictures import plot_spaces
-
-        return plot_spaces(self, frame, points=points, ax=ax, resolution=resolution)
 
     # ---- other systems from this one
 

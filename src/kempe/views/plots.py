@@ -11,15 +11,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.calls import explained
-from kempe.errors import InputError, UnknownNameError
-from kempe.kinematics.configuration import as_q, distance, home_of
+from kempe.calls import explained, listed, with_options
+from kempe.errors import InputError, UnknownNameError, UnsupportedError
+from kempe.kinematics.configuration import as_q, distance, has_loops, home_of, integrate
 from kempe.kinematics.forward import fk
 from kempe.kinematics.measure import judge
+from kempe.model.plot_options import PlotOptions
 from kempe.reals import reals
 from kempe.spatial import Array
-from kempe.views.drawing import page, planar, style
-from kempe.views.drawing.scene import Scene, look
+from kempe.views.drawing import page, style
+from kempe.views.drawing.scene import look
+from kempe.views.drawing.subject import Subject
 from kempe.views.facts import units
 
 if TYPE_CHECKING:
@@ -27,37 +29,112 @@ if TYPE_CHECKING:
 
     from kempe.model.system import System
 
+MOST = 32
+"""Configurations that one picture shows at most."""
+ALONG = {"arc length": "s", "time [s]": "t"}
+"""What coordinates are drawn over, and the attribute of a path that has it."""
+FEW, TURN, SLIDE = 3, 0.35, 0.08
+"""Coordinates up to which neighbours are drawn; how far away: in radians, and in parts of the size of the drawing."""
+
 
 @explained
-def plot(
-    system: System, q: Any = None, *, path: Any = None, frames: Iterable[Any] | None = (), labels: bool = True,
-    ax: Axes | None = None, ghosts: int = 0,
-) -> Axes:  # fmt: skip
-    """Axes with a drawing of the system at a configuration; ``.figure.savefig("name.png")`` or ``.svg`` writes it.
+@with_options(PlotOptions)
+def plot(system: System, q: Any = None, *, path: Any = None, **options: Any) -> Any:
+    """Axes with a drawing of the system; ``.figure.savefig("name.png")`` or ``.svg`` writes it.
 
-    `q` (nq,) or dict: the configuration; without it, the posture 'closed' if there is one, else `mid`, brought to where
-    loops are closed and constraints hold if that can be; with a `path` its configuration nearest to home. `frames`:
-    names of frames or bodies whose axes are drawn, None for all of them: x red, y green, z blue. `path`: configurations
-    (n, nq), or an answer that has them as `.q`; in place of the axes, the curves of the named `frames` are drawn over
-    it (without names: those of the path's `.frames`, else all named frames of moving bodies), and `ghosts` earlier
+    `q`: a configuration (nq,), a dict, the name of a posture; several (k, nq), or an answer that has them (`Solution`,
+    `Solutions`, `Modes`, ...), which are drawn one over the other with their names, or `side_by_side` (then a tuple of
+    axes comes back); or a motion, as `path`. Without it: the posture 'closed' if there is one, else `mid`, brought to
+    where loops are closed and constraints hold if that can be; with a `path` its configuration nearest to home. `path`:
+    configurations (n, nq), or an answer that has them as `.q`; the curves of the named `frames` are drawn over it
+    (without names: those of the path's `.frames`, else all named frames of moving bodies), and `ghosts` earlier
     positions, evenly spread. Driven joints (`actuated`, or the path's `.driver`) are marked, and loops that are not
-    closed are shown in red.
-    Errors: `InputError` for shapes, `UnknownNameError` for frames.
+    closed are shown in red. All `options` are those of `kempe.model.plot_options.PlotOptions`.
+    Errors: `InputError` for shapes and values, `UnknownNameError` for frames, `UnsupportedError` for a workspace that
+    is not drawn, `CallError` for unknown options.
     """
-    configurations, drivers = _path(system, path)
-    q = _configuration(system, q, configurations)
-    names = names_of(system, frames)
-    scene = look(system, q, drivers)
-    if configurations is not None and not names:
-        names = list(getattr(path, "frames", ()) or (f for link in scene.links[1:] for f in link.frames))
-    curves = {n: fk(system, configurations, n)[:, :3, 3] for n in names} if configurations is not None else {}
-    here = {n: fk(system, q, n) for n in names}
-    before = [] if configurations is None else [look(system, c) for c in _spread(configurations, ghosts)]
-    if system.dim == 3:
-        from kempe.views.drawing import space
+    chosen = PlotOptions(**options)
+    if path is None and getattr(q, "is_motion", False):
+        q, path = None, q
+    way, drivers = motion_of(system, path)
+    several, titles = _configurations(system, q, way)
+    titles = tuple(listed(chosen.titles, "titles")) or titles
+    subjects = [subject_of(system, several[:1], way, path, drivers, chosen, titles)]
+    if len(several) > 1 and chosen.side_by_side:
+        subjects = [subject_of(system, x[None], way, path, drivers, chosen, titles[k : k + 1])
+                    for k, x in enumerate(several)]  # fmt: skip
+    elif len(several) > 1:
+        subjects = [subject_of(system, several, way, path, drivers, chosen, titles)]
+    drawing = drawing_of(system)
+    if not chosen.side_by_side:
+        return drawing.picture(subjects[0], chosen.ax)
+    return _side_by_side(drawing, subjects)
 
-        return space.picture(scene, configurations, curves, here, before, labels, ax)
-    return _picture(scene, configurations, curves, here, before, labels, ax)
+
+def bare(system: System) -> Axes:
+    """Axes with the system as it is drawn by default, in a figure of their own that nothing else knows of."""
+    subject = subject_of(system, _usual(system, None)[None], None, None, (), PlotOptions(), ())
+    return drawing_of(system).picture(subject, None, make=page.bare_figure)
+
+
+def drawing_of(system: System) -> Any:
+    """The module that draws systems of this dimension."""
+    from kempe.views.drawing import plane, space
+
+    return space if system.dim == 3 else plane
+
+
+def subject_of(
+    system: System, several: Array, way: Array | None, path: Any, drivers: tuple[str, ...], options: PlotOptions,
+    titles: tuple[str, ...],
+) -> Subject:  # fmt: skip
+    """What one picture is of, with the first of several configurations in full."""
+    q, names = several[0], names_of(system, options.frames)
+    scene = look(system, q, drivers)
+    if way is not None and not names:
+        names = list(getattr(path, "frames", ()) or (f for link in scene.links[1:] for f in link.frames))
+    curves = {n: fk(system, way, n)[:, :3, 3] for n in names} if way is not None else {}
+    moving = [f for link in scene.links[1:] for f in (*link.bodies, *link.frames)]
+    axes = [system.body_names[0], *moving] if options.axes == "all" else names_of(system, options.axes)
+    earlier = [] if way is None else list(_spread(way, options.ghosts))
+    earlier += list(_neighbours(system, q)) if options.motion else []
+    return Subject(
+        system, scene, options, tuple(look(system, x, drivers) for x in several[1:]), titles,
+        tuple(look(system, x) for x in earlier), way, curves, {n: fk(system, q, n) for n in names},
+        {n: fk(system, q, n) for n in axes}, _workspace(system, options), units=units(system),
+    )  # fmt: skip
+
+
+def _workspace(system: System, options: PlotOptions) -> Any:
+    """The workspace that is shaded. Errors: `UnsupportedError`."""
+    if options.workspace is None:
+        return None
+    if system.dim == 3:
+        raise UnsupportedError("a workspace is shaded in pictures of planar systems; in space see workspace(frame)")
+    return system.reach.planar(options.workspace)
+
+
+def _side_by_side(drawing: Any, subjects: list[Subject]) -> tuple[Axes, ...]:
+    """Axes in a row, one for each subject, with its title, all of the same scale."""
+    own: Any = subjects[0].options.ax
+    if own is not None and np.size(own) != len(subjects):
+        raise InputError(f"ax are {np.size(own)} axes; side by side {len(subjects)} are needed")
+    if drawing.__name__.endswith("space"):
+        figure = None if own is not None else page.new_figure(4.2 * len(subjects), 4.2)
+        axes = own if figure is None else [
+            figure.add_subplot(1, len(subjects), k + 1, projection="3d") for k in range(len(subjects))]  # fmt: skip
+        bounds: Any = [()] * len(subjects)
+    else:
+        bounds = [(drawing.bounds_of(subjects),)] * len(subjects)
+        span = bounds[0][0][1] - bounds[0][0][0]
+        height = float(np.clip(4.2 * span[1] / span[0], 1.8, 5.0))
+        axes = page.new_figure(4.2 * len(subjects), height + 0.5).subplots(1, len(subjects)) if own is None else own
+    axes = tuple(np.ravel(np.array(axes, dtype=object)))
+    for subject, ax, known in zip(subjects, axes, bounds, strict=True):
+        drawing.picture(subject, ax, *known)
+        if subject.titles:
+            ax.set_title(subject.titles[0], size=style.FONT + 1, color=style.INK)
+    return axes
 
 
 def names_of(system: System, frames: Any) -> list[str]:
@@ -72,14 +149,17 @@ def plot_path(
 ) -> Axes:  # fmt: skip
     """Axes with coordinates over the arc length of a path: angles in radians, slides in metres (dashed).
 
-    `path` is an answer with configurations `.q` (n, nq) and arc lengths `.s` (n,); its singular points are ringed, its
-    turning points dotted. `names`: the coordinates to draw, all by default. `system` is that of the path, where the
-    path has no `.system`. Errors: `InputError` for shapes, `UnknownNameError` for names.
+    `path` is an answer with configurations `.q` (n, nq) and arc lengths `.s` (n,), else times `.t` [s], else they are
+    numbered; its singular points are ringed, its turning points dotted. `names`: the coordinates to draw, all by
+    default. `system` is that of the path, where the path has no `.system`. Errors: `InputError` for shapes,
+    `UnknownNameError` for names.
     """
     system = getattr(path, "system", None) if system is None else system
     if system is None:
         raise InputError("the path does not say which system it belongs to; give it as `system`")
-    q, s = as_q(system, path.q), reals(path.s, "the arc length of the path")
+    over, along = next(((n, a) for n, a in ALONG.items() if hasattr(path, a)), ("row", ""))
+    q = as_q(system, path.q)
+    s = reals(getattr(path, along), "the arc length of the path") if along else np.arange(float(len(q)))
     if q.ndim != 2 or s.shape != q.shape[:1]:
         need = f"they must be (n, {system.nq}) and (n,)"
         raise InputError(f"path has q of shape {q.shape} and s of shape {s.shape}; {need}")
@@ -104,49 +184,47 @@ def plot_path(
     page.light_axes(ax)
     kinds = [text for u, text in (("rad", "angles [rad]"), ("m", "slides [m]")) if u in {unit[n] for n in chosen}]
     ax.set_ylabel(", ".join(kinds) or "coordinates", size=style.FONT, color=style.INK)
-    ax.set_xlabel("arc length", size=style.FONT, color=style.INK)
+    ax.set_xlabel(over, size=style.FONT, color=style.INK)
     ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=style.FONT - 1, frameon=False)
     return ax
 
 
-def _picture(
-    scene: Scene, configurations: Array | None, curves: dict[str, Array], here: dict[str, Array],
-    before: list[Scene], labels: bool, ax: Any,
-) -> Axes:  # fmt: skip
-    if ax is not None and hasattr(ax, "get_zlim"):
-        raise InputError("ax is in space; a planar system needs plain axes")
-    trial = page.new_figure().add_subplot() if ax is None else ax
-    sheet = planar.Sheet(trial, scene, planar.pin_radius(scene), configurations)
-    marks = {} if curves else here
-    if ax is None:  # the extent of the drawing decides the shape of the figure
-        planar.draw(sheet, labels=False)
-        for name, X in marks.items():
-            planar.mark(sheet, name, X, labels=False)
-        sheet.extent += [c[np.isfinite(c).all(axis=1), :2] for c in curves.values()]
-        sheet.extent += [planar.flat(old.points(link)) for old in before for link in old.links]
-        lower, upper = page.limits(sheet)
-        ax = page.figure_for(upper - lower, bool(curves))
-        sheet = planar.Sheet(ax, scene, sheet.r, configurations)
-    for k, old in enumerate(before):
-        planar.ghost(sheet, old, k)
-    for k, (name, points) in enumerate(curves.items()):
-        page.curve(sheet, name, points[:, :2], planar.flat(here[name]), k)
-    planar.draw(sheet, labels)
-    for name, X in marks.items():
-        planar.mark(sheet, name, X, labels)
-    lower, upper = page.limits(sheet)
-    page.finish(sheet, lower, upper, bool(curves))
-    return ax
+def configuration_of(system: System, q: Any, way: Array | None = None) -> Array:
+    """The configuration (nq,) that is drawn for what `plot` takes as `q`: of several the first."""
+    return _configurations(system, q, way)[0][0]
 
 
-def _configuration(system: System, q: Any, configurations: Array | None) -> Array:
-    if q is not None:
-        q = as_q(system, q)
-        if q.ndim != 1:
-            raise InputError(f"q has shape {q.shape}; one configuration ({system.nq},) is drawn; others go in `path`")
-        if not np.isfinite(q).all():
-            raise InputError("q holds numbers that are not finite: there is nothing to draw")
-        return q
+def _configurations(system: System, q: Any, way: Array | None) -> tuple[Array, tuple[str, ...]]:
+    """Configurations (k, nq) that are drawn, and their names, if they have any."""
+    if q is None:
+        return _usual(system, way)[None], ()
+    titles = tuple(getattr(q, "titles", ()))
+    if isinstance(q, str):
+        q = system.q(q)
+    elif isinstance(getattr(q, "q", None), np.ndarray):
+        q = q.q
+    found = np.reshape(as_q(system, q), (-1, system.nq))
+    good = np.isfinite(found).all(axis=1)
+    if not good.all() and (np.ndim(q) == 1 or not good.any()):
+        raise InputError("q holds numbers that are not finite: there is nothing to draw")
+    if not len(found):
+        raise InputError("q holds no configuration: there is nothing to draw")
+    if good.sum() > MOST:
+        raise InputError(f"q holds {good.sum()} configurations; at most {MOST} are drawn, more of a motion as `path`")
+    return found[good], tuple(t for t, ok in zip(titles, np.ravel(good), strict=False) if ok)
+
+
+def _neighbours(system: System, q: Array) -> Array:
+    """Configurations (k, nq) a little to both sides in each coordinate, where there are few and no loops."""
+    if has_loops(system) or not 0 < system.nv <= FEW:
+        return np.zeros((0, system.nq))
+    slides = [unit == "m" for unit in (units(system).get(n, "") for n in system.structure.velocity_names)]
+    steps = np.diag([SLIDE * look(system, q).size if slide else TURN for slide in slides])
+    return np.concatenate([integrate(system, q, sign * steps) for sign in (-1.0, 1.0)])
+
+
+def _usual(system: System, configurations: Array | None) -> Array:
+    """The configuration that is drawn unless one is given."""
     q = home_of(system)
     if configurations is None:
         closed = None if judge(system, q) else system.assemble(start=q)
@@ -155,7 +233,7 @@ def _configuration(system: System, q: Any, configurations: Array | None) -> Arra
     return finite[int(np.argmin(distance(system, finite, q)))]
 
 
-def _path(system: System, path: Any) -> tuple[Array | None, tuple[str, ...]]:
+def motion_of(system: System, path: Any) -> tuple[Array | None, tuple[str, ...]]:
     """Configurations (n, nq) of a path or None, and the joints that its `.driver` names."""
     if path is None:
         return None, ()
@@ -170,7 +248,5 @@ def _path(system: System, path: Any) -> tuple[Array | None, tuple[str, ...]]:
 
 def _spread(configurations: Array, count: int) -> Array:
     finite = configurations[np.isfinite(configurations).all(axis=1)]
-    if not isinstance(count, (int, np.integer)) or isinstance(count, bool) or count < 0:
-        raise InputError(f"ghosts is {count!r}; it must be a whole number, not negative")
     index = np.unique(np.linspace(0, len(finite) - 1, count + 1).round().astype(int)[:count])
     return finite[index]

@@ -123,6 +123,13 @@ def info(system: System, degrees: bool = False) -> RenderableType:
     return Group(*blocks)
 
 
+def tree(system: System) -> RenderableType:
+    """The tree of bodies and joints in box characters, what closes loops, and the connectivity vector."""
+    from kempe.views.overviews import tree_lines
+
+    return Text("\n".join(clean(line) for line in tree_lines(system)))
+
+
 def _headline(data: dict[str, Any]) -> Text:
     place = "in the plane" if data["dim"] == 2 else "in space"
     counts = f"{count(len(data['bodies']) - 1, 'body', 'bodies')}, {count(len(data['joints']), 'joint')}"

@@ -104,6 +104,8 @@ class Track:
 class Motion(Configurations):
     """Configurations `q` (n, nq) that a `system` takes one after the other. Base of motions."""
 
+    is_motion = True
+
     def curve(self, frame: FrameLike, poses: bool = False) -> Array:
         """Positions (n, 3) of a frame along the motion, or its poses (n, 4, 4)."""
         X = self.system.fk(self.q, frame)

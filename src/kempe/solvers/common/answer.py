@@ -37,6 +37,8 @@ class Answer(Result, Tabular):
     """What is counted of a batch: "3 of 4 targets reached"."""
     also: ClassVar[tuple[str, ...]] = ()
     """Names of further members that the `data` have."""
+    is_motion: ClassVar[bool] = False
+    """Whether the rows of `q` are passed one after the other."""
 
     @property
     def within(self) -> Idealised | None:  # type: ignore[override]
@@ -111,7 +113,29 @@ class Answer(Result, Tabular):
         said = self.judged.of(claimed)
         return f"success is contradicted, {said}" if false else str(said)
 
-    # ---- as a table, as text, as data
+    # ---- as a picture, as a table, as text, as data
+
+    @property
+    def titles(self) -> tuple[str, ...]:
+        """Names of the configurations in pictures; () where they have none."""
+        return ()
+
+    def plot(self, **options: Any) -> Any:
+        """Matplotlib axes with its configurations, or its motion, with the options of `System.plot`."""
+        return self.system.plot(self, **options)
+
+    def plot_curve(self, names: Sequence[str] = (), ax: Any = None) -> Any:
+        """Matplotlib axes with its coordinates over arc length, time, or the numbers of its rows.
+
+        `names` are those that are drawn, all by default. Errors: `UnknownNameError`.
+        """
+        from kempe.views.plots import plot_path
+
+        return plot_path(self, names=names, ax=ax)
+
+    def animate(self, file: Any, **options: Any) -> Any:
+        """Write its configurations as a moving picture (.gif, .mp4, .html), with the options of `System.animate`."""
+        return self.system.animate(self, file, **options)
 
     def table(self) -> tuple[list[str], Array]:
         """Names and columns (n, nq) for a file: the coordinates of each row of `q`, in radians and metres."""

@@ -88,6 +88,11 @@ class Modes(Configurations):
             return Status.OUTSIDE_LIMITS if self.outside else Status.NONE_EXISTS
         return self._broken_off() or Status.NOT_FOUND
 
+    @property
+    def titles(self) -> tuple[str, ...]:
+        """Names of the configurations in pictures: of their branches, else numbers."""
+        return tuple(name or str(k) for k, name in enumerate(self.branches, 1))
+
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
         return held_at(self.system, self.known)
 

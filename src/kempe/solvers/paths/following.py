@@ -56,6 +56,7 @@ class IkPath(Configurations):
     leaves what was done (`interrupted`, `late`).
     """
 
+    is_motion = True
     __repr__ = brief
 
     also = ("jumps", "interrupted", "late")

@@ -63,6 +63,7 @@ class SelfMotion(Configurations):
     keyboard (`interrupted`) or the time limit (`late`) ended the work, these are the configurations found by then.
     """
 
+    is_motion = True
     __repr__ = brief
 
     also = ("freedoms", "start", "closed", "ends", "interrupted", "late")

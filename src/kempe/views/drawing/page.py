@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import sys
+import warnings
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,6 +25,26 @@ WIDTH, HEIGHT = (3.2, 7.0), (2.4, 6.6)
 
 
 def new_figure(width: float = 6.4, height: float = 4.8) -> Figure:
+    """An empty figure; sizes in inches. Where matplotlib's pyplot is in use, in a notebook, too, it is one of its own.
+
+    Then `show` shows it, and a notebook that a cell drew it; else no window and no global state knows of it.
+    """
+    if "matplotlib.pyplot" not in sys.modules and not _in_notebook():
+        return bare_figure(width, height)
+    from matplotlib import pyplot
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # that many figures are open
+        return pyplot.figure(figsize=(width, height), facecolor="white")
+
+
+def _in_notebook() -> bool:
+    """Whether this is the kernel of a notebook."""
+    shell = sys.modules.get("IPython")
+    return shell is not None and hasattr(shell.get_ipython(), "kernel")
+
+
+def bare_figure(width: float = 6.4, height: float = 4.8) -> Figure:
     """An empty figure that no window and no global state knows of; sizes in inches."""
     figure = Figure(figsize=(width, height), facecolor="white")
     FigureCanvasAgg(figure)
@@ -46,18 +69,20 @@ def limits(sheet: Sheet, room: float = 4.0) -> tuple[Array, Array]:
     return lower, upper
 
 
-def figure_for(span: Array, with_axes: bool) -> Axes:
-    """Axes in a new figure whose shape suits a drawing of a span (2,) in metres."""
+def figure_for(
+    span: Array, with_axes: bool, above: float = 0.0, make: Callable[..., Figure] = new_figure
+) -> Axes:  # fmt: skip
+    """Axes in a new figure whose shape suits a drawing of a span (2,) in metres, with some inches left above it."""
     width = WIDTH[1] - 0.7 * with_axes
     height = width * span[1] / span[0]
     if height > HEIGHT[1]:
         width, height = width * HEIGHT[1] / height, HEIGHT[1]
     width, height = max(width, WIDTH[0]), max(height, HEIGHT[0])
     left, bottom = (0.62, 0.5) if with_axes else (0.05, 0.32)
-    right, top = 0.12, 0.12
+    right, top = 0.12, 0.12 + above
     w, h = width + left + right, height + bottom + top
     rect: Any = (left / w, bottom / h, width / w, height / h)
-    return new_figure(w, h).add_axes(rect)
+    return make(w, h).add_axes(rect)
 
 
 def finish(sheet: Sheet, lower: Array, upper: Array, with_axes: bool) -> None:
@@ -72,7 +97,7 @@ def finish(sheet: Sheet, lower: Array, upper: Array, with_axes: bool) -> None:
     sheet.obstacles.bounds = lower, upper
     for text, p, clearance, look in sheet.labels:
         size = look.get("size", FONT)
-        width, height = labels.extent(text, size)
+        width, height = labels.extent(text, size, "weight" in look)
         outward = (p - middle) / max(float(np.linalg.norm(upper - lower)), 1e-300)
         box = (width * metres_a_point, height * metres_a_point)
         place = sheet.obstacles.place(p, box, clearance + 2.0 * metres_a_point, outward)

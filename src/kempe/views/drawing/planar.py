@@ -39,6 +39,10 @@ class Sheet:
     extent: list[Array] = field(default_factory=list)
     labels: list[tuple[str, Array, float, dict[str, Any]]] = field(default_factory=list)
     """Text, point, clearance and text properties: they are placed when everything else is drawn."""
+    arcs: list[Array] = field(default_factory=list)
+    """Where angles are measured."""
+    steady: bool = False
+    """Whether it is a frame of a motion: symbols then keep their side."""
 
     def patch(self, path: Path, gid: str, layer: float, **how: Any) -> None:
         """Draw an outline."""
@@ -64,8 +68,11 @@ def flat(X: Array) -> Array:
     return X[:2, 3] if X.shape == (4, 4) else X[..., :2]
 
 
-def draw(sheet: Sheet, labels: bool = True) -> None:
-    """Draw the scene: links, rails, blocks, ground symbols, pins, frames, drivers; labels are only collected."""
+def draw(sheet: Sheet, texts: dict[str, str], frames: bool = True) -> None:
+    """Draw the scene: links, rails, blocks, ground symbols, pins, frames, drivers.
+
+    Labels are only collected: `texts` of the joints, and names of frames.
+    """
     scene = sheet.scene
     for joint in scene.joints:
         if joint.kind == "prismatic":
@@ -77,14 +84,13 @@ def draw(sheet: Sheet, labels: bool = True) -> None:
     _rods(sheet)
     pins = _pins(sheet)
     for link in scene.links:
-        _frames(sheet, link, labels)
+        _frames(sheet, link, frames)
     for joint in scene.joints:
         _open(sheet, joint)
     for joint in scene.joints:
         if joint.driven:
             _driver(sheet, joint)
-    if labels:
-        _joint_labels(sheet, pins)
+    _joint_labels(sheet, pins, texts)
 
 
 def _slides(sheet: Sheet, joint: SeenJoint) -> None:
@@ -219,7 +225,7 @@ def _down(sheet: Sheet, p: Array) -> Array:
         where = p + np.outer(np.linspace(1.5, style.GROUND_HEIGHT + style.HATCH, 6), d) * sheet.r
         where = where[:, None] + np.outer(np.linspace(-1.2, 1.2, 5), along) * sheet.r
         cost = float((sheet.obstacles.covered(where) > 0.5).mean()) + dislike
-        if cost < least:
+        if cost < least and not sheet.steady:
             best, least = d, cost
     return best
 
@@ -335,7 +341,7 @@ def _driver(sheet: Sheet, joint: SeenJoint) -> None:
         line = c + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
         up = 0.15 * np.sin(start + sweep / 2)
         costs.append((float(sheet.obstacles.covered(line).mean()) - up, start))
-    start = min(costs)[1]
+    start = 0.6 if sheet.steady else min(costs)[1]
     line, head = shapes.arc(c, radius, start, start + sweep, 1.5 * r)
     sheet.line(line, gid, style.ARROWS, color=DRIVER, lw=1.7, solid_capstyle="butt")
     sheet.patch(head, f"{gid}:head", style.ARROWS, **look)
@@ -378,9 +384,11 @@ def mark(sheet: Sheet, name: str, X: Array, labels: bool) -> None:
         sheet.labels.append((name, c, 1.2 * sheet.r, {**look, "size": style.FONT - 1}))
 
 
-def _joint_labels(sheet: Sheet, groups: list[tuple[Array, list[SeenJoint]]]) -> None:
+def _joint_labels(sheet: Sheet, groups: list[tuple[Array, list[SeenJoint]]], texts: dict[str, str]) -> None:
     for c, joints in groups:
-        names = ", ".join(j.name for j in joints)
+        names = ", ".join(texts[j.name] for j in joints if texts.get(j.name))
+        if not names:
+            continue
         slides = any(j.kind == "prismatic" for j in joints)
         clearance = (1.9 if slides else 1.25) * sheet.r
         look = {"gid": f"label:{names}", "color": INK}

@@ -83,6 +83,18 @@ class Solids:
                 normal = corners.mean(axis=0)
                 self.face(name, centre + radius * corners, normal / np.linalg.norm(normal), colour)
 
+    def bowl(self, name: str, centre: Array, radius: float, way: Array, colour: str) -> None:
+        """Add half of a hollow sphere, the half that lies in the direction `way` (3,), of 4 by 12 faces."""
+        R = spatial.align_z(way)
+        lat, lon = np.deg2rad(np.linspace(90.0, 5.0, 5)), np.arange(13) * (2 * np.pi / 12)
+        p = np.stack([np.outer(np.cos(lat), np.cos(lon)), np.outer(np.cos(lat), np.sin(lon)),
+                      np.outer(np.sin(lat), np.ones(13))], axis=-1) @ R.T  # fmt: skip
+        for i in range(4):
+            for j in range(12):
+                corners = np.array([p[i, j], p[i, j + 1], p[i + 1, j + 1], p[i + 1, j]])
+                normal = corners.mean(axis=0)
+                self.face(name, centre + radius * corners, normal / np.linalg.norm(normal), colour)
+
     def box(self, name: str, X: Array, half: Array, colour: str, edge: str = "") -> None:
         """Add a box about the origin of the pose X (4, 4), with half-lengths (3,) along its axes."""
         for axis in range(3):

@@ -5,17 +5,19 @@ All solids are one collection of faces, so that matplotlib sorts them by depth t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kempe.errors import InputError
 from kempe.spatial import Array
-from kempe.views.drawing import page, style, symbols
+from kempe.views.drawing import measured, page, style, symbols
 from kempe.views.drawing.labels import Obstacles, extent
 from kempe.views.drawing.scene import Scene
 from kempe.views.drawing.solids import Solids
 from kempe.views.drawing.style import FAINT, FONT, INK
+from kempe.views.drawing.subject import Subject, subscript
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,53 +26,99 @@ VIEWS = [(float(elev), float(azim)) for elev in (22, 32) for azim in range(-75, 
 """Elevations and azimuths [degrees] among which the one is taken that keeps the points furthest apart."""
 
 
-def picture(
-    scene: Scene, configurations: Array | None, curves: dict[str, Array], here: dict[str, Array],
-    before: list[Scene], labels: bool, ax: Any,
-) -> Axes:  # fmt: skip
-    """Axes in space with the scene, the curves (n, 3) by frame, and earlier positions as faint lines.
+def bounds_of(subjects: list[Subject]) -> tuple[Array, tuple[float, float]]:
+    """Points (n, 3) that several drawings together hold, and the view of the first."""
+    points = [p for s in subjects for scene in (s.scene, *s.others) for p in _solid_points(scene)]
+    points += [c[np.isfinite(c).all(axis=1)] for s in subjects[:1] for c in s.curves.values()]
+    return np.concatenate([p for p in points if len(p)]), _view(subjects[0].scene)
 
-    Frames `here` (4, 4) are marked: by a dot on their curve, or by their axes where there are no curves.
+
+def _solid_points(scene: Scene) -> list[Array]:
+    """The corners of everything that is drawn of a scene."""
+    solids = Solids()
+    symbols.build(solids, scene, symbols.radius(scene), None)
+    return solids.faces
+
+
+usual_radius = symbols.radius
+
+
+def empty(subject: Subject, bounds: tuple[Array, tuple[float, float]], make: Callable[..., Any]) -> Axes:
+    """Axes without a drawing, in a figure whose shape suits these bounds."""
+    ax = make().add_axes((0.0, 0.0, 1.0, 1.0), projection="3d")
+    _frame(ax, bounds[0], *bounds[1])
+    _fit(ax)
+    return ax
+
+
+def picture(
+    subject: Subject, ax: Any, bounds: tuple[Array, tuple[float, float]] | None = None,
+    make: Callable[..., Any] = page.new_figure,
+) -> Axes:  # fmt: skip
+    """Axes in space with the scene, the curves (n, 3) by frame, and other positions as lines.
+
+    Frames are marked: by a dot on their curve, or by their axes. Without `ax` the figure is made by `make`.
+    `bounds` are points (n, 3) and the view for which the axes are made already, by `empty`.
     """
     own = ax is None
     if own:
-        ax = page.new_figure().add_axes((0.0, 0.0, 1.0, 1.0), projection="3d")
+        ax = make().add_axes((0.0, 0.0, 1.0, 1.0), projection="3d")
     elif not hasattr(ax, "get_zlim"):
         raise InputError("ax is flat; a system in space needs axes with projection='3d'")
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     ax.computed_zorder = False
-    solids = Solids()
-    radius = symbols.radius(scene)
-    skeleton = symbols.build(solids, scene, radius, configurations)
+    scene, solids = subject.scene, Solids()
+    radius = subject.radius or symbols.radius(scene)
+    skeleton = symbols.build(solids, scene, radius, subject.way)
+    if subject.options.motion:
+        for joint in scene.joints:
+            skeleton += measured.freedoms(solids, joint, radius)
     faces = Poly3DCollection(solids.faces, facecolors=solids.colours, edgecolors=solids.edges, linewidths=0.35,
                              zorder=style.BARS, gid="solids")  # fmt: skip
     ax.add_collection3d(faces, autolim=False)
-    for k, old in enumerate(before):
-        for link, line in symbols.lines(old):
-            ax.plot(*line.T, color=style.link_colour(link.number), alpha=0.22, lw=1.6, zorder=style.GHOSTS,
-                    gid=f"ghost{k}:{link.name}")  # fmt: skip
-    for k, (name, points) in enumerate(curves.items()):
+    all_points = [*solids.faces, *_positions(ax, subject)]
+    for k, (name, points) in enumerate(subject.curves.items()):
         colour = style.curve_colour(k)
         ax.plot(*points.T, color=colour, lw=1.9, zorder=style.ARROWS, gid=f"curve:{name}", label=name)
-        p = here[name][:3, 3]
+        p = subject.here[name][:3, 3]
         ax.plot([p[0]], [p[1]], [p[2]], "o", color=colour, ms=6, mec="white", mew=1.0, zorder=style.ARROWS,
                 gid=f"here:{name}")  # fmt: skip
-    marks = {} if curves else here
-    ends = [_mark(ax, name, X, style.MARK * radius) for name, X in marks.items()]
-    all_points = [*solids.faces, *ends, *(c[np.isfinite(c).all(axis=1)] for c in curves.values())]
-    all_points += [line for old in before for _, line in symbols.lines(old)]
+    ends = [_mark(ax, name, X, style.MARK * radius) for name, X in subject.marks.items()]
+    all_points += [*ends, *(c[np.isfinite(c).all(axis=1)] for c in subject.curves.values())]
     all_points += [scene.points(link) for link in scene.links]
+    angles = measured.angles(ax, subject, radius) if subject.options.angles else []
+    all_points += [p[None] for p, _, _ in angles]
     if not any(len(p) for p in all_points):  # nothing moves and nothing is named
         all_points.append(np.zeros((1, 3)))
-    elev, azim = _view(scene)
-    _frame(ax, np.concatenate(all_points), elev, azim)
+    elev, azim = _view(scene) if bounds is None else bounds[1]
+    if bounds is None:
+        _frame(ax, np.concatenate(all_points), elev, azim)
     if own:
         _fit(ax)
-    if labels:
-        skeleton += [np.stack([e[0], tip]) for e in ends for tip in e[1:]]
-        _labels(ax, scene, marks, skeleton, radius, camera(elev, azim), own)
+    skeleton += [np.stack([e[0], tip]) for e in ends for tip in e[1:]]
+    texts = [*angles, *measured.texts(subject, style.MARK * radius)]
+    _labels(ax, subject, texts, skeleton, radius, camera(elev, azim), own)
+    if subject.parameter_text():
+        ax.set_title(subject.parameter_text(), loc="left", size=FONT - 1, color=INK, pad=3.0)
     return ax
+
+
+def _positions(ax: Any, subject: Subject) -> list[Array]:
+    """Draw earlier positions faintly, further configurations in colours and dashes of their own; their points."""
+    drawn = []
+    thick = 3.0 if subject.options.motion else 1.6
+    for k, old in enumerate(subject.ghosts):
+        for link, line in symbols.lines(old):
+            drawn.append(line)
+            ax.plot(*line.T, color=style.link_colour(link.number), alpha=0.3, lw=thick, zorder=style.GHOSTS,
+                    gid=f"ghost{k}:{link.name}")  # fmt: skip
+    for k, other in enumerate(subject.others, 1):
+        for link, line in symbols.lines(other):
+            drawn.append(line)
+            ax.plot(*line.T, color=style.curve_colour(k), lw=2.2, ls=style.DASHES[k % len(style.DASHES)],
+                    zorder=style.BLOCKS, gid=f"configuration{k}:{link.name}")  # fmt: skip
+    return drawn
 
 
 def _mark(ax: Any, name: str, X: Array, length: float) -> Array:
@@ -170,11 +218,13 @@ def _locator(count: int) -> Any:
 
 
 def _labels(
-    ax: Any, scene: Scene, marks: dict[str, Array], skeleton: list[Array], radius: float, eye: Array, own: bool
-) -> None:
-    """Write names of joints and frames, and of what is marked, placed in the plane of the picture."""
+    ax: Any, subject: Subject, texts: list[tuple[Array, str, dict[str, Any]]], skeleton: list[Array], radius: float,
+    eye: Array, own: bool,
+) -> None:  # fmt: skip
+    """Write names of joints and frames, and other texts at their points, placed in the plane of the picture."""
     from matplotlib.patheffects import withStroke
 
+    scene, words = subject.scene, subject.options.words
     obstacles = Obstacles()
     for line in skeleton:
         obstacles.line(line @ eye[:2].T, 1.2 * radius, 0.8)
@@ -192,26 +242,31 @@ def _labels(
     obstacles.bounds = (centre - half, centre + half) if own else None
     groups: list[tuple[Array, list[str], dict[str, Any]]] = []
     for joint in scene.joints:
-        seat = scene.seat(joint, radius)
+        seat, text = scene.seat(joint, radius), subject.joint_text(joint)
+        if not text:
+            continue
         near = next((g for g in groups if np.linalg.norm(eye[:2] @ (g[0] - seat)) < 1.2 * radius), None)
         if near is None:
-            groups.append((seat, [joint.name], {"color": INK, "size": FONT}))
+            groups.append((seat, [text], {"color": INK, "size": FONT}))
         else:
-            near[1].append(joint.name)
-    grey = {"color": style.mix(INK, style.PAPER, 0.3), "style": "italic", "size": FONT - 1}
-    named = {name: X for link in scene.links for name, X in link.frames.items()} | marks
-    groups += [(X[:3, 3], [name], grey) for name, X in named.items()]
+            near[1].append(text)
+    if "frames" in words:
+        grey = {"color": style.mix(INK, style.PAPER, 0.3), "style": "italic", "size": FONT - 1}
+        named = {name: X for link in scene.links for name, X in link.frames.items()} | subject.marks
+        named = {n: X for n, X in named.items() if n not in subject.axes or not subscript(subject.system, n)}
+        groups += [(X[:3, 3], [name], grey) for name, X in named.items()]
+    groups += [(p, [text], {"size": FONT, **look}) for p, text, look in texts]
     middle = np.mean([g[0] for g in groups], axis=0) if groups else np.zeros(3)
     halo = [withStroke(linewidth=2.2, foreground=style.PAPER)]
     for p, names, look in groups:
         text = ", ".join(names)
-        width, height = (metres_a_point * x for x in extent(text, look["size"]))
+        width, height = (metres_a_point * x for x in extent(text, look["size"], "weight" in look))
         c = eye[:2] @ p
         outward = eye[:2] @ (p - middle) / scene.size
         place = obstacles.place(c, (width, height), 2.1 * radius, outward)
         where = p + eye[:2].T @ (place - c)
-        ax.text(*where, text, ha="center", va="center", zorder=style.TEXT, gid=f"label:{text}",
-                path_effects=halo, **look)  # fmt: skip
+        ax.text(*where, text, ha="center", va="center", zorder=style.TEXT, path_effects=halo,
+                **{"gid": f"label:{text}", **look})  # fmt: skip
 
 
 def _metres_a_point(ax: Any, eye: Array) -> float:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 INK = "#22303c"
 GROUND = "#59646e"
 PAPER = "#ffffff"
 FAINT = "#b8c0c7"
 DRIVER = "#c2410c"
+MOTION = "#1d4e89"
+"""Arrows of the freedoms of joints."""
 OPEN = "#d11149"
 """Loops that are not closed."""
 WRONG = 1e-6
@@ -19,6 +23,9 @@ LINKS = (
 AXES = ("#c0392b", "#2e8b57", "#2b5fb3")
 """Colours of the axes x, y, z of frames."""
 CURVES = ("#c1272d", "#1b6fb5", "#2c8c45", "#8e44ad", "#d9820a", "#0f8b8d")
+
+DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (2, 2)), (0, (6, 2, 1, 2)))
+"""Lines of configurations that lie over one another: they differ in grey, too."""
 
 FONT = 9.0
 """Size of labels in points."""

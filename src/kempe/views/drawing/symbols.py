@@ -15,11 +15,13 @@ from kempe.views.drawing.solids import Solids, flat_hull
 from kempe.views.drawing.style import DRIVER, GROUND, INK, OPEN, WRONG
 
 OF_SIZE, OF_LINK, LEAST = 0.02, 0.13, 0.0125
-"""Radius of a hinge: as part of the whole drawing, at most as part of a short link, at least of the drawing."""
+"""Radius of a hinge: as part of the drawing, at most as part of a short link, at least of the drawing."""
 DETOUR = 1.76
 """How much longer the way along two axes and their common normal may be than the straight one: sqrt(3) and a bit."""
 LINK = 0.5
 """Radius of a link's tube in radii of a hinge."""
+HANDLE = 7.0
+"""Length of the bar that stands for a link that has nothing but its joint."""
 JOINT = "#dfe4e8"
 TURNING = ("revolute", "cylindrical", "helical")
 
@@ -78,17 +80,15 @@ def _constraint(solids: Solids, mark: SeenMark, r: float) -> None:
         solids.ball(name, c, 0.8 * r, JOINT)
 
 
-# ---- links
-
-
 def lines(scene: Scene) -> Iterator[tuple[SeenLink, Array]]:
     """For each moving link the polylines (n, 3) that it is drawn along."""
     for link in scene.links[1:]:
-        for line in _lines(scene, link):
+        for line in lines_of(scene, link):
             yield link, line
 
 
-def _lines(scene: Scene, link: SeenLink) -> list[Array]:
+def lines_of(scene: Scene, link: SeenLink) -> list[Array]:
+    """The polylines (n, 3) that a link is drawn along."""
     joints = [scene.joints[j] for j in link.joints]
     centres = distinct(np.array([j.on(link.number)[:3, 3] for j in joints]
                                 + [e[k] for _, n, e, _ in scene.rods for k in (0, 1) if n[k] == link.number]
@@ -122,7 +122,11 @@ def _lines(scene: Scene, link: SeenLink) -> list[Array]:
             near = hub[-1]
         out.append(np.array([near, p]))
     least = 1e-9 * scene.size
-    return [line for line in out if float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()) > least]
+    out = [line for line in out if np.linalg.norm(np.diff(line, axis=0), axis=1).sum() > least]
+    if not out and len(joints) == 1 and not link.particle:  # nothing but its joint: a handle along x shows it
+        X = next(iter(link.bodies.values()))
+        out.append(np.stack([X[:3, 3], X[:3, 3] + HANDLE * radius(scene) * X[:3, 0]]))
+    return out
 
 
 def _along_axes(A: Array, B: Array, use_a: bool, use_b: bool) -> Array:
@@ -150,7 +154,7 @@ def _along_axes(A: Array, B: Array, use_a: bool, use_b: bool) -> Array:
 
 def _link(solids: Solids, scene: Scene, link: SeenLink, r: float, skeleton: list[Array]) -> None:
     colour, name = style.link_colour(link.number), f"link:{link.name}"
-    drawn = _lines(scene, link)
+    drawn = lines_of(scene, link)
     for line in drawn:
         _pipe(solids, name, line, LINK * r, style.mix(colour, style.PAPER, 0.15))
         if len(line) > 3 and np.allclose(line[0], line[-1]):
@@ -159,11 +163,8 @@ def _link(solids: Solids, scene: Scene, link: SeenLink, r: float, skeleton: list
     if link.particle:
         solids.ball(name, next(iter(link.bodies.values()))[:3, 3], 1.3 * r, colour)
         return
-    triads = [(f"frame:{frame}", X) for frame, X in link.frames.items()]
-    if not triads and len(link.joints) == 1:
-        triads.append((name, next(iter(link.bodies.values()))))
-    for title, X in triads:
-        _triad(solids, title, X, r)
+    for frame, X in link.frames.items():
+        _triad(solids, f"frame:{frame}", X, r)
         skeleton += [np.stack([X[:3, 3], X[:3, 3] + 4.5 * r * X[:3, axis]]) for axis in range(3)]
 
 
@@ -225,11 +226,29 @@ def _mark(solids: Solids, name: str, p: Array, r: float) -> None:
     solids.plate(name, base + 2.4 * r * square, style.mix(GROUND, style.PAPER, 0.2), 0.45, GROUND)
 
 
-# ---- joints
+def _tone(link: int) -> str:
+    """The colour of the half of a joint that belongs to its parent, darker than that of the child."""
+    return style.mix(style.link_colour(link), INK, 0.2)
+
+
+def _own(j: SeenJoint, colour: str) -> str:
+    """The colour of the half of the child: that of drivers where it is driven."""
+    return colour if j.driven else style.mix(style.link_colour(j.child), style.PAPER, 0.5)
+
+
+def _side(scene: Scene, j: SeenJoint, link: int, usual: float) -> Array:
+    """The direction (3,) along z of the joint on which a link lies; on the `usual` side of z where that is open."""
+    axis = j.on(link)[:3, 2]
+    away = float((scene.points(scene.links[link]) - j.centre).sum(axis=0) @ axis) if link else 0.0
+    return axis * (np.sign(away) if abs(away) > 1e-6 * scene.size else usual)
 
 
 def _revolute(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None) -> None:
-    solids.tube(f"joint:{j.name}", j.centre - 1.7 * r * j.axis, j.centre + 1.7 * r * j.axis, r, colour, 1, edge=INK)
+    """Draw a barrel of the child between two knuckles of the parent."""
+    name, c = f"joint:{j.name}", j.centre
+    solids.tube(name, c - r * j.axis, c + r * j.axis, r, _own(j, colour), 1, edge=INK)
+    for sign in (-1.0, 1.0):
+        solids.tube(name, c + sign * r * j.axis, c + 1.7 * sign * r * j.axis, r, _tone(j.parent), 1, edge=INK)
 
 
 def _rail(scene: Scene, j: SeenJoint, r: float, configurations: Array | None) -> tuple[Array, Array]:
@@ -262,13 +281,13 @@ def _prismatic(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str
         solids.tube(f"rod:{j.name}", j.F[:3, 3], low, LINK * r, base)
         solids.tube(f"rod:{j.name}", high, j.centre, 0.8 * LINK * r, own)
         half = np.array([1.1 * r, 1.1 * r, 0.2 * float(np.linalg.norm(along))])
-        solids.box(f"joint:{j.name}", X, half, colour, INK)
+        solids.box(f"joint:{j.name}", X, half, colour if j.driven else base, INK)
         return
     a, b = _rail(scene, j, r, configurations)
     on_ground = 0 in (j.parent, j.child)
     rail = GROUND if on_ground else style.link_colour(j.parent)
     _split_rail(solids, j, a, b, 2.0 * r, 0.4 * r, style.mix(rail, style.PAPER, 0.2))
-    solids.box(f"joint:{j.name}", X, np.array([1.3 * r, 1.3 * r, 2.0 * r]), colour, INK)
+    solids.box(f"joint:{j.name}", X, np.array([1.3 * r, 1.3 * r, 2.0 * r]), _own(j, colour), INK)
 
 
 def _cylindrical(
@@ -276,39 +295,49 @@ def _cylindrical(
 ) -> None:
     a, b = _rail(scene, j, r, configurations)
     rail = GROUND if 0 in (j.parent, j.child) else style.link_colour(j.parent)
-    _split_rail(solids, j, a, b, 2.2 * r, 0.45 * r, style.mix(rail, style.PAPER, 0.2))
-    solids.tube(f"joint:{j.name}", j.centre - 2.2 * r * j.axis, j.centre + 2.2 * r * j.axis, r, colour, 1, edge=INK)
+    _split_rail(solids, j, a, b, 1.5 * r, 0.55 * r, style.mix(rail, style.PAPER, 0.2))
+    half = 1.5 * r * j.axis
+    solids.tube(f"joint:{j.name}", j.centre - half, j.centre + half, 1.1 * r, _own(j, colour), 1, edge=INK)
+    for end in (a, b):  # collars, at which the sleeve turns and stops
+        out = 0.3 * r * (end - j.centre) / float(np.linalg.norm(end - j.centre))
+        solids.tube(f"rail:{j.name}", end - out, end, 0.95 * r, style.mix(rail, style.PAPER, 0.2), 1, edge=INK)
 
 
 def _helical(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None) -> None:
     _cylindrical(solids, scene, j, r, colour, configurations)
     turns = np.linspace(0.0, 6 * np.pi, 37)
-    along = np.linspace(-2.0, 2.0, 37) * r
+    along = np.linspace(-1.4, 1.4, 37) * r
     x, y = j.F[:3, 0], j.F[:3, 1]
-    helix = j.centre + 1.05 * r * (np.cos(turns)[:, None] * x + np.sin(turns)[:, None] * y) + along[:, None] * j.axis
+    helix = j.centre + 1.15 * r * (np.cos(turns)[:, None] * x + np.sin(turns)[:, None] * y) + along[:, None] * j.axis
     for p, q in zip(helix[:-1], helix[1:], strict=True):
         solids.tube(f"joint:{j.name}", p, q, 0.14 * r, INK, 1, caps=False, sides=5)
 
 
 def _spherical(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None) -> None:
-    solids.ball(f"joint:{j.name}", j.centre, 1.35 * r, colour)
+    """Draw a ball of the child in a socket of the parent."""
+    solids.ball(f"joint:{j.name}", j.centre, 1.35 * r, _own(j, colour))
+    solids.bowl(f"socket:{j.name}", j.centre, 1.6 * r, _side(scene, j, j.parent, -1.0), _tone(j.parent))
 
 
 def _universal(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None) -> None:
-    """Draw a cross: one arm along x of F, the other along y of M."""
-    for arm, fork in ((j.F[:3, 0], j.parent), (j.M[:3, 1], j.child)):
+    """Draw a cross, one arm along x of F, the other along y of M, each in the fork of its link."""
+    for arm, link, usual in ((j.F[:3, 0], j.parent, -1.0), (j.M[:3, 1], j.child, 1.0)):
         a, b = j.centre - 1.8 * r * arm, j.centre + 1.8 * r * arm
-        solids.tube(f"joint:{j.name}", a, b, 0.5 * r, colour, 2, edge=INK)
-        tint = style.mix(style.link_colour(fork), INK, 0.1)
+        solids.tube(f"joint:{j.name}", a, b, 0.4 * r, colour, 2, edge=INK)
+        tint = _tone(link) if link == j.parent else _own(j, JOINT)
+        back = 2.4 * r * _side(scene, j, link, usual)
         for end, sign in ((a, -1.0), (b, 1.0)):
             solids.tube(f"joint:{j.name}", end, end + 0.35 * sign * r * arm, 0.62 * r, tint, 1, edge=INK)
+            solids.tube(f"fork:{j.name}", end, end + back, 0.33 * r, tint, 2, edge=INK)
+        more = 0.3 * r * arm
+        solids.tube(f"fork:{j.name}", a + back - more, b + back + more, 0.33 * r, tint, 2, edge=INK)
     solids.ball(f"joint:{j.name}", j.centre, 0.7 * r, colour)
 
 
 def _planar(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None) -> None:
     X = j.F.copy()
     solids.plate(f"joint:{j.name}:table", _square(X, 8.0 * r), GROUND, 0.15, GROUND)
-    solids.box(f"joint:{j.name}", j.M, np.array([1.8, 1.8, 0.6]) * r, colour, INK)
+    solids.box(f"joint:{j.name}", j.M, np.array([1.8, 1.8, 0.6]) * r, _own(j, colour), INK)
 
 
 def _square(X: Array, half: float) -> Array:
@@ -319,7 +348,7 @@ def _square(X: Array, half: float) -> Array:
 def _translation(
     solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None
 ) -> None:
-    solids.box(f"joint:{j.name}", j.M, np.full(3, 1.2 * r), colour, INK)
+    solids.box(f"joint:{j.name}", j.M, np.full(3, 1.2 * r), _own(j, colour), INK)
     for axis in range(3):
         arm = 2.6 * r * j.F[:3, axis]
         solids.tube(f"joint:{j.name}", j.centre - arm, j.centre + arm, 0.25 * r, GROUND, 2)
@@ -351,14 +380,13 @@ SYMBOLS: dict[str, Callable[[Solids, Scene, SeenJoint, float, str, Array | None]
 
 
 def _turning_arrow(solids: Solids, j: SeenJoint, r: float) -> None:
-    x, y = j.F[:3, 0], j.F[:3, 1]
-    angles = np.linspace(0.0, np.deg2rad(235.0), 22)
-    circle = np.cos(angles)[:, None] * x + np.sin(angles)[:, None] * y
+    angles = np.linspace(0.0, np.deg2rad(235.0), 22)[:, None]
+    circle = np.cos(angles) * j.F[:3, 0] + np.sin(angles) * j.F[:3, 1]
     solids.arrow(f"driver:{j.name}", j.centre + 2.2 * r * circle, 0.2 * r, DRIVER)
 
 
 def _open(solids: Solids, j: SeenJoint, r: float) -> None:
-    """Draw a red line where a joint does not hold together at this configuration."""
+    """Draw a red line where a joint does not hold together."""
     gap = j.centre - j.F[:3, 3]
     if j.kind not in SYMBOLS:
         gap = np.zeros(3) if j.gap is None else j.gap

@@ -44,6 +44,7 @@ class Connection(Configurations):
     characteristic lengths. Angles without limits end up to whole turns at the goal.
     """
 
+    is_motion = True
     __repr__ = brief
 
     also = ("length", "step", "interrupted", "late")

@@ -10,8 +10,9 @@ from kempe.analysis.spaces.planar.plane_curves import PlanePiece
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.path import Path
 
-    from kempe.analysis.spaces.planar.planar_workspace import PlanarWorkspace
+    from kempe.analysis.spaces.planar.planar_workspace import PlanarWorkspace, SolutionRegion
 
 FINE = 0.02
 """Angle between the points by which an arc is drawn."""
@@ -21,19 +22,12 @@ def plot(workspace: PlanarWorkspace, ax: Axes | None = None) -> Axes:
     """Matplotlib axes with the regions, darker where there are more solutions, and the boundary."""
     import matplotlib.pyplot as plt
     from matplotlib.patches import PathPatch
-    from matplotlib.path import Path
 
     ax = plt.subplots()[1] if ax is None else ax
     for region in workspace.regions:
-        corners, codes = [], []
-        for loop in region.loops:
-            p = np.concatenate([drawn(piece) for piece in loop])
-            corners.append(np.column_stack([np.real(p), np.imag(p)]))
-            codes += [Path.MOVETO, *[Path.LINETO] * (len(p) - 2), Path.CLOSEPOLY]
         shade = 0.8 if region.solutions in (None, 1) else 0.6
         label = "reached" if region.solutions is None else f"{region.solutions} solution{'s' * (region.solutions > 1)}"
-        path = Path(np.concatenate(corners), codes)
-        ax.add_patch(PathPatch(path, facecolor=(0.9 * shade, shade, 1.0), edgecolor="none", label=label))
+        ax.add_patch(PathPatch(outline(region), facecolor=(0.9 * shade, shade, 1.0), edgecolor="none", label=label))
     for piece in workspace.boundary:
         p = drawn(piece)
         ax.plot(np.real(p), np.imag(p), color="0.15", linewidth=1.2)
@@ -44,6 +38,18 @@ def plot(workspace: PlanarWorkspace, ax: Axes | None = None) -> Axes:
     if workspace.regions:
         ax.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0), frameon=False)
     return ax
+
+
+def outline(region: SolutionRegion) -> Path:
+    """The closed curves round a region, as one path."""
+    from matplotlib.path import Path
+
+    corners, codes = [], []
+    for loop in region.loops:
+        p = np.concatenate([drawn(piece) for piece in loop])
+        corners.append(np.column_stack([np.real(p), np.imag(p)]))
+        codes += [Path.MOVETO, *[Path.LINETO] * (len(p) - 2), Path.CLOSEPOLY]
+    return Path(np.concatenate(corners), codes)
 
 
 def drawn(piece: PlanePiece) -> np.ndarray:

@@ -187,6 +187,11 @@ class Solutions(ConfigurationList, Answer):
     def _kind(self) -> Kind | None:
         return kind_of(self.plan, self.system.dim == 2)
 
+    @property
+    def titles(self) -> tuple[str, ...]:
+        """Names of the configurations in pictures: of their branches, else numbers."""
+        return tuple(name or str(k) for k, name in enumerate(np.ravel(self.names).tolist(), 1))
+
     @cached_property
     def names(self) -> np.ndarray:
         """Name of the branch of each, (k,) or (..., K): "elbow-up", or "shoulder left, elbow up, no flip".

@@ -1,0 +1,73 @@
+"""Commands that show a system in a browser; each is a few lines over the library."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from kempe.cli.app import (
+    DESCRIBE,
+    MODELS,
+    Base,
+    Deg,
+    Dirs,
+    File,
+    Json,
+    Lenient,
+    Posture,
+    Root,
+    Values,
+    Xacro,
+    app,
+    load,
+    option,
+    say_written,
+)  # fmt: skip
+from kempe.views.terminal import guarded, print_json
+
+DEMO = "panda"
+"""The model that `kempe demo` shows."""
+
+Frame = Annotated[str | None, option("--frame", "Body or frame that is dragged (the last one declared).", "NAME")]
+Port = Annotated[int | None, option("--port", "Port of the page (8080, or the next that is free).", "N")]
+NoBrowser = Annotated[bool, option("--no-browser", "Open no browser: only say where the page is.")]
+Html = Annotated[Path | None, option("-o,--html", "Write a page that opens from disk, and serve none.", "FILE")]
+
+
+@app.command(rich_help_panel=DESCRIBE)
+@guarded
+def view(
+    file: File, frame: Frame = None, q: Values = None, posture: Posture = None, deg: Deg = False, html: Html = None,
+    port: Port = None, no_browser: NoBrowser = False, base: Base = None, root: Root = None, package_dir: Dirs = None,
+    xacro: Xacro = False, lenient_limits: Lenient = False, json: Json = False,
+) -> None:  # fmt: skip
+    """Show a system in the browser: sliders, targets to drag, all solutions. Ctrl-C ends it.
+
+    Example: kempe view panda.urdf --frame panda_hand_tcp
+    """
+    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    from kempe.views import rows
+
+    start = None if q is None and posture is None else rows.configuration(system, q, posture, deg)
+    if html is not None:
+        system.save_html(html, start)
+        say_written(html, json)
+        return
+    with system.show(start, frame=frame, port=port, browser=not no_browser) as viewer:
+        if json:
+            print_json({"system": system.name, "url": viewer.url})
+        else:
+            print(f"{system.name}: {viewer.url} (Ctrl-C ends it)")
+        sys.stdout.flush()
+        viewer.wait()
+
+
+@app.command(rich_help_panel=MODELS)
+@guarded
+def demo(port: Port = None, no_browser: NoBrowser = False, json: Json = False) -> None:
+    """Show a shipped arm in the browser.
+
+    Example: kempe demo
+    """
+    view(DEMO, port=port, no_browser=no_browser, json=json)

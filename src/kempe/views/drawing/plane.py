@@ -1,0 +1,138 @@
+"""The picture of a planar system: the diagram, curves, marks, other configurations, what is measured, labels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.errors import InputError
+from kempe.spatial import Array
+from kempe.views.drawing import dimensioning, page, planar, shapes, style
+from kempe.views.drawing.planar import Sheet, flat
+from kempe.views.drawing.scene import Scene
+from kempe.views.drawing.subject import Subject, subscript
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+def picture(
+    subject: Subject, ax: Any, bounds: tuple[Array, Array] | None = None, make: Callable[..., Any] = page.new_figure
+) -> Axes:  # fmt: skip
+    """Axes with the subject; `bounds` are its lower left and upper right corner (2,), where they are not its own.
+
+    Without `ax` the figure is made by `make`.
+    """
+    if ax is not None and hasattr(ax, "get_zlim"):
+        raise InputError("ax is in space; a planar system needs plain axes")
+    radius = subject.radius or planar.pin_radius(subject.scene)
+    if ax is None:  # the extent of the drawing decides the shape of the figure
+        lower, upper = extent(subject)
+        lines = subject.parameter_text().count("\n") + 1 if subject.parameter_text() else 0
+        ax = page.figure_for(upper - lower, bool(subject.curves), 0.16 * lines, make)
+    sheet = Sheet(ax, subject.scene, radius, subject.way, steady=subject.radius is not None)
+    drawn(sheet, subject)
+    lower, upper = page.limits(sheet) if bounds is None else bounds
+    page.finish(sheet, lower, upper, bool(subject.curves))
+    if subject.parameter_text():
+        ax.set_title(subject.parameter_text(), loc="left", size=style.FONT - 1, color=style.INK, pad=3.0)
+    return ax
+
+
+def bounds_of(subjects: list[Subject]) -> tuple[Array, Array]:
+    """Lower left and upper right corner (2,) of several drawings together."""
+    corners = [extent(s) for s in subjects]
+    return np.min([c[0] for c in corners], axis=0), np.max([c[1] for c in corners], axis=0)
+
+
+usual_radius = planar.pin_radius
+
+
+def empty(subject: Subject, bounds: tuple[Array, Array], make: Callable[..., Any]) -> Axes:
+    """Axes without a drawing, in a figure whose shape suits these bounds."""
+    return page.figure_for(bounds[1] - bounds[0], bool(subject.curves), make=make)
+
+
+def extent(subject: Subject) -> tuple[Array, Array]:
+    """Lower left and upper right corner (2,) of a drawing."""
+    trial = Sheet(page.bare_figure().add_subplot(), subject.scene, planar.pin_radius(subject.scene), subject.way)
+    drawn(trial, subject)
+    return page.limits(trial)
+
+
+def drawn(sheet: Sheet, subject: Subject) -> None:
+    """Draw the subject from back to front; labels are collected."""
+    options = subject.options
+    if subject.workspace is not None:
+        _workspace(sheet, subject.workspace)
+    for k, old in enumerate(subject.ghosts):
+        planar.ghost(sheet, old, k)
+        sheet.extent += [flat(old.points(link)) for link in old.links]
+    for k, other in enumerate(subject.others):
+        _over(sheet, other, k + 1)
+    for k, (name, points) in enumerate(subject.curves.items()):
+        page.curve(sheet, name, points[:, :2], flat(subject.here[name]), k)
+    texts = {j.name: subject.joint_text(j) for j in subject.scene.joints}
+    planar.draw(sheet, texts, "frames" in options.words)
+    for name, X in subject.marks.items():
+        below = subscript(subject.system, name) if name in subject.axes else ""
+        planar.mark(sheet, name, X, "frames" in options.words and not below)
+        if name in subject.axes:
+            _axis_names(sheet, name, X, below)
+    dimensioning.draw(sheet, subject)
+    _titles(sheet, subject)
+
+
+def _axis_names(sheet: Sheet, name: str, X: Array, below: str) -> None:
+    """Collect the names of the axes of a frame."""
+    for k, axis in enumerate("xy"):
+        tip = flat(X) + (style.MARK + 1.6) * sheet.r * X[:2, k]
+        look = {"gid": f"label:{name}:{axis}", "color": style.mix(style.AXES[k], style.INK, 0.3)}
+        sheet.labels.append((f"${axis}{below}$", tip, 0.3 * sheet.r, look))
+
+
+def _over(sheet: Sheet, scene: Scene, number: int) -> None:
+    """Draw the links of another configuration, in a colour and with an outline of its own."""
+    colour, gid = style.curve_colour(number), f"configuration{number}"
+    line = style.DASHES[number % len(style.DASHES)]
+    for link in scene.links[1:]:
+        p = flat(scene.points(link))
+        if len(p) > 1:
+            sheet.patch(shapes.rounded(p, style.BAR * sheet.r), f"{gid}:{link.name}", style.POLYGONS,
+                        fc=(colour, 0.10), ec=colour, lw=1.3, ls=line)  # fmt: skip
+            for a, b in zip(p[:-1], p[1:], strict=True):
+                sheet.obstacles.segment(a, b, sheet.r, 0.5)
+    for joint in scene.joints:
+        if joint.kind == "revolute":
+            sheet.patch(shapes.circle(flat(joint.M), 0.7 * sheet.r), f"{gid}:{joint.name}", style.POLYGONS,
+                        fc=style.PAPER, ec=colour, lw=1.2)  # fmt: skip
+
+
+def _titles(sheet: Sheet, subject: Subject) -> None:
+    """Collect the names of the configurations, each where it is furthest from the others."""
+    if not subject.others or not any(subject.titles):
+        return
+    scenes = (subject.scene, *subject.others)
+    points = [np.concatenate([flat(s.points(link)) for link in s.links[1:]]) for s in scenes]
+    for k, (title, own) in enumerate(zip(subject.titles, points, strict=False)):
+        rest = np.concatenate([p for i, p in enumerate(points) if i != k])
+        gap = np.linalg.norm(own[:, None] - rest, axis=-1).min(axis=1)
+        colour = style.INK if k == 0 else style.curve_colour(k)
+        look = {"gid": f"label:configuration{k}", "color": colour, "weight": "bold"}
+        sheet.labels.append((title, own[int(np.argmax(gap))], 1.6 * sheet.r, look))
+
+
+def _workspace(sheet: Sheet, workspace: Any) -> None:
+    """Draw what a frame reaches, darker where there are more ways, and its boundary."""
+    from kempe.analysis.spaces.planar.planar_plot import drawn as points_of
+    from kempe.analysis.spaces.planar.planar_plot import outline
+
+    for k, region in enumerate(workspace.regions):
+        shade = style.mix(style.FAINT, style.PAPER, 0.55 if region.solutions in (None, 1) else 0.25)
+        sheet.patch(outline(region), f"workspace:{k}", style.GHOSTS - 0.5, fc=shade, ec="none")
+    for k, piece in enumerate(workspace.boundary):
+        z = points_of(piece)
+        p = np.column_stack([np.real(z), np.imag(z)])
+        sheet.line(p, f"workspace:boundary{k}", style.GHOSTS, color=style.GROUND, lw=1.1)

@@ -1,0 +1,98 @@
+"""Motions as moving pictures: GIF, MP4 (with ffmpeg) or an HTML page with a player, all frames on one scale."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.calls import explained
+from kempe.errors import InputError, UnsupportedError, shown
+from kempe.kinematics.configuration import has_loops, interpolate
+from kempe.model.plot_options import PlotOptions
+from kempe.spatial import Array
+from kempe.views.drawing import page
+from kempe.views.drawing.scene import look
+from kempe.views.plots import drawing_of, motion_of, subject_of
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+ENDINGS = {".gif": "pillow", ".mp4": "ffmpeg", ".html": "html"}
+"""By the ending of a file who writes it, as `matplotlib.animation.writers` calls them."""
+MOST = 600
+"""Frames of a film."""
+
+
+def film_file(file: str | Path) -> Path:
+    """The path of a film. Errors: `InputError` for other endings, `UnsupportedError` where its writer is missing."""
+    from matplotlib import animation
+
+    path = Path(file)
+    writer = ENDINGS.get(path.suffix.lower())
+    if writer is None:
+        raise InputError(f"{path}: moving pictures are {', '.join(ENDINGS)} files")
+    if not animation.writers.is_available(writer):
+        raise UnsupportedError(f"{path}: the program {writer} is needed to write it, and is not installed; .gif and "
+                               ".html need nothing")  # fmt: skip
+    return path
+
+
+@explained
+def animate(
+    system: System, path: Any, file: str | Path, *, frames: Any = (), labels: Any = False, seconds: float = 4.0,
+    fps: float = 15.0,
+) -> Path:  # fmt: skip
+    """Write a motion as a moving picture; the path of the file comes back, whose ending says what it is.
+
+    `path`: an answer with a motion or several configurations, or configurations (n, nq), passed at equal times in
+    `seconds`, `fps` pictures each second; without loops it is interpolated between few. `frames` are those whose
+    curves are drawn, `labels` as for `System.plot`.
+    Errors: `InputError` for shapes and endings (.gif, .mp4, .html), `UnsupportedError` for .mp4 without the program
+    ffmpeg.
+    """
+    if not seconds > 0.0 or not 0.0 < fps <= 60.0:
+        raise InputError(f"seconds is {shown(seconds)} and fps {shown(fps)}; both must be positive, fps at most 60")
+    count = round(seconds * fps)
+    if not 2 <= count <= MOST:
+        raise InputError(f"seconds * fps are {count} pictures; they must be from 2 to {MOST}")
+    out = film_file(file)
+    way, drivers = motion_of(system, path)
+    if way is None:
+        raise InputError("path is None; it must be a motion, or configurations (n, nq)")
+    options = PlotOptions(frames=frames, labels=labels)
+    steps = _evenly(system, way[np.isfinite(way).all(axis=1)], count)
+    drawing = drawing_of(system)
+    radius = drawing.usual_radius(look(system, steps[0]))
+    subjects = [replace(subject_of(system, q[None], way, path, drivers, options, ()), radius=radius) for q in steps]
+    _write(drawing, subjects, out, fps)
+    return out
+
+
+def _evenly(system: System, q: Array, count: int) -> Array:
+    """Configurations (count, nq) at equal steps along rows (n, nq), where loops are closed the nearest of these."""
+    at = np.linspace(0.0, len(q) - 1.0, count)
+    if len(q) >= count or len(q) < 2 or has_loops(system):
+        return q[at.round().astype(int)]
+    low = np.minimum(at.astype(int), len(q) - 2)
+    return np.asarray(interpolate(system, q[low], q[low + 1], at - low))
+
+
+def _write(drawing: Any, subjects: list[Any], out: Path, fps: float) -> None:
+    """Draw one subject after the other on the same axes, and write each as a frame."""
+    from matplotlib import animation
+
+    bounds = drawing.bounds_of(subjects[:: max(1, len(subjects) // 24)])
+    ax = drawing.empty(subjects[0], bounds, page.bare_figure)
+    kind = ENDINGS[out.suffix.lower()]
+    more = {"embed_frames": True, "default_mode": "loop"} if kind == "html" else {}
+    writer: Any = animation.writers[kind]
+    writer = writer(fps=fps, **more)
+    with writer.saving(ax.figure, str(out), dpi=100):
+        for subject in subjects:
+            for artist in (*ax.collections, *ax.lines, *ax.patches, *ax.texts):
+                artist.remove()
+            drawing.picture(subject, ax, bounds)
+            writer.grab_frame()

@@ -1,0 +1,210 @@
+"""The tree of a system as text, as a picture and in notebooks; all joint types in one picture and one table."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe import library
+from kempe.calls import explained
+from kempe.errors import InputError, KempeError
+from kempe.joints import TYPES
+from kempe.kinematics.configuration import has_loops
+from kempe.words import counted, cut
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from kempe.model.system import System
+
+MOST_LINES, MOST_DRAWN = 40, 60
+"""Lines of a tree that a notebook shows, and bodies up to which it shows a picture."""
+
+
+# ---- the tree
+
+
+def children(system: System) -> list[list[int]]:
+    """For each body from the ground on, the bodies whose parent it is."""
+    out: list[list[int]] = [[] for _ in system.body_names]
+    for body, parent in enumerate(system.parent, 1):
+        out[parent].append(body)
+    return out
+
+
+def tree_lines(system: System) -> list[str]:
+    """The tree as text: for each body its joint, with the type, its number and its name; then what closes loops."""
+    below, names, joints = children(system), system.body_names, system.structure.joints
+    out, waiting = [f"0 {names[0]}"], [(b, "", b == below[0][-1]) for b in reversed(below[0])]
+    while waiting:
+        body, indent, last = waiting.pop()
+        joint = joints[system.structure.parent_joints[body - 1]]
+        out.append(f"{indent}{'└─' if last else '├─'} {joint.name} ({joint.type.type_name}) ─ {body} {names[body]}")
+        indent += "   " if last else "│  "
+        waiting += [(b, indent, b == below[body][-1]) for b in reversed(below[body])]
+    for name in system.structure.closures:
+        joint = joints[name]
+        out.append(f"╌╌ {name} ({joint.type.type_name}) closes a loop: {joint.parent} ╌ {joint.child}")
+    return [*out, connectivity(system)]
+
+
+def connectivity(system: System) -> str:
+    """The connectivity vector as text: the parent of each body."""
+    return f"C = {{{', '.join(map(str, system.parent))}}}"
+
+
+def _places(system: System) -> np.ndarray:
+    """Where bodies (n + 1, 2) are drawn: leaves beside one another, each parent over the middle of its children."""
+    below = children(system)
+    at = np.zeros((len(below), 2))
+    for body, parent in enumerate(system.parent, 1):  # parents come first
+        at[body, 1] = at[parent, 1] - 1.0
+    order, waiting = [], [0]
+    while waiting:
+        order.append(waiting.pop())
+        waiting += reversed(below[order[-1]])
+    for k, leaf in enumerate(b for b in order if not below[b]):
+        at[leaf, 0] = k
+    for body in reversed(order):
+        if below[body]:
+            at[body, 0] = 0.5 * (at[below[body][0], 0] + at[below[body][-1], 0])
+    return at
+
+
+@explained
+def plot_tree(system: System, ax: Axes | None = None) -> Axes:
+    """Axes with the tree: bodies as circles by depth, joints as lines with their letters, C below.
+
+    Joints that close loops, which the tree leaves out, are dashed red lines. Letters: R revolute, P prismatic,
+    H helical, C cylindrical, U universal, E planar, T translation, S spherical, F free; products have those of their
+    factors.
+    """
+    from kempe.views.drawing import page, style
+
+    at, names, joints = 1.4 * _places(system), system.body_names, system.structure.joints
+    span = np.ptp(at, axis=0)
+    if ax is None:
+        ax = page.new_figure(*np.clip(0.8 * span + (1.6, 1.4), (3.2, 2.4), (16.0, 14.0))).add_axes((0, 0, 1, 1))
+    for body, parent in enumerate(system.parent, 1):
+        joint = joints[system.structure.parent_joints[body - 1]]
+        ax.plot(*at[[parent, body]].T, color=style.INK, lw=1.3, zorder=style.BARS, gid=f"edge:{joint.name}")
+        _edge_text(ax, joint, at[parent], at[body], style.INK)
+    number, lowest = {name: k for k, name in enumerate(names)}, float(at[:, 1].min())
+    for name in system.structure.closures:
+        joint = joints[name]
+        a, b = at[number[joint.parent]], at[number[joint.child]]
+        side = 0.22 * np.array([b[1] - a[1], a[0] - b[0]]) + (0.0, -0.15)
+        t = np.linspace(0.0, 1.0, 40)[:, None]
+        line = (1 - t) ** 2 * a + 2 * t * (1 - t) * (0.5 * (a + b) + 2.0 * side) + t**2 * b
+        lowest = min(lowest, float(line[:, 1].min()))
+        ax.plot(*line.T, color=style.OPEN, lw=1.3, ls=(0, (4, 3)), zorder=style.RAILS, gid=f"cut:{name}")
+        _edge_text(ax, joint, line[20], line[20], style.OPEN)
+    for k, (p, name) in enumerate(zip(at, names, strict=True)):
+        short = name if len(name) <= 3 else str(k)
+        colour = style.mix(style.link_colour(k), style.PAPER, 0.55)
+        ax.plot(*p, "o", ms=25, mfc=colour, mec=style.INK, mew=1.2, zorder=style.PINS, gid=f"body:{name}")
+        ax.text(p[0], p[1], short, ha="center", va="center", size=style.FONT, zorder=style.TEXT, gid=f"label:{name}")
+        if short != name:
+            ax.text(p[0] + 0.34, p[1], name, va="center", size=style.FONT - 1.5, zorder=style.TEXT, color=style.GROUND)
+    ax.set_xlim(at[:, 0].min() - 1.0, at[:, 0].max() + 1.6)
+    ax.set_ylim(lowest - 1.2, at[:, 1].max() + 0.6)
+    ax.text(at[:, 0].min() - 0.7, lowest - 0.9, connectivity(system), size=style.FONT, gid="connectivity")
+    ax.set_axis_off()
+    return ax
+
+
+def _edge_text(ax: Axes, joint: Any, a: np.ndarray, b: np.ndarray, colour: str) -> None:
+    """Write the name and the letter of a joint at the middle of its line."""
+    from kempe.views.drawing import style
+
+    text = f"{joint.name}  {joint.type.letter}".rstrip()
+    middle = 0.5 * (a + b)
+    ax.text(middle[0], middle[1], text, ha="center", va="center", size=style.FONT - 1, color=colour, zorder=style.TEXT,
+            bbox={"fc": style.PAPER, "ec": "none", "pad": 1.0}, gid=f"label:{joint.name}")  # fmt: skip
+
+
+# ---- joint types
+
+
+def joint_rows() -> list[dict[str, Any]]:
+    """All joint types: name, letter, freedoms and constraints in space and in the plane, what they are made of."""
+    out = []
+    for name, kind in TYPES.items():
+        joint = kind()
+        plane = (joint.dof(2), joint.constraints(2)) if joint.planar else (None, None)
+        out.append({
+            "type": name, "letter": joint.letter, "dof": joint.dof(), "constraints": joint.constraints(),
+            "dof_in_the_plane": plane[0], "constraints_in_the_plane": plane[1], "made_of": joint.decomposition,
+            "says": joint.summary,
+        })  # fmt: skip
+    return out
+
+
+@explained
+def plot_joints(names: Sequence[str] = ()) -> tuple[Axes, ...]:
+    """Axes with all joint types, or those that are named: both bodies, an arrow for each freedom, and neighbours."""
+    from kempe.views.drawing import page, style
+
+    shown = [n for n in TYPES if TYPES[n]().dof()] if not len(names) else list(names)
+    if unknown := [n for n in shown if f"joint_{n}" not in library.names()]:
+        raise InputError(f"names has {unknown[0]!r}; there are: {', '.join(TYPES)}")
+    import kempe
+
+    columns = min(3, len(shown))
+    rows = -(-len(shown) // columns)
+    figure, axes = page.new_figure(3.4 * columns, 3.2 * rows), []
+    for k, name in enumerate(shown):
+        ax = figure.add_subplot(rows, columns, k + 1, projection="3d")
+        system = kempe.load(f"joint_{name}")
+        system.plot(motion=True, labels=False, ax=ax)
+        ax.set_box_aspect([np.ptp(x) for x in (ax.get_xlim(), ax.get_ylim(), ax.get_zlim())], zoom=1.25)  # type: ignore[arg-type]
+        ax.set_axis_off()
+        ax.set_title(f"{name}, {counted(TYPES[name]().dof(), 'freedom')}", size=style.FONT + 1, color=style.INK, y=0.97)
+        axes.append(ax)
+    figure.subplots_adjust(left=0.0, right=1.0, bottom=0.0, top=0.95, wspace=0.0, hspace=0.06)
+    return tuple(axes)
+
+
+# ---- notebooks
+
+
+def notebook_page(system: System) -> str:
+    """The system as HTML: a picture, its freedoms, its tree. What cannot be had is left out."""
+    count = f"{len(system.parent)} {'body' if len(system.parent) == 1 else 'bodies'}"
+    kind = "in the plane" if system.dim == 2 else "in space"
+    head = f"{system.name}: {count}, {counted(len(system.joint_names), 'joint')}, {kind}"
+    parts = [f"<p>{html.escape(head)}</p>", _picture(system)]
+    parts.append(f"<p>{html.escape(_freedoms(system))}</p>")
+    lines = cut(tree_lines(system), MOST_LINES)
+    return "".join([*parts, f"<pre>{html.escape(chr(10).join(lines))}</pre>"])
+
+
+def _freedoms(system: System) -> str:
+    """The degrees of freedom in a sentence: of a tree those of its joints, else by counting and by rank."""
+    if not has_loops(system):
+        return f"{counted(system.nv, 'degree')} of freedom, configuration space {system.configuration_space.within}"
+    try:
+        return system.mobility(local=False).sentence
+    except KempeError as error:
+        return str(error)
+
+
+def _picture(system: System) -> str:
+    """An `img` with the picture, '' where there is none: without matplotlib, and of what is large or not drawn."""
+    if len(system.parent) > MOST_DRAWN:
+        return ""
+    try:
+        from kempe.views.plots import bare
+
+        figure: Any = bare(system).figure
+    except (KempeError, ValueError, ArithmeticError):
+        return ""
+    data = io.BytesIO()
+    figure.savefig(data, format="png", dpi=72, bbox_inches="tight")
+    said = html.escape(f"picture of {system.name}")
+    return f'<p><img alt="{said}" src="data:image/png;base64,{base64.b64encode(data.getvalue()).decode()}"/></p>'

@@ -1,0 +1,154 @@
+"""`system.show()`: a page on this machine in which a system is seen and moved, served by viser.
+
+Importing it needs the extra [view]. Errors: `MissingExtraError` without viser or trimesh.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import io
+import socket
+import threading
+import webbrowser
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Self
+
+from kempe.errors import InputError, MissingExtraError
+from kempe.reals import is_whole
+from kempe.spatial import Array
+from kempe.views.viewer.live_page import Page
+from kempe.views.viewer.scene_nodes import Drawn
+from kempe.views.viewer.session import Session
+
+try:
+    import trimesh  # noqa: F401
+    import viser
+except ImportError as error:
+    raise MissingExtraError(error.name or "viser", "view") from None
+
+if TYPE_CHECKING:
+    from kempe.model.system import FrameLike, System
+
+HOST = "127.0.0.1"
+"""Pages are for this machine only."""
+PORT = 8080
+"""The first port that is tried; of those that follow, the first that is free is taken."""
+
+
+def show(
+    system: System, q: Any = None, *, frame: FrameLike | None = None, path: Any = None, share: bool = False,
+    port: int | None = None, browser: bool = True,
+) -> Viewer:  # fmt: skip
+    """A `Viewer`: the page at its `url`, on this machine only, where the system is seen and moved with the mouse.
+
+    `q` (nq,) or dict: the configuration, by default as for `plot`; loops that are open there are closed from it.
+    `frame`: the one that the gizmo drags (default: the last one declared). `path`: configurations (n, nq), or an answer
+    that has them as `.q`, to play. Each page that is opened has a configuration of its own, with `share` all have one.
+    `port`: that of the page, by default 8080 or the next that is free. `browser`: open one. The page is there until
+    `close`, the end of a ``with``, or the end of Python. Errors: `InputError` for shapes and a port that is in use;
+    `UnknownNameError` for a frame.
+    """
+    session = Session(system, q, frame, path)
+    viewer = Viewer(session, share, _checked(port))
+    if browser:
+        webbrowser.open(viewer.url)
+    return viewer
+
+
+class Viewer:
+    """A page that is served: `url` is its address, `q` (nq,) the configuration of the page that was moved last."""
+
+    def __init__(self, session: Session, share: bool, port: int):
+        self.session, self.share, self.system = session, share, session.system
+        self.drawn = Drawn(session.system, session.q)
+        self.pages: dict[int, Page] = {}
+        self.lock, self._last, self._closed = threading.RLock(), session, threading.Event()
+        self.server = quiet(lambda: viser.ViserServer(host=HOST, port=port, label=self.system.name, verbose=False))
+        self.server.scene.set_up_direction("+y" if self.system.dim == 2 else "+z")
+        self.drawn.look_from(self.server.initial_camera)
+        self.server.on_client_connect(self._connected)
+        self.server.on_client_disconnect(self._gone)
+
+    @property
+    def url(self) -> str:
+        """The address of the page."""
+        return f"http://{HOST}:{self.server.get_port()}"
+
+    @property
+    def q(self) -> Array:
+        """The configuration (nq,) of the page that was moved last."""
+        return self._last.q.copy()
+
+    @q.setter
+    def q(self, q: Any) -> None:
+        """Put all pages at a configuration (nq,) or dict. Errors: `InputError`."""
+        with self.lock:
+            for session in {id(s): s for s in (self.session, *(p.session for p in self.pages.values()))}.values():
+                session.put(q)
+            for page in tuple(self.pages.values()):
+                page.show()
+
+    def moved(self, page: Page) -> None:
+        """Show what a page did, on all pages that have the same configuration."""
+        self._last = page.session
+        for other in tuple(self.pages.values()):
+            if other.session is page.session:
+                other.show()
+
+    def _connected(self, client: Any) -> None:
+        with self.lock:
+            session = self.session if self.share else copy.copy(self.session)
+            self.pages[client.client_id] = Page(self, client, session, self.drawn)
+
+    def _gone(self, client: Any) -> None:
+        page = self.pages.pop(client.client_id, None)
+        if page is not None:
+            page.close()
+
+    def wait(self) -> None:
+        """Hold the program until the page is closed; Ctrl-C closes it."""
+        try:
+            while not self._closed.wait(0.2):
+                pass
+        except KeyboardInterrupt:
+            self.close()
+
+    def close(self) -> None:
+        """End the page."""
+        if not self._closed.is_set():
+            self._closed.set()
+            for page in tuple(self.pages.values()):
+                page.close()
+            quiet(self.server.stop)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"Viewer of {self.system.name!r} at {self.url}" + (", closed" if self._closed.is_set() else "")
+
+
+def quiet(action: Callable[[], Any]) -> Any:
+    """What an action gives that would print."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        return action()
+
+
+def _checked(port: Any) -> int:
+    """A port that can be taken. Errors: `InputError`."""
+    if port is None:
+        return PORT
+    if not is_whole(port) or not 0 <= port < 65536:
+        raise InputError(f"port is {port!r}; it must be a whole number from 0 to 65535")
+    with socket.socket() as trial:
+        trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            trial.bind((HOST, int(port)))
+        except OSError as error:
+            free = "leave it out, and a free one is taken"
+            raise InputError(f"port {port} cannot be used ({error.strerror}): {free}") from None
+    return int(port)

@@ -1,0 +1,69 @@
+"""`save_html`: a page with a system in space, in motion, in one file that needs neither server nor network."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.errors import InputError, shown
+from kempe.reals import reals
+from kempe.views.viewer.live import HOST, quiet, viser
+from kempe.views.viewer.scene_nodes import Drawn, Nodes
+from kempe.views.viewer.session import Session
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+FRAMES = 30.0
+"""Frames a second of the motion."""
+NOTE = (
+    '<div style="position:fixed;left:1em;bottom:.7em;z-index:9;font:13px system-ui,sans-serif;color:#59646e">'
+    "{name}: turn it with the mouse, zoom with the wheel. Sliders need the live page: system.show()</div>"
+)
+"""What is written on the page."""
+
+
+def save_html(system: System, file: Any, q: Any = None, *, path: Any = None, seconds: float = 6.0) -> None:
+    """Write a page of one file that opens from disk, without network: the system in space, to be turned by mouse.
+
+    `q` (nq,) or dict: the configuration, by default as for `plot`. `path`: configurations (n, nq), or an answer that
+    has them as `.q`, played over and over in `seconds`. Sliders and targets need the live page: `System.show`. Errors:
+    `InputError` for shapes, an ending that is not .html, and a folder that does not exist.
+    """
+    if not isinstance(file, (str, Path)):
+        raise InputError(f"file is {shown(file)}; it must be the name of a file")
+    out = Path(file)
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"{out}: a page ends in .html")
+    if not out.parent.is_dir():
+        raise InputError(f"{out}: there is no folder {str(out.parent)!r}")
+    seconds = float(reals(seconds, "seconds"))
+    if not 0.0 < seconds <= 600.0:
+        raise InputError(f"seconds is {seconds:g}; it must be more than 0, and 600 at most")
+    session = Session(system, q, None, path)
+    out.write_text(_page(session, seconds), encoding="utf-8")
+
+
+def _page(session: Session, seconds: float) -> str:
+    """The text of the page: viser's own, with the scene and its motion inside."""
+    drawn = Drawn(session.system, session.q)
+    server = quiet(lambda: viser.ViserServer(host=HOST, port=0, verbose=False))
+    try:
+        server.scene.set_up_direction("+y" if session.system.dim == 2 else "+z")
+        drawn.look_from(server.initial_camera)
+        nodes = Nodes(server.scene, drawn, session.q)
+        record = server.get_scene_serializer()
+        if session.path is not None:
+            finite = session.path[np.isfinite(session.path).all(axis=1)]
+            count = max(2, round(seconds * FRAMES))
+            for k in np.linspace(0, len(finite) - 1, count).round().astype(int):
+                nodes.move(finite[k])
+                record.insert_sleep(seconds / count)
+        text = record.as_html()
+    finally:
+        quiet(server.stop)
+    note = NOTE.format(name=session.system.name.replace("&", "&amp;").replace("<", "&lt;"))
+    head, end, rest = text.rpartition("</body>")
+    return head + note + end + rest

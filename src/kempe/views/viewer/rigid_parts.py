@@ -1,0 +1,254 @@
+"""What is drawn of a system, cut into parts that move as one: triangles with colours, each on the link that carries it.
+
+The pictures of `kempe.views.drawing` are recorded at two configurations. What moved with a link between the two is
+carried by that link, and rods by their two ends; so a new configuration is a few poses, and no drawing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from kempe import spatial
+from kempe.kinematics.configuration import integrate
+from kempe.kinematics.forward import fk
+from kempe.spatial import Array
+from kempe.views.drawing import planar, style, symbols
+from kempe.views.drawing.scene import Scene, look
+from kempe.views.drawing.solids import Solids, rgb
+
+if TYPE_CHECKING:
+    from matplotlib.path import Path
+
+    from kempe.model.system import System
+
+NEAR = 1e-6
+"""How far a corner may be from where a link brings it, as a part of the drawing."""
+APART = 0.03
+"""Radians and characteristic lengths between the two configurations."""
+THICK = 0.15
+"""Height between two layers of a planar drawing, in radii of a pin."""
+POINT = 0.085
+"""Width of a line of one point, in radii of a pin."""
+SOLID = 1.4
+"""Radius of a hinge in space, in those of a picture: a page is looked at from nearer."""
+OWN = ("cylinder", "neck", "rail", "rod", "line", "slot", "ground", "hatch")
+"""Beginnings of names of what moves with no link, and stays with the first of its two."""
+
+
+class DrawnPiece(NamedTuple):
+    """Triangles (m, 3) over corners (n, 3) with a name, of one colour (4,): red, green, blue, alpha from 0 to 1."""
+
+    name: str
+    corners: Array
+    triangles: np.ndarray
+    colour: tuple[float, float, float, float]
+
+
+@dataclass
+class SolidRecord(Solids):
+    """Solids as pieces, without light: the page has its own."""
+
+    pieces: list[DrawnPiece] = field(default_factory=list)
+
+    def face(self, name: str, corners: Array, normal: Array, colour: str, alpha: float = 1.0, edge: str = "") -> None:
+        """Add a flat convex face with its outward normal, seen from both sides where it can be looked through."""
+        turned = normal @ np.cross(corners[1] - corners[0], corners[-1] - corners[0]) < 0.0
+        fan = _fan(len(corners))[:, :: -1 if turned else 1]
+        both = fan if alpha == 1.0 else np.concatenate([fan, fan[:, ::-1]])
+        self.pieces.append(DrawnPiece(name, np.array(corners), both, (*rgb(colour), alpha)))
+
+
+class SheetRecord(planar.Sheet):
+    """The drawing of a planar system as pieces, in layers above one another."""
+
+    def __init__(self, scene: Scene, r: float, configurations: Array | None):
+        super().__init__(None, scene, r, configurations)  # type: ignore[arg-type]
+        self.pieces: list[DrawnPiece] = []
+
+    def patch(self, path: Path, gid: str, layer: float, **how: Any) -> None:
+        """Add an outline, filled and with its line."""
+        from matplotlib.transforms import Affine2D
+
+        scale = 100.0 / self.r
+        for line in path.to_polygons(Affine2D().scale(scale), closed_only=False):
+            corners = np.asarray(line) / scale
+            if len(corners) > 2 and (fill := how.get("fc", "none")) != "none":
+                self._add(gid, corners, _fan(len(corners)), layer, _rgba(fill))
+            if (edge := how.get("ec", "none")) != "none":
+                self._stroke(gid, corners, layer + 0.5, _rgba(edge), how.get("lw", 0.9))
+
+    def line(self, points: Array, gid: str, layer: float, **how: Any) -> None:
+        """Add a polyline (n, 2)."""
+        colour = _rgba(how.get("color", style.INK))
+        self._stroke(gid, points[np.isfinite(points).all(axis=1)], layer + 0.5, colour, how.get("lw", 1.5))
+
+    def _stroke(self, gid: str, points: Array, layer: float, colour: Any, width: float) -> None:
+        a, b = points[:-1], points[1:]
+        length = np.linalg.norm(b - a, axis=1, keepdims=True)
+        a, b, along = (x[length[:, 0] > 1e-12] for x in (a, b, (b - a) / np.maximum(length, 1e-300)))
+        if not len(a):
+            return
+        half = 0.5 * POINT * width * self.r
+        side = half * np.stack([-along[:, 1], along[:, 0]], axis=1)
+        a, b = a - 0.6 * half * along, b + 0.6 * half * along
+        corners = np.stack([a - side, b - side, b + side, a + side], axis=1).reshape(-1, 2)
+        quads = (4 * np.arange(len(a))[:, None, None] + _fan(4)).reshape(-1, 3)
+        self._add(gid, corners, quads, layer, colour)
+
+    def _add(self, gid: str, corners: Array, triangles: np.ndarray, layer: float, colour: Any) -> None:
+        above = np.full((len(corners), 1), THICK * self.r * layer)
+        both = np.concatenate([triangles, triangles[:, ::-1]])
+        self.pieces.append(DrawnPiece(gid, np.concatenate([corners, above], axis=1), both, colour))
+
+
+def _fan(n: int) -> np.ndarray:
+    """Triangles (n - 2, 3) of a convex polygon with n corners."""
+    k = np.arange(1, n - 1)
+    return np.stack([np.zeros_like(k), k, k + 1], axis=1)
+
+
+def _rgba(colour: Any) -> tuple[float, float, float, float]:
+    """A colour of the drawings, with the paper mixed in where it is to be looked through."""
+    if isinstance(colour, tuple):
+        return (*rgb(style.mix(colour[0], style.PAPER, 0.85 * (1.0 - float(colour[1])))), 1.0)
+    return (*rgb(colour), 1.0)
+
+
+@dataclass(frozen=True)
+class RigidPart:
+    """Triangles (m, 3) over corners (n, 3) in the frame of carrier `carrier`, a colour (m, 4) each."""
+
+    carrier: int
+    corners: Array
+    triangles: np.ndarray
+    colours: Array
+
+
+class RigidParts:
+    """The parts of a system, and the poses that bring them to where a configuration puts them.
+
+    `parts` are at most two of each carrier: what is solid, and what can be looked through. Carriers are the links, the
+    ground first, then the rods. `r` is the radius of a hinge [m], `size` the extent of the drawing [m], `middle` (3,)
+    where it is.
+    """
+
+    def __init__(self, system: System, q: Array):
+        self.system = system
+        scene = look(system, q)
+        self.heads = [system.body_names.index(link.name) for link in scene.links]
+        self.names = tuple(link.name for link in scene.links)
+        self.rods = [(_end(system, n, 0), _end(system, n, 1)) for n, *_ in scene.rods]
+        self.size = scene.size
+        points = np.concatenate([scene.points(link) for link in scene.links])
+        self.middle = 0.5 * (points.min(axis=0) + points.max(axis=0)) if len(points) else np.zeros(3)
+        self.r = planar.pin_radius(scene) if system.dim == 2 else SOLID * symbols.radius(scene)
+        self.parts = self._parts(scene)
+
+    def poses(self, q: Array) -> Array:
+        """Poses (..., carriers, 4, 4) of the carriers at configurations (..., nq)."""
+        every = fk(self.system, q)
+        links = every[..., self.heads, :, :]
+        if not self.rods:
+            return links
+        ends = np.stack([np.stack([(every[..., b, :, :] @ X)[..., :3, 3] for b, X in rod], axis=-2)
+                         for rod in self.rods], axis=-3)  # fmt: skip
+        return np.concatenate([links, _of_ends(ends)], axis=-3)
+
+    def _parts(self, scene: Scene) -> list[RigidPart]:
+        system, q = self.system, scene.q
+        rng = np.random.default_rng(0)
+        other = integrate(system, q, APART * rng.choice([-1.0, 1.0], system.nv) * rng.uniform(0.5, 1.0, system.nv))
+        first = [p for p in self._record(scene) if not p.name.startswith("open:")]
+        second: dict[str, list[DrawnPiece]] = {}
+        for piece in self._record(look(system, other)):
+            second.setdefault(piece.name, []).append(piece)
+        X, Y = self.poses(q), self.poses(other)
+        X_inv = np.linalg.inv(X)
+        held: dict[tuple[int, bool], list[DrawnPiece]] = {}
+        count: dict[str, int] = {}
+        for piece in first:
+            k = count.get(piece.name, 0)
+            count[piece.name] = k + 1
+            twins = second.get(piece.name, [])
+            twin = twins[k].corners if k < len(twins) and len(twins[k].corners) == len(piece.corners) else None
+            carrier = self._carrier(scene, piece, twin, Y @ X_inv)
+            local = piece.corners @ X_inv[carrier, :3, :3].T + X_inv[carrier, :3, 3]
+            held.setdefault((carrier, piece.colour[3] < 1.0), []).append(piece._replace(corners=local))
+        return [_joined(carrier, pieces) for (carrier, _), pieces in sorted(held.items(), key=lambda x: x[0])]
+
+    def _record(self, scene: Scene) -> list[DrawnPiece]:
+        lengths = [i for i, unit in enumerate(_is_length(self.system)) if unit]
+        wide = np.repeat(scene.q[None], 2, axis=0)
+        wide[:, lengths] += np.array([[-0.5], [0.5]]) * self.size
+        if self.system.dim == 2:
+            sheet = SheetRecord(scene, self.r, wide)
+            planar.draw(sheet, {}, False)
+            return sheet.pieces
+        solids = SolidRecord()
+        symbols.build(solids, scene, self.r, wide)
+        return solids.pieces
+
+    def _carrier(self, scene: Scene, piece: DrawnPiece, twin: Array | None, moved: Array) -> int:
+        """The number of the carrier that brings the corners of a piece to those of its twin."""
+        likely = _likely(scene, piece.name, len(self.heads))
+        if twin is not None:
+            there = np.einsum("kij,nj->kni", moved[:, :3, :3], piece.corners) + moved[:, None, :3, 3]
+            miss = np.abs(there - twin).max(axis=(1, 2))
+            good = np.flatnonzero(miss <= NEAR * self.size + miss.min())
+            if miss.min() < NEAR * self.size:
+                return next((k for k in likely if k in good), int(good[0]))
+        return likely[0] if piece.name.partition(":")[0] in OWN else likely[-1]
+
+
+def _likely(scene: Scene, name: str, links: int) -> list[int]:
+    """Numbers of the carriers that a name speaks of, the one nearer to the ground first."""
+    what, _, of = name.partition(":")
+    of = of.partition(":")[0]
+    for k, rod in enumerate(scene.rods):
+        if what == "rod" and rod[0] == of:
+            return [links + k]
+    for joint in scene.joints:
+        if joint.name == of and what not in ("link", "frame", "mark", "line", "slot", "ground", "hatch"):
+            return [joint.parent, joint.child]
+    for line in scene.lines:
+        if line[0] == of and what in ("line", "slot"):
+            return list(line[1])
+    found = [link.number for link in scene.links if (what == "link" and link.name == of) or of in link.frames]
+    found += [mark.link for mark in scene.marks if mark.name == of and what == "mark" and not name.endswith(":plane")]
+    return found or [0]
+
+
+def _end(system: System, rod: str, k: int) -> tuple[int, Array]:
+    """Body and pose (4, 4) on it of an end of a rod."""
+    c = system.mechanism.constraints[rod]
+    frames = c.frames(system.mechanism.parameters, system.dim)
+    return system.body_names.index((c.parent, c.child)[k]), frames[k]
+
+
+def _of_ends(ends: Array) -> Array:
+    """Poses (..., 4, 4) with their origins at the first of two ends (..., 2, 3) and z towards the second."""
+    way = ends[..., 1, :] - ends[..., 0, :]
+    length = np.linalg.norm(way, axis=-1, keepdims=True)
+    X = np.broadcast_to(np.eye(4), (*way.shape[:-1], 4, 4)).copy()
+    unit = np.where(length > 1e-12, way / np.maximum(length, 1e-300), [0.0, 0.0, 1.0])
+    X[..., :3, :3] = spatial.align_z(unit)
+    X[..., :3, 3] = ends[..., 0, :]
+    return X
+
+
+def _is_length(system: System) -> list[bool]:
+    from kempe.views.facts import units
+
+    unit = units(system)
+    return [unit.get(name) == "m" for name in system.coordinate_names]
+
+
+def _joined(carrier: int, pieces: Sequence[DrawnPiece]) -> RigidPart:
+    first = np.cumsum([0, *(len(p.corners) for p in pieces)])
+    triangles = np.concatenate([p.triangles + k for p, k in zip(pieces, first, strict=False)])
+    colours = np.concatenate([np.tile(p.colour, (len(p.triangles), 1)) for p in pieces])
+    return RigidPart(carrier, np.concatenate([p.corners for p in pieces]), triangles, colours)

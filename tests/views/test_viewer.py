@@ -1,0 +1,275 @@
+"""The page of the viewer in a browser, by mouse events only, and what is drawn of a system without one."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from robots import DATA
+
+import kempe
+from kempe.errors import InputError, UnknownNameError
+from kempe.kinematics.measure import judge
+from kempe.views.drawing.scene import look
+from kempe.views.viewer.mesh_files import meshes_of
+from kempe.views.viewer.rigid_parts import RigidParts
+
+CHROMIUM = next((p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None)
+SOFTWARE = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+            "--ignore-gpu-blocklist"]  # fmt: skip
+WIDE, HIGH = 960, 400
+TALOS = "talos_data/robots/talos_reduced.urdf"
+SOON = 15.0
+DRAWN = ("panda", "four_bar", "slider_crank", "three_rpr", "watt_straight", "bennett", "stewart_sps", "car", "ball",
+         "joint_helical", "joint_planar", "joint_universal", "seven_bodies_loop")  # fmt: skip
+
+
+# ---- without a browser
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_parts_move_with_their_links(name):
+    """What is drawn of each model is on links or rods, finite, and rods end where their constraints hold."""
+    system = kempe.load(name)
+    q = system.q("closed") if "closed" in system.structure.posture_names else system.mid
+    rigid = RigidParts(system, q)
+    assert {p.carrier for p in rigid.parts} <= set(range(len(rigid.heads) + len(rigid.rods)))
+    assert all(np.isfinite(p.corners).all() and len(p.triangles) for p in rigid.parts)
+    scene, X = look(system, q), rigid.poses(q)
+    for k, (_, _, ends, _) in enumerate(scene.rods, len(rigid.heads)):
+        assert np.allclose(X[k, :3, 3], ends[0]) and np.allclose(X[k, :3, 2] * np.linalg.norm(ends[1] - ends[0]),
+                                                                 ends[1] - ends[0])  # fmt: skip
+
+
+def test_a_pin_is_drawn_where_its_joint_is():
+    """The drawing at one configuration, moved to another, is the drawing of that other: corners of links agree."""
+    bar = kempe.load("four_bar")
+    motion = bar.trace("A").q
+    here, there = RigidParts(bar, motion[0]), RigidParts(bar, motion[len(motion) // 3])
+    X = here.poses(motion[len(motion) // 3])
+    for a, b in zip(here.parts, there.parts, strict=True):
+        if a.carrier:
+            moved = a.corners @ X[a.carrier, :3, :3].T + X[a.carrier, :3, 3]
+            own = b.corners @ X[b.carrier, :3, :3].T + X[b.carrier, :3, 3]
+            assert np.allclose(moved.min(axis=0), own.min(axis=0), atol=0.3 * here.r)
+            assert np.allclose(moved.max(axis=0), own.max(axis=0), atol=0.3 * here.r)
+
+
+@pytest.mark.skipif(not DATA, reason="example-robot-data is not installed")
+def test_meshes_are_those_of_the_model_and_missing_ones_do_not_block():
+    """With the folder of the package all are found; without it each is named, and links are drawn in their place."""
+    found, lost = meshes_of(kempe.load(DATA[0] / TALOS, package_dirs=[DATA[0].parent.parent]))
+    assert len(found) > 20 and not lost
+    bare = kempe.load(DATA[0] / TALOS)
+    none, lost = meshes_of(bare)
+    assert len(none) < 10 and len(lost) > 20 and "looked in" in lost[0]
+    assert len(RigidParts(bare, bare.mid).parts) > 20
+
+
+def test_importing_loads_no_viewer():
+    code = "import sys, kempe; kempe.load('four_bar'); print('viser' in sys.modules, 'trimesh' in sys.modules)"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.split() == ["False", "False"]
+
+
+def test_what_is_missing_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "viser", None)
+    monkeypatch.delitem(sys.modules, "kempe.views.viewer.live", raising=False)
+    with pytest.raises(kempe.KempeError, match=r"viser.*kempe\[view\].*pip install"):
+        kempe.load("two_link").show(browser=False)
+
+
+def test_wrong_calls_of_the_viewer_are_refused(tmp_path):
+    arm = kempe.load("two_link")
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        with pytest.raises(InputError, match=f"port {taken.getsockname()[1]} cannot be used"):
+            arm.show(port=taken.getsockname()[1], browser=False)
+    with pytest.raises(InputError, match="port is 'x'"):
+        arm.show(port="x", browser=False)
+    with pytest.raises(UnknownNameError, match="nix"):
+        arm.show(frame="nix", browser=False)
+    with pytest.raises(InputError, match="q has"):
+        arm.show([1.0, 2.0, 3.0], browser=False)
+    for wrong in ("robot.png", tmp_path / "no" / "robot.html", 3):
+        with pytest.raises(InputError):
+            arm.save_html(wrong)
+    with pytest.raises(InputError, match="seconds"):
+        arm.save_html(tmp_path / "x.html", seconds=-1)
+
+
+def test_a_viewer_is_on_this_machine_only_and_ends():
+    """It listens on 127.0.0.1, and on nothing any more after it was closed."""
+    with kempe.load("two_link").show(port=0, browser=False) as viewer:
+        port = int(viewer.url.rpartition(":")[2])
+        assert viewer.url.startswith("http://127.0.0.1:") and viewer.server.get_host() == "127.0.0.1"
+        viewer.q = {"q1": 0.5}
+        assert viewer.q[0] == 0.5
+    with socket.socket() as trial:
+        assert trial.connect_ex(("127.0.0.1", port)) != 0
+    assert "closed" in repr(viewer)
+
+
+# ---- in a browser
+
+
+@pytest.fixture(scope="module")
+def browser():
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if CHROMIUM is None:
+        pytest.skip("no Chromium is installed")
+    with playwright.sync_playwright() as p:
+        one = p.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
+        yield one
+        one.close()
+
+
+class Seen:
+    """A page in the browser, with what it requested, and the mouse over what is in space."""
+
+    def __init__(self, browser, viewer):
+        self.viewer, self.requests = viewer, []
+        self.tab = browser.new_page(viewport={"width": WIDE, "height": HIGH})
+        self.tab.on("request", lambda r: self.requests.append(r.url))
+        self.tab.goto(viewer.url)
+        self.until(lambda: viewer.pages and next(iter(viewer.pages.values())).spent)
+        self.page = next(iter(viewer.pages.values()))
+        self.tab.get_by_text("random", exact=True).wait_for()
+        self.tab.wait_for_timeout(800)
+
+    def until(self, what) -> bool:
+        end = time.monotonic() + SOON
+        while not what() and time.monotonic() < end:
+            self.tab.wait_for_timeout(50)
+        return bool(what())
+
+    def gone(self) -> bool:
+        """Whether the viewer knows that the page was closed."""
+        end = time.monotonic() + SOON
+        while self.viewer.pages and time.monotonic() < end:
+            time.sleep(0.05)
+        return not self.viewer.pages
+
+    def at(self, p) -> tuple[float, float]:
+        """Where a point (3,) is on the screen: a pinhole camera."""
+        camera = self.page.client.camera
+        z = camera.look_at - camera.position
+        z = z / np.linalg.norm(z)
+        x = np.cross(z, camera.up_direction)
+        x = x / np.linalg.norm(x)
+        v = np.asarray(p) - camera.position
+        scale = 0.5 * HIGH / np.tan(0.5 * camera.fov) / (v @ z)
+        return 0.5 * WIDE + scale * (v @ x), 0.5 * HIGH - scale * (v @ np.cross(x, z))
+
+    def drag(self, a, b, steps: int = 5) -> None:
+        self.tab.mouse.move(*a)
+        self.tab.mouse.down()
+        for t in np.linspace(0.0, 1.0, steps + 1)[1:]:
+            self.tab.mouse.move(*(np.asarray(a) + t * (np.asarray(b) - a)))
+            self.tab.wait_for_timeout(40)
+        self.tab.mouse.up()
+
+    def picture(self) -> np.ndarray:
+        """What is seen beside the panel (h, w, 3)."""
+        import io
+
+        from matplotlib.image import imread
+
+        shot = self.tab.screenshot(clip={"x": 320, "y": 0, "width": 280, "height": HIGH})
+        return imread(io.BytesIO(shot), format="png")[..., :3]
+
+
+def systems(name: str) -> kempe.System:
+    if name == "talos":
+        if not DATA:
+            pytest.skip("example-robot-data is not installed")
+        return kempe.load(DATA[0] / TALOS, base="free")
+    return kempe.load(name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["panda", "talos", "four_bar", "delta_uu", "car"])
+def test_sliders_and_targets_move_the_robot_and_no_request_goes_outside(browser, name):
+    """By the mouse: an arrow of the gizmo, along which the frame goes, then a slider of the panel."""
+    system = systems(name)
+    frame = "car" if name == "car" else None  # its front is under the panel
+    with system.show(frame=frame, port=0, browser=False) as viewer:
+        seen = Seen(browser, viewer)
+        assert (seen.picture().min(axis=2) < 0.8).mean() > 0.002, "nothing is seen"
+        session, q = seen.page.session, viewer.q
+        X, size = session.pose.copy(), 0.22 * seen.page.nodes.drawn.rigid.size
+        ends = {k: [np.array(seen.at(X[:3, 3] + part * size * X[:3, k])) for part in (0.0, 0.75, 1.1)] for k in (0, 1)}
+        axis = max(ends, key=lambda k: float(np.linalg.norm(ends[k][1] - ends[k][0])))
+        seen.drag(*ends[axis][1:])
+        assert seen.until(lambda: not np.allclose(session.pose, X, atol=1e-4))
+        assert judge(system, viewer.q) and (session.pose[:3, 3] - X[:3, 3]) @ X[:3, axis] > 0.0
+        q = viewer.q
+        box = seen.tab.get_by_role("slider").nth(3 if name == "talos" else 0).bounding_box()
+        middle = np.array([box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]])
+        seen.drag(middle, middle + [12.0, 0.0])
+        assert seen.until(lambda: not np.allclose(viewer.q, q)) and judge(system, viewer.q)
+        own = (viewer.url, viewer.url.replace("http", "ws"), "data:", "blob:")
+        assert all(url.startswith(own) for url in seen.requests)
+        seen.tab.close()
+
+
+@pytest.mark.slow
+def test_a_ghost_is_clicked(browser):
+    """The other solutions of a UR5 are shown by a button; a click on one goes there, with the tool where it was."""
+    system = kempe.load("ur5")
+    with system.show([0.3, -1.2, 1.5, -0.6, -1.4, 0.2], port=0, browser=False) as viewer:
+        seen = Seen(browser, viewer)
+        session, q, X = seen.page.session, viewer.q, seen.page.session.pose.copy()
+        seen.tab.get_by_text("other solutions").click()
+        assert seen.until(lambda: len(session.solutions) == 7)
+        solutions = session.solutions.copy()
+        seen.tab.wait_for_timeout(1500)
+        joints = system.fk(solutions, ["forearm", "wrist_1_link"] if "forearm" in system.body_names else None)
+        for k in range(len(solutions)):
+            points = np.asarray(joints[k])[..., :3, 3]
+            for a, b in zip(points[:-1], points[1:], strict=True):
+                if np.allclose(viewer.q, q) and seen.at(0.5 * (a + b))[0] < 600:
+                    seen.tab.mouse.click(*seen.at(0.5 * (a + b)))
+                    seen.tab.wait_for_timeout(150)
+        assert seen.until(lambda: not np.allclose(viewer.q, q)), "no ghost was hit"
+        assert np.abs(solutions - viewer.q).max(axis=1).min() < 1e-9 and np.allclose(session.pose, X, atol=1e-6)
+        seen.tab.close()
+
+
+@pytest.mark.slow
+def test_pages_share_a_configuration_on_request(browser):
+    """And with neither page left, another one still opens."""
+    with kempe.load("two_link").show(port=0, browser=False, share=True) as viewer:
+        first, q = Seen(browser, viewer), viewer.q
+        first.tab.get_by_text("random", exact=True).click()
+        assert first.until(lambda: not np.allclose(viewer.q, q))
+        q = viewer.q
+        first.tab.close()
+        assert first.gone()
+        second = Seen(browser, viewer)
+        assert np.allclose(second.page.session.q, q)
+        second.tab.close()
+
+
+@pytest.mark.slow
+def test_a_saved_page_opens_from_disk_and_moves(browser, tmp_path):
+    """Of a four-bar: one file, no request but for itself, and two pictures at different times differ."""
+    bar, file = kempe.load("four_bar"), tmp_path / "robot.html"
+    bar.save_html(file, path=bar.trace("A"), seconds=2.0)
+    tab, requests = browser.new_page(viewport={"width": 600, "height": 500}), []
+    tab.on("request", lambda r: requests.append(r.url))
+    tab.goto(Path(file).as_uri())
+    tab.get_by_text("Sliders need the live page").wait_for()
+    tab.wait_for_timeout(2500)
+    first = tab.screenshot()
+    tab.wait_for_timeout(700)
+    assert first != tab.screenshot()
+    assert {u for u in requests if not u.startswith(("data:", "blob:"))} == {Path(file).as_uri()}
+    tab.close()
