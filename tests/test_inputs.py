@@ -157,6 +157,7 @@ def usual(system: kempe.System, verb: str = "") -> dict[str, Any]:
 NO_ARRAYS = {"self", "system", "options", "numbers", "frame", "joint", "input", "output", "inputs", "outputs", "driver"}
 NOT_REQUIRED = {
     "System.frame_name", "System.coordinates_of_joint",  # no numbers
+    "kempe.views.viewer.live.show", "kempe.views.viewer.pages.save_html",  # serve, write: see test_viewer.py
     "kempe.analysis.motion.transmission.pressure_angle",  # by bodies, see test_transmission.py
     "System.manoeuvre", "System.simulate",  # of what rolls and bounces, see test_manoeuvre.py and test_simulate.py
     "kempe.analysis.manoeuvre.manoeuvre.manoeuvre", "kempe.analysis.simulation.simulate.simulate",

@@ -124,7 +124,7 @@ def test_a_viewer_is_on_this_machine_only_and_ends():
 def browser():
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     if CHROMIUM is None:
-        pytest.skip("no Chromium is installed")
+        pytest.skip("Chromium is not installed")
     with playwright.sync_playwright() as p:
         one = p.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
         yield one
