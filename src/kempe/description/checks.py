@@ -68,7 +68,7 @@ def body(
 
 
 def kind(dim: int, subject: str, type_: JointType, parent: Body, child: Body, where: Where | None) -> None:
-    """Refuse a joint type that does not exist in the plane, or that these bodies cannot have."""
+    """Refuse a joint type that cannot be used in the plane, or between these bodies. Errors: `DescriptionError`."""
     if dim == 2 and not type_.planar:
         refuse(subject, f"a {type_.type_name} joint does not exist in the plane", where,
                "planar systems take revolute, prismatic, planar, translation, fixed and free")  # fmt: skip
@@ -132,7 +132,11 @@ def ends(
     dim: int, subject: str, type_: JointType, X_PF: Placement, X_CM: Placement, child: Body,
     where: Where | None,
 ) -> None:  # fmt: skip
-    """Refuse frames that lead out of the plane of a planar system, or off a particle."""
+    """Refuse the frames of a joint where they leave the plane, or where the joint is not at the origin of a particle.
+
+    X_PF and X_CM are the placements of the frames F on the parent and M on the child. `subject` names the joint and
+    `where` its place in a file, for the message; `dim` is 2 in the plane, else 3. Errors: `DescriptionError`.
+    """
     if child.particle and any(motion in ("x", "y", "z") for motion, _ in X_CM.steps):
         refuse(subject, f"a particle ({child.name!r}) has no extent: the joint must sit on it", where,
                "leave out child_at")  # fmt: skip
@@ -160,7 +164,7 @@ def axis_in_plane(subject: str, X: Placement, out_of_plane: str, where: Where | 
 
 
 def flat(subject: str, X: Placement, where: Where | None) -> None:
-    """Refuse a placement that leaves the xy-plane."""
+    """Refuse, with a `DescriptionError`, a placement of a planar system that leaves the xy-plane."""
     for motion, _ in X.steps:
         if motion not in ("x", "y", "rz"):
             refuse(subject, f"{motion} leaves the plane", where, "planar systems take x, y and turns about z")

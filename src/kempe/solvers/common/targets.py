@@ -202,7 +202,10 @@ def check_particle(targets: Array, name: str) -> None:
 
 
 def not_a_pose(target: Array, other: str = "target") -> str:
-    """Why a target (4, 4) was refused; `other` is what was bad where that is fine."""
+    """Message that says why a target (4, 4) was refused.
+
+    If the target itself is a pose, the message names `other`, the argument that was wrong instead.
+    """
     R, last = target[:3, :3], target[3].tolist()
     if np.isfinite(last).all() and last != [0.0, 0.0, 0.0, 1.0]:
         return f"target is not a pose: its last row is {last}; it must be 0 0 0 1"

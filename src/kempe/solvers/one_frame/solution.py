@@ -137,7 +137,7 @@ class Solution(Answer):
 
     @property
     def system(self) -> System:
-        """The system of the problem."""
+        """The system that was solved for."""
         return self.task.system
 
     @cached_property
@@ -198,13 +198,13 @@ class Solution(Answer):
         return derivative(self)
 
     def _sentence(self, index: tuple[int, ...]) -> str:
-        """The sentence for one configuration."""
+        """Sentence that describes the answer for one target, at `index` in the batch."""
         from kempe.solvers.one_frame.explain_ik import sentence
 
         return sentence(self, index) + self._way_there(index)
 
     def _way_there(self, index: tuple[int, ...]) -> str:
-        """The tail of a sentence about what was reached: whether going there is a manoeuvre."""
+        """End of a success sentence: under velocity constraints, that driving there needs a manoeuvre; else ''."""
         from kempe.solvers.common.slip import way_there
 
         return way_there(self.system) if np.asarray(self.success)[index] else ""
