@@ -90,7 +90,7 @@ def kind(dim: int, subject: str, type_: JointType, parent: Body, child: Body, wh
 
 
 def slip(kind: str | JointType, options: Iterable[str], builder: Callable[..., Joint]) -> str:
-    """What to say of options that the joint type does not have, where one is a slip of a keyword of the builder."""
+    """Message about options that the joint type does not have, if one is a misspelt keyword of the builder."""
     import inspect  # only here: most calls are right
 
     made = TYPES.get(kind, Product) if isinstance(kind, str) else kind
@@ -104,7 +104,7 @@ def slip(kind: str | JointType, options: Iterable[str], builder: Callable[..., J
 
 @lru_cache(maxsize=256)
 def fault_of(type_: JointType, dim: int, particle: bool) -> str:
-    """What is wrong with the coordinates and primitives that a joint type declares; empty where nothing is."""
+    """Fault of the coordinates and primitives that a joint type declares, as text; '' where there is none."""
     names, primitives = type_.layout(dim, particle)
     if len(set(names)) < len(names) or (len(names) > 1 and "" in names):
         return f"its coordinates are {names}; each needs a name of its own"
@@ -199,7 +199,7 @@ def limits(
 
 
 def bounds(subject: str, what: str, given: object, names: tuple[str, ...], where: Where | None) -> dict[str, float]:
-    """Largest speeds or efforts by velocity coordinate: numbers, not negative, infinity allowed."""
+    """Largest speeds or efforts by velocity coordinate: checked numbers >= 0, also infinite."""
     out: dict[str, float] = {}
     for key, bound in _by_name(subject, what, given, names, where):
         if not is_real(bound) or not float(bound) >= 0:  # type: ignore[arg-type]
