@@ -118,7 +118,7 @@ class Local:
 
     @cached_property
     def left(self) -> Array:
-        """An orthonormal basis (nv, k) of the velocities that loops and tasks leave, to first order."""
+        """Orthonormal basis (nv, k) of the velocities that loops and tasks allow, to first order."""
         return self._left[0]
 
     @cached_property
@@ -135,8 +135,10 @@ class Local:
 
     @cached_property
     def finite(self) -> int:
-        """How many freedoms are motions over a distance: the dimension of the solutions about q, of the largest part
-        where several meet."""
+        """Number of freedoms that are finite motions: the dimension of the set of solutions about q.
+
+        Where several branches meet it is the largest of their dimensions.
+        """
         basis, independent = self._left
         if independent:
             return basis.shape[1]
@@ -168,13 +170,13 @@ class Local:
         return np.array(out).reshape(len(out), self.problem.system.nv)
 
     def _holds(self, q: Array) -> bool:
-        """Whether the equations hold at q as well as they do where all this began."""
+        """Whether the equations hold at q (nq,) as well as at the first configuration."""
         there, here = (float(np.linalg.norm(self.equations(x)[0])) for x in (q, self.q))
         return there <= 10.0 * max(here, 100.0 * ROUNDING)
 
 
 def freedoms_text(local: Local) -> str:
-    """How many freedoms are left, of which some may be there to first order only."""
+    """Sentence on the number of freedoms left, some of which may exist to first order only."""
     first, finite = local.left.shape[1], local.finite
     if finite == first:
         return f"{counted(finite, 'freedom')} left"

@@ -32,7 +32,7 @@ class Lengths(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The sentence; empty where nothing is proven."""
+        """The proof as a sentence; '' where nothing is proven."""
         if self.plane > 0.0:
             return words.off_plane(self.plane)
         return words.out_of_reach(self.place, self.turned) if self else ""
@@ -49,7 +49,7 @@ class Limits(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The sentence; empty where nothing is proven."""
+        """The proof as a sentence; '' where nothing is proven."""
         if self.short > 0.0:
             return f"slides end {self.short:.6g} m before it"
         if not self.count:
@@ -69,7 +69,7 @@ class LowRank(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The sentence; empty where there are freedoms enough."""
+        """The proof as a sentence; '' where there are enough freedoms."""
         return f"{self.equations} equations, but {words.counted(self.freedoms, 'freedom')}" if self else ""
 
 
