@@ -36,7 +36,7 @@ class Primitive(NamedTuple):
 
 @dataclass(frozen=True)
 class JointType:
-    """Base of the zoo. A subclass names its type, coordinates and primitives; the rest follows."""
+    """Base of all joint types. A subclass declares its name, coordinates and primitives; the rest follows."""
 
     type_name: ClassVar[str] = ""
     summary: ClassVar[str] = ""
@@ -46,7 +46,11 @@ class JointType:
     """The letter of the type, where it is none of R, P and S."""
 
     def layout(self, dim: int = 3, particle: bool = False) -> tuple[tuple[str, ...], tuple[Primitive, ...]]:
-        """Coordinate names within the joint and its primitives, in space or in the plane, for a body or a particle."""
+        """Coordinate names and elementary motions (`Primitive`) of the joint, in their order: (names, primitives).
+
+        `dim` is 2 for a planar system, 3 for one in space; `particle` says that the child is a particle, which cannot
+        turn.
+        """
         raise NotImplementedError
 
     def dof(self, dim: int = 3, particle: bool = False) -> int:
@@ -113,7 +117,7 @@ class Fixed(JointType):
     planar = True
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """No coordinates and no primitives."""
+        """Names and primitives: none."""
         return (), ()
 
 
@@ -126,7 +130,7 @@ class Revolute(JointType):
     planar = True
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """One turn about z."""
+        """One name '' and one primitive: a rotation about z of F."""
         return ("",), (Primitive(R, "z", 0),)
 
 
@@ -139,7 +143,7 @@ class Prismatic(JointType):
     planar = True
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """One slide along z."""
+        """One name '' and one primitive: a translation along z of F."""
         return ("",), (Primitive(P, "z", 0),)
 
 
@@ -153,7 +157,7 @@ class Helical(JointType):
     pitch: float = 0.0
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """A turn and a slide that share one coordinate, the angle."""
+        """One name '' and two primitives that share this coordinate, the angle: rotation about, translation along z."""
         return ("",), (Primitive(R, "z", 0), Primitive(P, "z", 0, self.pitch))
 
 
@@ -166,7 +170,7 @@ class Cylindrical(JointType):
     summary = "turn about z, slide along z"
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """A turn and a slide."""
+        """Names 'rz' and 'z' and their primitives: a rotation about and a translation along z of F."""
         return ("rz", "z"), (Primitive(R, "z", 0), Primitive(P, "z", 1))
 
 
@@ -179,7 +183,7 @@ class Universal(JointType):
     summary = "turn about x of F, then about y of M"
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """Two turns, about x and y."""
+        """Names 'rx' and 'ry' and their primitives: a rotation about x of F, then one about y of the cross."""
         return ("rx", "ry"), (Primitive(R, "x", 0), Primitive(R, "y", 1))
 
 
@@ -193,7 +197,7 @@ class Planar(JointType):
     planar = True
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """Two slides and a turn; a particle only slides."""
+        """Names 'x', 'y', 'rz' and primitives: two translations, then a rotation about z; a particle has no 'rz'."""
         if particle:
             return ("x", "y"), (Primitive(P, "x", 0), Primitive(P, "y", 1))
         return ("x", "y", "rz"), (Primitive(P, "x", 0), Primitive(P, "y", 1), Primitive(R, "z", 2))
@@ -209,7 +213,7 @@ class Translation(JointType):
     planar = True
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """A slide along each axis."""
+        """Names 'x', 'y' (and in space 'z') and a translation along each of these axes."""
         return tuple("xyz"[:dim]), tuple(Primitive(P, a, i) for i, a in enumerate("xyz"[:dim]))
 
 
@@ -225,7 +229,10 @@ class Spherical(JointType):
     angles: bool = False
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """A quaternion, or three turns."""
+        """Names and primitives: 'qw' ...
+
+        'qz' with one quaternion, or with `angles` 'rz', 'ry', 'rx' with three rotations.
+        """
         if self.angles:
             return ("rz", "ry", "rx"), tuple(Primitive(R, a, i) for i, a in enumerate("zyx"))
         return ("qw", "qx", "qy", "qz"), (Primitive(Q, "z", 0),)
@@ -242,7 +249,7 @@ class Free(JointType):
     angles: bool = False
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """Slides, then a rotation as in `Spherical`; in the plane as in `Planar`."""
+        """Names and primitives of translations, followed by those of `Spherical`; in the plane those of `Planar`."""
         if particle:
             return Translation().layout(dim)
         if dim == 2:
@@ -275,7 +282,7 @@ class Product(JointType):
         return self.words
 
     def layout(self, dim: int = 3, particle: bool = False):
-        """What the words say, in their order."""
+        """Names and primitives of the product, factor by factor."""
         return _product(self.words)
 
 

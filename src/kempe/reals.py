@@ -158,7 +158,7 @@ def _parts(given: Any) -> Iterator[Any]:
 
 
 def _trouble(x: Any) -> str:
-    """Why something that numpy may turn into numbers is not read as such; '' where it is."""
+    """Why a value is not accepted as numbers although numpy could convert it; '' where it is accepted."""
     if isinstance(x, np.ma.MaskedArray):
         return "is a masked array, whose mask would be lost"
     if isinstance(x, Mapping):

@@ -35,7 +35,7 @@ def run(code: Code, known, values, near=None, signs=None):
 def reading(code: Code, a: int, b: int, slot: int, limits=(-np.inf, np.inf)) -> None:
     """Let the coordinate be the angle of part b seen from part a, whose origins should coincide."""
     ints = [code.register(a), code.register(b), code.coordinate(slot), code.target(slot), 0]
-    code.say(K.READ_TURN, ints, [1, 0, 1, 0, 2 * np.pi, *limits, 0, 0, 0, 0, 1])
+    code.append(K.READ_TURN, ints, [1, 0, 1, 0, 2 * np.pi, *limits, 0, 0, 0, 0, 1])
 
 
 @pytest.mark.parametrize("n", SIZES)
@@ -45,11 +45,11 @@ def test_turns_and_slides_are_products_of_matrices(n):
     code = Code(3, 4)
     places = [random_pose(rng) for _ in range(4)]
     r = code.register
-    code.say(K.TURN, [r(1), r(0), code.coordinate(0)], [2.0, *places[0], *places[1]])
-    code.say(K.SLIDE, [r(2), r(1), code.coordinate(1)], [-1.5, *places[2], *places[3]])
+    code.append(K.TURN, [r(1), r(0), code.coordinate(0)], [2.0, *places[0], *places[1]])
+    code.append(K.SLIDE, [r(2), r(1), code.coordinate(1)], [-1.5, *places[2], *places[3]])
     reading(code, 0, 2, 2)
     ints = [r(0), r(2), code.coordinate(3), code.target(3), 0]
-    code.say(K.READ_SLIDE, ints, [0, 0, 1, 0, 0, 0, 1, 0, 1, 0, 1, 0])
+    code.append(K.READ_SLIDE, ints, [0, 0, 1, 0, 0, 0, 1, 0, 1, 0, 1, 0])
     values = rng.uniform(-2, 2, (n, 2))
     q, status = run(code, 2, values)
     A, B, C, D = (matrix(*p) for p in places)
@@ -69,9 +69,9 @@ def test_registers_are_carried_and_turned_round():
     for op, expected in ((K.CARRY, XB @ XA), (K.DIVIDE, XA @ inverse(XB)), (K.REBASE, inverse(XA) @ XB)):
         code = Code(4, 2)
         r = code.register
-        code.say(K.TURN, [r(1), r(0), code.coordinate(0)], [0.0, *A, *IDENTITY])
-        code.say(K.TURN, [r(2), r(0), code.coordinate(0)], [0.0, *B, *IDENTITY])
-        code.say(op, [r(1), r(2)] if op != K.REBASE else [r(1), r(2), r(3), r(1)])
+        code.append(K.TURN, [r(1), r(0), code.coordinate(0)], [0.0, *A, *IDENTITY])
+        code.append(K.TURN, [r(2), r(0), code.coordinate(0)], [0.0, *B, *IDENTITY])
+        code.append(op, [r(1), r(2)] if op != K.REBASE else [r(1), r(2), r(3), r(1)])
         reading(code, 0, 1, 1)
         q, status = run(code, 1, np.zeros((1, 1)))
         assert abs(q[0, 1] - np.arctan2(expected[1, 0], expected[0, 0])) < 1e-14
@@ -85,11 +85,11 @@ def test_registers_are_carried_and_turned_round():
 
 def test_sums_and_expectations():
     code = Code(1, 2)
-    code.say(K.SET, [code.coordinate(1)], [0.25])
-    code.say(K.ADD, [code.coordinate(1), code.coordinate(0)], [-3.0])
-    code.say(K.SET, [K.SPARE], [-1.0])
-    code.say(K.ADD, [K.SPARE, code.coordinate(1)], [1.0])
-    code.say(K.EXPECT_ZERO, [K.SPARE], [2.0])
+    code.append(K.SET, [code.coordinate(1)], [0.25])
+    code.append(K.ADD, [code.coordinate(1), code.coordinate(0)], [-3.0])
+    code.append(K.SET, [K.SPARE], [-1.0])
+    code.append(K.ADD, [K.SPARE, code.coordinate(1)], [1.0])
+    code.append(K.EXPECT_ZERO, [K.SPARE], [2.0])
     q, status = run(code, 1, np.array([[0.5], [-0.25]]))
     assert q[:, 1].tolist() == [-1.25, 1.0] and status[:, 0].tolist() == [4.5, 0.0]
 
@@ -99,7 +99,7 @@ def test_representatives(low, high):
     """Nearest to the target; then inside the limits, where a whole number of turns leads there."""
     code = Code(2, 2)
     r = code.register
-    code.say(K.TURN, [r(1), r(0), code.coordinate(0)], [1.0, *IDENTITY, *IDENTITY])
+    code.append(K.TURN, [r(1), r(0), code.coordinate(0)], [1.0, *IDENTITY, *IDENTITY])
     reading(code, 0, 1, 1, (low, high))
     rng = np.random.default_rng(2)
     values, targets = rng.uniform(-3, 3, (200, 1)), rng.uniform(-30, 30, (200, 1))
@@ -121,7 +121,7 @@ def test_lanes_do_not_depend_on_each_other():
     """A bad row is NaN, one beyond the polynomials' reach goes by the library of C, and the others stay as they are."""
     code = Code(2, 2)
     r = code.register
-    code.say(K.TURN, [r(1), r(0), code.coordinate(0)], [1.0, *IDENTITY, *IDENTITY])
+    code.append(K.TURN, [r(1), r(0), code.coordinate(0)], [1.0, *IDENTITY, *IDENTITY])
     reading(code, 0, 1, 1)
     values = np.random.default_rng(3).uniform(-3, 3, (20, 1))
     clean = run(code, 1, values)

@@ -84,12 +84,12 @@ class Row(NamedTuple):
     part: int | None = None
 
     def size(self, dim: int) -> int:
-        """Number of equations."""
+        """Number of equations, in the plane (`dim` 2) or in space (3)."""
         return COUNTS.get(self.op, {}).get(dim, 1)
 
     @property
     def velocity(self) -> bool:
-        """Whether it is a row A(q) v = b(q, t)."""
+        """Whether it is a velocity constraint A(q) v = b(q, t)."""
         return self.op is Op.VELOCITY
 
 
@@ -141,10 +141,13 @@ class Constraint(ABC):
 
     @abstractmethod
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """Its rows in the plane (2) or in space (3). Errors: `InputError` where its fields do not fit together."""
+        """The equations of the constraint; `dim` is 2 in the plane, 3 in space.
+
+        Errors: `InputError` where fields do not fit.
+        """
 
     def check(self, dim: int) -> None:
-        """Refuse numbers that it cannot have, besides those that its goal refuses. Errors: `InputError`."""
+        """Refuse values of fields that `goal` does not check. Errors: `InputError`."""
         return
 
     # ---- its ends
@@ -164,26 +167,29 @@ class Constraint(ABC):
         raise NotImplementedError
 
     def goal(self, dim: int) -> Array:
-        """The pose (..., 4, 4) of frame A on its end: numbers."""
+        """Poses (..., 4, 4) of frame A on its body, which may differ in each call.
+
+        `dim` is 2 in the plane, 3 in space.
+        """
         return EYE
 
     def tool(self, dim: int) -> tuple[float, ...]:
-        """The pose of frame B on its end, as 16 numbers: structure."""
+        """Pose of frame B on its body as 16 numbers, the same in all calls. `dim` is 2 in the plane, 3 in space."""
         return HERE
 
     def prefixed(self, prefix: str) -> Constraint:
-        """The same where coordinates have a prefix."""
+        """The same constraint with a prefix before the names of its coordinates."""
         return self
 
     def knowing(self, parameters: Collection[str]) -> Constraint:
-        """The same in a mechanism with parameters of these names."""
+        """The same constraint in a mechanism with parameters of these names."""
         return self
 
     # ---- how it is called
 
     @property
     def about(self) -> str:
-        """What it is about: the frames."""
+        """The frames that the constraint holds, as text."""
         a, b = self.ends
         if b is None:
             return "the system"
@@ -191,18 +197,18 @@ class Constraint(ABC):
 
     @cached_property
     def label(self) -> str:
-        """How answers call it."""
+        """The name of the constraint in answers and messages."""
         return self.name or f"{type(self).__name__} of {self.about}"
 
     @property
     def sentence(self) -> str:
-        """What it asks, in one plain sentence with its frames and numbers."""
+        """The constraint as one plain sentence with its frames and numbers."""
         said = self.says.format_map({f.name: self.in_words(f.name) for f in fields(self)})
         other = getattr(self, "other", None)
         return said if other is None or "{other}" in self.says else f"{said}, seen from {other}"
 
     def in_words(self, name: str) -> str:
-        """What a field holds, as its sentence says it."""
+        """The value of the field `name`, as `sentence` writes it."""
         x, sort = getattr(self, name), next(f.type for f in fields(self) if f.name == name)
         if x is None:
             return "the ground" if sort in FRAMES else "what is given"
@@ -211,11 +217,11 @@ class Constraint(ABC):
     # ---- what only `ik` reads
 
     def soft(self, weight: float = 1.0, **more: Any) -> Constraint:
-        """The same, as a wish of `ik` with a weight; `more` are `priority`, `tolerance`, `name`."""
+        """The same constraint as a soft one of `ik`, with a weight; `more` are `priority`, `tolerance`, `name`."""
         return replace(self, weight=weight, **more)
 
     def demand(self, **more: Any) -> Constraint:
-        """The same with what only `ik` reads: `weight`, `priority`, `tolerance`, `name`."""
+        """The same constraint with the settings that only `ik` reads: `weight`, `priority`, `tolerance`, `name`."""
         return replace(self, **more)
 
 
@@ -235,7 +241,7 @@ class Bounded(Constraint):
 
     @property
     def bounded(self) -> bool:
-        """Whether there are bounds."""
+        """Whether `at_least` or `at_most` is given."""
         return self.at_least is not None or self.at_most is not None
 
     def check(self, dim: int) -> None:
@@ -251,7 +257,7 @@ class Bounded(Constraint):
 
     @property
     def bounds_in_words(self) -> str:
-        """Its bounds, as its sentence says them."""
+        """The bounds `at_least` and `at_most`, as `sentence` writes them."""
         given = (("at least", self.at_least), ("at most", self.at_most))
         return " and ".join(f"{word} {plainly(x)}" for word, x in given if x is not None)
 
@@ -296,22 +302,22 @@ def kind(name: str, symbol: str = "mark", says: str = "") -> Callable[[_Kind], _
 
 
 def held(constraint: Constraint, row: Row) -> str:
-    """The field that a row's value is held at; '' for zero or where it is held between two."""
+    """Name of the field whose value a row is held at; '' for zero, and for rows held between two bounds."""
     return row.equal if row.equal and getattr(constraint, row.equal) is not None else ""
 
 
 def one_sided(constraint: Constraint, row: Row) -> bool:
-    """Whether a row holds between two ends, not at a value."""
+    """Whether a row is an inequality: held between two bounds, not at a value."""
     return bool(row.low or row.high) and not held(constraint, row)
 
 
 def position_rows(constraint: Constraint, dim: int) -> Sequence[Row]:
-    """The rows f(q) = 0 of a constraint: those that take a freedom of position each."""
+    """The equations f(q) = 0 of a constraint, each of which takes one freedom of position; `dim` is 2 or 3."""
     return [r for r in constraint.rows(dim) if not r.velocity and not one_sided(constraint, r)]
 
 
 def content(constraint: Constraint) -> tuple[Any, ...]:
-    """All that a constraint is, as nested tuples: its kind and its fields."""
+    """Kind and fields of a constraint as nested tuples, which can be compared and hashed."""
 
     def plain(x: Any) -> Any:
         if isinstance(x, np.ndarray):
@@ -335,12 +341,12 @@ PARAMETERS = "Parameters"
 
 
 def frames_of(constraint: Constraint) -> dict[str, Any]:
-    """The fields that name frames, with what they name."""
+    """The fields that name frames, with their values."""
     return {f.name: getattr(constraint, f.name) for f in fields(constraint) if f.type in FRAMES}
 
 
 def numbers_in(constraint: Constraint) -> dict[str, Any]:
-    """The fields of numbers, with these."""
+    """The fields that hold numbers, with their values."""
     return {f.name: getattr(constraint, f.name) for f in fields(constraint) if f.type in NUMBERS}
 
 
@@ -365,7 +371,7 @@ def _evaluated(x: Any, parameters: Mapping[str, float]) -> Any:
 
 
 def plainly(x: Any) -> str:
-    """A name, a number or some of them, as a sentence has it."""
+    """A name, a number or a list of them, as text for a sentence."""
     if isinstance(x, (np.ndarray, list, tuple, np.generic)):
         x = np.asarray(x, dtype=object).tolist()
     if isinstance(x, list):

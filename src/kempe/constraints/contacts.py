@@ -56,7 +56,7 @@ class Contact(Constraint):
         positive(self.radius, f"radius of {self.label}")
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """The gap, which is not negative."""
+        """One row: the gap, which is not negative."""
         gap, _, _ = touching(self.shape, dim, self.label)
         return (Row(Op.TAPE, (from_text([gap], (*POSE, "radius"), {}), 0), "gap", "m", low="zero"),)
 
@@ -70,7 +70,7 @@ class NoSideslip(Constraint):
     speed: Number = 0.0
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """The velocity along y."""
+        """One row: the velocity along y of the frame."""
         text = "xy*vx + yy*vy - speed" if dim == 2 else "xy*vx + yy*vy + zy*vz - speed"
         return (Row(Op.VELOCITY, (from_text([text], (*POSE, *TWIST, "speed"), {}), 0), "sideslip", "m/s"),)
 
@@ -99,7 +99,7 @@ class Rolls(Constraint):
         positive(self.radius, f"radius of {self.label}")
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """The gap, and what slips."""
+        """Rows of the gap (an equation on positions) and of the slip velocities."""
         if self.radius is None:
             raise InputError(f"{self.label} needs a radius")
         gap, slips, spin = touching(self.shape, dim, self.label)

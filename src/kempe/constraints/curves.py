@@ -61,7 +61,7 @@ class OnCurve(Measured):
         points_of(self.points, dim, f"points of {self.label}")
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """Across the curve: two directions, in the plane one; or the distance from it."""
+        """Rows of the distances across the curve (two directions, in the plane one), or of the whole distance."""
         tape = across(self.points, self.closed, dim, f"points of {self.label}", self.bounded)
         if self.bounded:
             return self.between(Op.TAPE, tape, 0)

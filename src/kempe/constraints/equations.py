@@ -45,7 +45,10 @@ class Call:
     what: str
 
     def __call__(self, values: Mapping[str, float]) -> np.ndarray:
-        """Its numbers (size,) at values of `of`, and of the time "t". Errors: `InputError` with the call."""
+        """Values (size,) of the function; `values` has those of `of` and the time "t".
+
+        Errors: `InputError` with the call.
+        """
         from kempe.constraints.recording import at, called
 
         given = {own: float(values[name]) for own, name in zip(self.inputs, self.of, strict=True)}
@@ -93,7 +96,7 @@ def as_text(x: Any, what: str) -> str:
 
 
 class _WrittenKind(Constraint):
-    """A kind whose rows the user writes, over coordinates `of` and parameters."""
+    """Base of constraints whose equations the user writes, over coordinates `of` and parameters."""
 
     needs: ClassVar[str] = "a number or a list of numbers"
 
@@ -103,12 +106,12 @@ class _WrittenKind(Constraint):
 
     @property
     def what(self) -> str:
-        """How messages call it."""
+        """Name of the constraint in messages."""
         return f"{self.kind.replace('_', ' ')} {self.name!r}" if self.name else f"the {self.kind.replace('_', ' ')}"
 
     @property
     def about(self) -> str:
-        """The coordinates that it reads."""
+        """The coordinates that the equations read, as text."""
         return ", ".join(self.of or self.words)  # type: ignore[attr-defined]
 
     def _names(self, given: Any) -> tuple[str, ...]:
@@ -156,7 +159,7 @@ class _WrittenKind(Constraint):
             raise InputError(f"{self.what}: {error}{more}") from None
 
     def knowing(self, parameters: Collection[str]) -> Constraint:
-        """The same where names in it that are no parameters are coordinates, named in `of`."""
+        """The same constraint where all names that are no parameters are coordinates, listed in `of`."""
         names = self.of or tuple(w for w in self.words if w != TIME or not self.time)  # type: ignore[attr-defined]
         return replace(self, of=tuple(n for n in names if n not in parameters))  # type: ignore[attr-defined]
 
@@ -167,7 +170,7 @@ class _WrittenKind(Constraint):
 
 
 class _Valued(_WrittenKind, Bounded):
-    """A kind on values of an expression. Bounds are for all values alike, or (..., n) for the n values."""
+    """Base of constraints on values of an expression; bounds are for all n values alike, or (..., n)."""
 
     sense: ClassVar[dict[str, Any]] = {}
 
@@ -215,7 +218,7 @@ class _Valued(_WrittenKind, Bounded):
         return words_of(written)
 
     def in_words(self, name: str) -> str:
-        """Its expressions, compared with zero."""
+        """The expressions, compared with zero, as text."""
         if name != "expression":
             return super().in_words(name)
         written, tail = self._texts, " >= 0" if self.sense else " = 0"
@@ -225,7 +228,7 @@ class _Valued(_WrittenKind, Bounded):
         return ", ".join(t if "=" in t else t + tail for t in texts)
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """One for each number."""
+        """One row for each value of the expressions."""
         written = self._texts
         if isinstance(written, Call):
             op, of, n = Op.CALL, written, written.size
@@ -238,7 +241,7 @@ class _Valued(_WrittenKind, Bounded):
                      for k in range(n))  # fmt: skip
 
     def prefixed(self, prefix: str) -> Constraint:
-        """The same where coordinates have a prefix."""
+        """The same constraint with a prefix before the names of its coordinates."""
         written, new = self.expression, {n: prefix + n for n in self.of}  # type: ignore[attr-defined]
         if isinstance(written, Call):
             written = replace(written, of=tuple(new.get(n, n) for n in written.of))
@@ -351,11 +354,11 @@ class VelocityEquation(_WrittenKind):
         return tuple(dict.fromkeys([*self.of, *words_of((*(x for row in self.matrix for x in row), *b))]))
 
     def knowing(self, parameters: Collection[str]) -> Constraint:
-        """The same: its coordinates are named."""
+        """The same constraint: its coordinates are named already."""
         return self
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """One for each row of the matrix."""
+        """One row for each row of the matrix."""
         rates = tuple(n + RATE for n in self.of)
         tape = self.velocity_tape(rates)
         n = len(tape.outputs)
@@ -376,7 +379,7 @@ class VelocityEquation(_WrittenKind):
             raise InputError(f"{self.what}: {error}{more}") from None
 
     def prefixed(self, prefix: str) -> Constraint:
-        """The same where coordinates have a prefix."""
+        """The same constraint with a prefix before the names of its coordinates."""
         new = {n: prefix + n for n in self.of}
         clock = (TIME,) if self.time else ()
 

@@ -64,7 +64,7 @@ class Pose(Placed):
     other: Frame | None = field(default=None, kw_only=True)
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """All of the frame."""
+        """Rows of the position and the orientation of the frame."""
         return whole(dim)
 
     def goal(self, dim: int) -> Array:
@@ -85,7 +85,7 @@ class Position(Measured):
     other: Frame | None = field(default=None, kw_only=True)
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """The point, or how far it is."""
+        """Rows of the position of the point, or one of its distance from the target."""
         return self.between(Op.DISTANCE) if self.bounded else points(dim)
 
     def goal(self, dim: int) -> Array:
@@ -107,7 +107,7 @@ class Orientation(Measured):
     measured: ClassVar[str] = "angle"
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """The rotation, or its angle."""
+        """One row: the rotation, or its angle."""
         return self.between(Op.TAPE, TURNED, 0) if self.bounded else (ROTATION,)
 
     def goal(self, dim: int) -> Array:
@@ -117,12 +117,12 @@ class Orientation(Measured):
 
 
 class _Axis(Measured):
-    """A kind on an `axis` of a frame."""
+    """Base of constraints on an `axis` of a frame."""
 
     measured: ClassVar[str] = "angle"
 
     def tool(self, dim: int) -> tuple[float, ...]:
-        """A turn that brings z to the axis."""
+        """A rotation, as a pose of 16 numbers, that turns z of the frame to the axis."""
         return with_axis(self.axis, dim, f"axis of {self.label}")  # type: ignore[attr-defined]
 
 
@@ -139,11 +139,11 @@ class Pointing(_Axis):
     other: Frame | None = field(default=None, kw_only=True)
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """The axis, or its angle."""
+        """One row: the direction of the axis, or its angle to the target."""
         return self.between(Op.TAPE, TILTED, 0) if self.bounded else (TILT,)
 
     def goal(self, dim: int) -> Array:
-        """A frame whose z is the direction."""
+        """Poses (..., 4, 4) at the origin whose z is the direction."""
         return spatial.pose(along(directions_of(self.direction, dim, f"direction of {self.label}"), dim))
 
 
@@ -160,11 +160,11 @@ class LookAt(_Axis):
     other: Frame | None = field(default=None, kw_only=True)
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """The axis, or its angle."""
+        """One row: the direction of the axis, or its angle to the line of sight."""
         return self.between(Op.TAPE, AWAY, 0) if self.bounded else (LOOK,)
 
     def goal(self, dim: int) -> Array:
-        """The point that is looked at."""
+        """Poses (..., 4, 4) at the point that is looked at."""
         return self._at(dim, "target")
 
 
@@ -182,11 +182,11 @@ class OnLine(Measured):
     other: Frame | None = field(default=None, kw_only=True)
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """What is across the line, in the plane only within it; or the distance from it."""
+        """Rows of the coordinates across the line (in the plane one), or of the distance from the line."""
         return self.between(Op.TAPE, OFF_LINE, 0) if self.bounded else points(3, "y" if dim == 2 else "xy")
 
     def goal(self, dim: int) -> Array:
-        """A frame on the line, z along it."""
+        """Poses (..., 4, 4) at `origin` whose z is along the line."""
         return self._along(dim, "direction")
 
 
@@ -206,11 +206,11 @@ class OnPlane(Measured):
     measured: ClassVar[str] = "height"
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """What is along the normal."""
+        """One row: the height of the point over the plane."""
         return self.between(Op.POINT, 2) if self.bounded else points(3, "z")
 
     def goal(self, dim: int) -> Array:
-        """A frame on the plane, z along the normal."""
+        """Poses (..., 4, 4) at `origin` whose z is the normal of the plane."""
         return self._along(dim, "normal")
 
 
@@ -228,11 +228,11 @@ class HalfSpace(Placed):
     unbounded: ClassVar[str] = "it is at least 'margin' away; OnPlane has both bounds of its height"
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """Above the plane."""
+        """One row: the height of the point over the plane, which is not negative."""
         return (Row(Op.POINT, (2,), "z", low="zero"),)
 
     def goal(self, dim: int) -> Array:
-        """A frame that far from the plane, z along the normal."""
+        """Poses (..., 4, 4) at a point `margin` over the plane, z along the normal."""
         X, margin = self._along(dim, "normal"), numbers_of(self.margin, f"margin of {self.label}")
         return X @ spatial.pose(p=margin[..., None] * np.array(Z)) if np.any(margin) else X
 
@@ -253,11 +253,11 @@ class OnSphere(Measured):
     instead: ClassVar[str] = "radius"
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """One row, the distance."""
+        """One row: the distance from the center."""
         return self.apart()
 
     def goal(self, dim: int) -> Array:
-        """The center of the sphere."""
+        """Poses (..., 4, 4) at the center of the sphere."""
         return self._at(dim, "center")
 
 
@@ -279,7 +279,7 @@ class InBox(Placed):
         return points(dim, low="low_corner", high="high_corner")
 
     def goal(self, dim: int) -> Array:
-        """The box's frame."""
+        """Poses (..., 4, 4) of the box."""
         return poses_of(self.pose, dim, f"pose of {self.label}")
 
     def check(self, dim: int) -> None:
@@ -291,7 +291,7 @@ class InBox(Placed):
 
     @property
     def _given(self) -> int:
-        """How many numbers the corners have."""
+        """How many coordinates the corners are given with: 2 or 3."""
         return 2 if (2,) in (np.shape(self.low)[-1:], np.shape(self.high)[-1:]) else 3
 
     @cached_property
@@ -356,7 +356,7 @@ class Distance(Measured):
         return self.apart()
 
     def goal(self, dim: int) -> Array:
-        """The point of the other frame."""
+        """Poses (..., 4, 4), on its frame, of the point of the other frame."""
         return EYE if self.other_point is ORIGIN else self._at(dim, "other_point")
 
 

@@ -31,7 +31,7 @@ ORIGIN, Z = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 
 @lru_cache
 def points(dim: int, axes: str = "xyz", **held: str) -> tuple[Row, ...]:
-    """Rows that hold the origin of B along axes of A."""
+    """Rows that hold the origin of B along axes of A; `dim` is 2 in the plane, else 3."""
     return tuple(
         Row(Op.POINT, ("xyz".index(a),), a, "m", part=k if held else None, **held) for k, a in enumerate(axes[:dim])
     )
@@ -39,7 +39,7 @@ def points(dim: int, axes: str = "xyz", **held: str) -> tuple[Row, ...]:
 
 @lru_cache
 def whole(dim: int) -> tuple[Row, ...]:
-    """Rows that hold all of a frame."""
+    """Rows that hold position and orientation of B in A; `dim` is 2 in the plane, else 3."""
     return (*points(dim), ROTATION)
 
 
@@ -47,25 +47,28 @@ ROTATION, TILT, LOOK = (Row(op, (), name, "rad") for op, name in ((Op.ROTATION, 
 
 
 class Placed(Constraint):
-    """A kind with a `target`, or an `origin`, and a `point` of the frame."""
+    """Base of constraints with a `target` or an `origin` on frame A, and a `point` of frame B."""
 
     def tool(self, dim: int) -> tuple[float, ...]:
-        """The point of the frame."""
+        """The pose, as 16 numbers, of the `point` of frame B, without a rotation."""
         point = getattr(self, "point", ORIGIN)
         return HERE if point is ORIGIN else at_point(point, dim, f"point of {self.label}")
 
     def _at(self, dim: int, name: str) -> Array:
-        """A pose at the point that a field holds."""
+        """Poses (..., 4, 4), without a rotation, at the point in the field `name`; `dim` is 2 in the plane, else 3."""
         return spatial.pose(p=points_of(getattr(self, name), dim, f"{name} of {self.label}"))
 
     def _along(self, dim: int, name: str) -> Array:
-        """A pose at `origin` whose z is along the direction that a field holds."""
+        """Poses (..., 4, 4) at `origin` whose z is along the direction in the field `name`.
+
+        In the plane (`dim` 2) their x is the normal of the plane; in space x is any direction across z.
+        """
         z = directions_of(getattr(self, name), dim, f"{name} of {self.label}")
         return spatial.pose(along(z, dim), points_of(self.origin, dim, f"origin of {self.label}"))  # type: ignore[attr-defined]
 
 
 class Measured(Placed, Bounded):
-    """A kind of which one number says how far it is from where it would hold: a distance, a height, an angle."""
+    """Base of constraints on one number: a distance, a height or an angle, at a value or between bounds."""
 
     measured: ClassVar[str] = "distance"
     instead: ClassVar[str] = ""
@@ -79,7 +82,7 @@ class Measured(Placed, Bounded):
         super().check(dim)
 
     def between(self, op: Op, *args: Any) -> tuple[Row, ...]:
-        """The row of an operation that measures the number."""
+        """The row that holds the number between `at_least` and `at_most`; `op` is the operation that measures it."""
         return (Row(op, args, self.measured, UNITS[self.measured], low="at_least", high="at_most"),)
 
     def apart(self) -> tuple[Row, ...]:
@@ -90,12 +93,12 @@ class Measured(Placed, Bounded):
         return (Row(Op.DISTANCE, (), "distance", equal=self.instead, low="at_least", high="at_most"),)
 
     def in_words(self, name: str) -> str:
-        """Bounds in place of a number, where they are given."""
+        """The bounds, in place of the field that they replace, as `sentence` writes them."""
         return self.bounds_in_words if name == self.instead and self.bounded else super().in_words(name)
 
     @property
     def sentence(self) -> str:
-        """What it asks, with its bounds."""
+        """The constraint as one plain sentence, with its bounds."""
         said = super().sentence
         if not self.bounded or self.instead:
             return said

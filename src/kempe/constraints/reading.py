@@ -57,7 +57,7 @@ def along(z: Array, dim: int) -> Array:
 
 
 def flat(X: Array) -> tuple[float, ...]:
-    """A pose as something that can be a key."""
+    """A pose (4, 4) as a tuple of 16 numbers, which can be hashed."""
     return tuple(X.ravel().tolist())
 
 
@@ -95,7 +95,7 @@ def directions_of(x: Any, dim: int, what: str) -> Array:
 
 
 def fixed(x: Array, what: str, shape: tuple[int, ...] = ()) -> Array:
-    """What is part of a task's structure: finite, and one for all targets. Errors: `InputError`."""
+    """A number or array of shape `shape` that must be finite and the same for all targets. Errors: `InputError`."""
     if x.shape != shape:
         raise InputError(f"{what} has shape {x.shape}; it must have {shape or 'none: a number'}, one for all targets")
     if not np.all(np.abs(x) < LARGEST):
@@ -104,12 +104,16 @@ def fixed(x: Array, what: str, shape: tuple[int, ...] = ()) -> Array:
 
 
 def at_point(point: Any, dim: int, what: str) -> tuple[float, ...]:
-    """The pose of a point of a frame, as a key. Errors: `InputError`."""
+    """Pose without a rotation at a point of a frame, as a tuple of 16 numbers, which can be hashed.
+
+    `dim` is 2 in the plane, else 3; `what` names the point in messages. Errors: `InputError` for points that are not
+    finite, of another shape, or different for several targets.
+    """
     return flat(spatial.pose(p=fixed(points_of(point, dim, what), what, (3,))))
 
 
 def with_axis(axis: Any, dim: int, what: str) -> tuple[float, ...]:
-    """A turn of a frame whose z is along its axis (default z, in the plane x), as a key. Errors: `InputError`."""
+    """Rotation whose z is along the axis (default z, in the plane x), as a pose of 16 numbers. Errors: `InputError`."""
     usual = (1.0, 0.0, 0.0) if dim == 2 else (0.0, 0.0, 1.0)
     z = fixed(directions_of(usual if axis is None else axis, dim, what), what, (3,))
     return flat(spatial.pose(along(z, dim)))
@@ -122,7 +126,10 @@ def tilt_of(d: Array) -> Array:
 
 
 def ends_of(low: Any, high: Any, what: str, n: int) -> tuple[Array, Array]:
-    """Low and high ends (n,); low may be -inf, high inf. Errors: `InputError` where they leave nothing."""
+    """Lower and upper bounds (n,), which may be infinite.
+
+    Errors: `InputError` where they leave nothing between them.
+    """
     a, b = (numbers_of(x, f"an end of {what}") for x in (low, high))
     if any(x.shape not in ((), (n,)) for x in (a, b)):
         raise InputError(f"{what}: {low!r} and {high!r} must be numbers, or have {n} entries each")
@@ -163,7 +170,10 @@ def positive(x: Any, what: str) -> Array:
 
 
 def pair(low: Any, high: Any, what: str) -> tuple[Array, Array]:
-    """Two ends as arrays of one shape. Errors: `InputError` where they do not fit together, or leave nothing."""
+    """Lower and upper bounds as arrays of one shape.
+
+    Errors: `InputError` where shapes differ or bounds leave nothing.
+    """
     a, b = (numbers_of(x, f"an end of {what}") for x in (low, high))
     try:
         a, b = (a, b) if a.shape == b.shape else np.broadcast_arrays(a, b)

@@ -152,7 +152,7 @@ class Tape:
         return (left, right) if op in BINARY else (left,) if op in UNARY else ()
 
     def _needed(self) -> list[int]:
-        """Places of nodes that the values of the outputs are computed from, in order; derivatives left out."""
+        """Places, in order, of the nodes that are needed to compute the outputs; nodes of derivatives are left out."""
         needed = set(self.outputs)
         for place in range(self.size - 1, len(self.inputs) - 1, -1):
             if place in needed:

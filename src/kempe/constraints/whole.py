@@ -37,17 +37,17 @@ class Posture(Constraint):
         return "all coordinates" if given is None else ", ".join(map(repr, given))
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """The coordinates by name; none named is all."""
+        """One row for each named coordinate; without names, for all."""
         given = named(self.q)
         return (Row(Op.COORDINATE, () if given is None else tuple(given), "value"),)
 
 
 class _OfCentre(Bounded):
-    """A kind on a centre, which takes the place of frame B; along a single axis it can be within bounds."""
+    """Base of constraints on a centre of masses, along some of its axes; along a single axis it may have bounds."""
 
     @property
     def ends(self) -> tuple[Any, Any]:
-        """The ground; a centre is no frame."""
+        """The ground as A, and None as B: a centre is no frame."""
         return None, None
 
     def in_words(self, name: str) -> str:
@@ -56,8 +56,11 @@ class _OfCentre(Bounded):
             return super().in_words(name)
         return f"{self.axes} {self.bounds_in_words}"  # type: ignore[attr-defined]
 
-    def places(self, dim: int) -> list[int]:
-        """The axes that count."""
+    def axis_numbers(self, dim: int) -> list[int]:
+        """Numbers (0 for x, 1 for y, 2 for z) of the axes that `axes` names; `dim` is 2 in the plane, else 3.
+
+        Errors: `InputError` for text that names none.
+        """
         axes = self.axes  # type: ignore[attr-defined]
         found = ["xyz".index(a) for a in axes] if isinstance(axes, str) and axes in AXES else []
         found = [i for i in found if i < dim]
@@ -67,38 +70,39 @@ class _OfCentre(Bounded):
         return found
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """The axes that count, within bounds where given."""
-        n = len(self.places(dim))
+        """One row for each axis that `axes` names, with the bounds where they are given."""
+        n = len(self.axis_numbers(dim))
         if self.bounded != (self.target is None) or (self.bounded and n > 1):  # type: ignore[attr-defined]
             raise InputError(f"{self.label} needs a target, or at_least or at_most along one of its axes")
         if self.bounded:
-            k = self.places(dim)[0]
+            k = self.axis_numbers(dim)[0]
             return (Row(Op.POINT, (k,), "xyz"[k], low="at_least", high="at_most"),)
         w = numbers_of(self.within, f"within of {self.label}")  # type: ignore[attr-defined]
         if w.shape[-1:] not in ((), (1,), (n,)) or not np.all(w >= 0.0):
             raise InputError(f"within of {self.label} is {self.within!r}; it must be a distance, or (..., {n})")  # type: ignore[attr-defined]
         ends = {"low": "below", "high": "above"} if np.any(w) else {}
         return tuple(
-            Row(Op.POINT, (i,), "xyz"[i], part=k if ends else None, **ends) for k, i in enumerate(self.places(dim))
+            Row(Op.POINT, (i,), "xyz"[i], part=k if ends else None, **ends)
+            for k, i in enumerate(self.axis_numbers(dim))
         )
 
     @property
     def above(self) -> Array:
-        """How far (..., n) it may be from the target along the axes that count."""
+        """How far (..., n) the centre may be above the target along each of the n axes."""
         w = numbers_of(self.within, f"within of {self.label}")  # type: ignore[attr-defined]
         n = len(self.axes)  # type: ignore[attr-defined]
         return np.broadcast_to(w, (*w.shape[:-1], n))
 
     @property
     def below(self) -> Array:
-        """The same to the other side."""
+        """How far (..., n) the centre may be below the target along each of the n axes."""
         return -self.above
 
     def goal(self, dim: int) -> Array:
-        """The target: three numbers, or one for each axis that counts."""
+        """Poses (..., 4, 4) at the target, which has three numbers, or one for each axis that `axes` names."""
         if self.bounded:
             return EYE
-        what, axes = f"target of {self.label}", self.places(dim)
+        what, axes = f"target of {self.label}", self.axis_numbers(dim)
         p = numbers_of(self.target, what)  # type: ignore[attr-defined]
         if p.shape[-1:] == (len(axes),):
             p, given = np.zeros((*p.shape[:-1], 3)), p
@@ -191,5 +195,5 @@ class Function(Constraint):
         return getattr(self.function, "__name__", repr(self.function))
 
     def rows(self, dim: int) -> tuple[Row, ...]:
-        """The function; how many equations it is shows when it is called."""
+        """One row for the function; its number of equations is found when it is called."""
         return (Row(Op.CALL, (self.function,), "value", "1", low="low", high="high"),)

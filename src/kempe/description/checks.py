@@ -68,7 +68,7 @@ def body(
 
 
 def kind(dim: int, subject: str, type_: JointType, parent: Body, child: Body, where: Where | None) -> None:
-    """Refuse a joint type that does not exist in the plane, or that these bodies cannot have."""
+    """Refuse a joint type that cannot be used in the plane, or between these bodies. Errors: `DescriptionError`."""
     if dim == 2 and not type_.planar:
         refuse(subject, f"a {type_.type_name} joint does not exist in the plane", where,
                "planar systems take revolute, prismatic, planar, translation, fixed and free")  # fmt: skip
@@ -90,7 +90,7 @@ def kind(dim: int, subject: str, type_: JointType, parent: Body, child: Body, wh
 
 
 def slip(kind: str | JointType, options: Iterable[str], builder: Callable[..., Joint]) -> str:
-    """What to say of options that the joint type does not have, where one is a slip of a keyword of the builder."""
+    """Message about options that the joint type does not have, if one is a misspelt keyword of the builder."""
     import inspect  # only here: most calls are right
 
     made = TYPES.get(kind, Product) if isinstance(kind, str) else kind
@@ -104,7 +104,7 @@ def slip(kind: str | JointType, options: Iterable[str], builder: Callable[..., J
 
 @lru_cache(maxsize=256)
 def fault_of(type_: JointType, dim: int, particle: bool) -> str:
-    """What is wrong with the coordinates and primitives that a joint type declares; empty where nothing is."""
+    """Fault of the coordinates and primitives that a joint type declares, as text; '' where there is none."""
     names, primitives = type_.layout(dim, particle)
     if len(set(names)) < len(names) or (len(names) > 1 and "" in names):
         return f"its coordinates are {names}; each needs a name of its own"
@@ -132,7 +132,11 @@ def ends(
     dim: int, subject: str, type_: JointType, X_PF: Placement, X_CM: Placement, child: Body,
     where: Where | None,
 ) -> None:  # fmt: skip
-    """Refuse frames that lead out of the plane of a planar system, or off a particle."""
+    """Refuse the frames of a joint where they leave the plane, or where the joint is not at the origin of a particle.
+
+    X_PF and X_CM are the placements of the frames F on the parent and M on the child. `subject` names the joint and
+    `where` its place in a file, for the message; `dim` is 2 in the plane, else 3. Errors: `DescriptionError`.
+    """
     if child.particle and any(motion in ("x", "y", "z") for motion, _ in X_CM.steps):
         refuse(subject, f"a particle ({child.name!r}) has no extent: the joint must sit on it", where,
                "leave out child_at")  # fmt: skip
@@ -160,7 +164,7 @@ def axis_in_plane(subject: str, X: Placement, out_of_plane: str, where: Where | 
 
 
 def flat(subject: str, X: Placement, where: Where | None) -> None:
-    """Refuse a placement that leaves the xy-plane."""
+    """Refuse, with a `DescriptionError`, a placement of a planar system that leaves the xy-plane."""
     for motion, _ in X.steps:
         if motion not in ("x", "y", "rz"):
             refuse(subject, f"{motion} leaves the plane", where, "planar systems take x, y and turns about z")
@@ -195,7 +199,7 @@ def limits(
 
 
 def bounds(subject: str, what: str, given: object, names: tuple[str, ...], where: Where | None) -> dict[str, float]:
-    """Largest speeds or efforts by velocity coordinate: numbers, not negative, infinity allowed."""
+    """Largest speeds or efforts by velocity coordinate: checked numbers >= 0, also infinite."""
     out: dict[str, float] = {}
     for key, bound in _by_name(subject, what, given, names, where):
         if not is_real(bound) or not float(bound) >= 0:  # type: ignore[arg-type]

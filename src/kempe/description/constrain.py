@@ -98,7 +98,7 @@ def between(
 
 
 def _placed(mechanism: Mechanism, placed: Placed, subject: str, where: Where | None) -> End:
-    """An end on a body, which may be given by a frame."""
+    """An end of a constraint as a placement on a body; a frame stands for its placement."""
     thing, at, turn = placed
     frame = mechanism.frames.get(str(thing)) if isinstance(thing, (Frame, str)) else None
     if frame is None:
@@ -112,7 +112,7 @@ def _placed(mechanism: Mechanism, placed: Placed, subject: str, where: Where | N
 
 
 def _end(mechanism: Mechanism, end: object, subject: str, where: Where | None) -> End:
-    """An end as a place on a body: None is the ground, text a frame or a body."""
+    """An end of a constraint as a placement on a body: None is the ground, text is a frame or a body."""
     if end is None:
         return End(mechanism.ground.name)
     if isinstance(end, End):
@@ -168,7 +168,7 @@ def _read(x: Any, what: str) -> Any:
 
 
 def check(mechanism: Mechanism, made: Declared) -> None:
-    """Refuse ends, frames and numbers that cannot be the constraint's own."""
+    """Refuse ends, frames and numbers that the constraint cannot have."""
     subject, where, dim = f"constraint {made.name!r}", made.where, mechanism.dim
     if made.parent and made.parent == made.child:
         checks.refuse(subject, f"it ties body {made.parent!r} to itself", where, "it must tie two bodies")
@@ -194,7 +194,7 @@ def check(mechanism: Mechanism, made: Declared) -> None:
 
 
 def resolved(made: Declared, parameters: Mapping[str, float], dim: int) -> Constraint:
-    """The constraint with the numbers that its expressions stand for, checked. Errors: `DescriptionError`."""
+    """The constraint with its expressions evaluated at the parameters, checked. Errors: `DescriptionError`."""
     numbers = with_numbers(made.of, parameters)
     try:
         rows = numbers.rows(dim)
@@ -243,7 +243,7 @@ def _lengths(made: Declared, numbers: Constraint, rows: tuple[Row, ...]) -> None
 
 
 def renamed(made: Declared, bodies: Mapping[str, str], frames: Mapping[str, str], prefix: str) -> Declared:
-    """The same under other names of bodies and frames, coordinates and the constraint itself with a prefix."""
+    """The same constraint with other names of bodies and frames, and a prefix for its own name and coordinates."""
     both = {**bodies, **frames}
 
     def other(x: Any) -> Any:

@@ -119,13 +119,13 @@ DEFAULT = TOML
 
 
 def by_ending(name: str) -> Format | None:
-    """The format that the name of a file tells, or None."""
+    """The format of a file with this name, by its ending; None where the ending is of no known format."""
     name = name.lower()
     return next((f for f in reversed(FORMATS.values()) if name.endswith(f.endings)), None)
 
 
 def by_contents(start: str) -> Format | None:
-    """The format that the beginning of a text tells, or None."""
+    """The format of a text, by its beginning; None where no format is recognised."""
     start = start.removeprefix("\ufeff").lstrip()
     return next((f for f in reversed(FORMATS.values()) if f.recognises(start)), None)
 
@@ -142,7 +142,7 @@ def joined(words: Iterable[str], last: str = "or") -> str:
 
 
 def read_by(option: str = "") -> list[Format]:
-    """The formats that are read, or those of them whose reader takes an option."""
+    """The formats that can be read; with an `option`, those whose reader takes it."""
     return [f for f in FORMATS.values() if f.read and (not option or option in f.options)]
 
 

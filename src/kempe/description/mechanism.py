@@ -78,7 +78,7 @@ class Mechanism(ConstraintMethods):
         return self._add_body(checks.body(name, False, mass, center, visuals, where))
 
     def particle(self, name: str, mass: float | None = None, where: Where | None = None) -> Body:
-        """A new particle: a body with a position only. Attach it by slides (free, translation, prismatic)."""
+        """A new particle: a point mass without orientation. Attach it by a prismatic, translation or free joint."""
         return self._add_body(checks.body(name, True, mass, None, (), where))
 
     def _add_body(self, body: Body) -> Body:
@@ -89,7 +89,7 @@ class Mechanism(ConstraintMethods):
     def frame(
         self, name: str, body: BodyLike, at: object = (0.0, 0.0, 0.0), where: Where | None = None, **turn: Any
     ) -> Frame:
-        """A named frame on a body, placed as `place` says (`at`, `rpy`, `angle`, `axis`, `quat_wxyz`, `matrix`)."""
+        """A new named frame on a body, placed by `at`, `rpy`, `angle`, `axis`, `quat_wxyz`, `matrix` as in `place`."""
         on = self._body(body, f"frame {name!r}", where)
         self._free_name(checks.name(name, "frame"), "frame", where)
         X_BF = self._place(at, turn, f"frame {name!r}", where, on)
@@ -165,39 +165,39 @@ class Mechanism(ConstraintMethods):
         return self.joint(name, "fixed", parent, child, **keywords)
 
     def revolute(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
-        """A hinge about z of its frame (or `axis`); keywords as in `joint`."""
+        """A revolute joint about z of its frame F (or `axis`); keywords as in `joint`."""
         return self.joint(name, "revolute", parent, child, **keywords)
 
     def prismatic(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
-        """A slider along z of its frame (or `axis`); keywords as in `joint`."""
+        """A prismatic joint along z of its frame F (or `axis`); keywords as in `joint`."""
         return self.joint(name, "prismatic", parent, child, **keywords)
 
     def helical(self, name: str, parent: BodyLike, child: BodyLike, pitch: float, **keywords: Any) -> Joint:
-        """A screw about z with `pitch` metres a radian; keywords as in `joint`."""
+        """A screw joint about z with `pitch` metres a radian; keywords as in `joint`."""
         return self.joint(name, "helical", parent, child, pitch=pitch, **keywords)
 
     def cylindrical(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
-        """A turn about z and a slide along it; keywords as in `joint`."""
+        """A cylindrical joint: rotation about z and translation along z; keywords as in `joint`."""
         return self.joint(name, "cylindrical", parent, child, **keywords)
 
     def universal(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
-        """A turn about x of F, then about y of M; keywords as in `joint`."""
+        """A universal joint: rotation about x of F, then about y of M; keywords as in `joint`."""
         return self.joint(name, "universal", parent, child, **keywords)
 
     def planar(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
-        """Slides along x and y and a turn about z; keywords as in `joint`."""
+        """A planar joint: translation along x and y, rotation about z; keywords as in `joint`."""
         return self.joint(name, "planar", parent, child, **keywords)
 
     def translation(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
-        """Slides along x, y and z (in the plane x and y); keywords as in `joint`."""
+        """A joint that only translates, along x, y and z (in the plane x and y); keywords as in `joint`."""
         return self.joint(name, "translation", parent, child, **keywords)
 
     def spherical(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
-        """A ball joint, by quaternion or, with `angles=True`, as three turns; keywords as in `joint`."""
+        """A ball joint, by a quaternion or, with `angles=True`, by three angles; keywords as in `joint`."""
         return self.joint(name, "spherical", parent, child, **keywords)
 
     def free(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
-        """No constraint, but coordinates for where the child is; keywords as in `joint`."""
+        """A joint that allows all motions: its coordinates are the child's pose; keywords as in `joint`."""
         return self.joint(name, "free", parent, child, **keywords)
 
     # ---- relations between coordinates
@@ -225,7 +225,7 @@ class Mechanism(ConstraintMethods):
         return self.couplings[of]
 
     def gear(self, driven: str, driver: str, ratio: Value | str, offset: Value | str = 0.0) -> Coupling:
-        """Two coordinates in gear: driven = ratio * driver + offset."""
+        """A gear between two coordinates: driven = ratio * driver + offset."""
         return self.couple(driven, {driver: ratio}, offset)
 
     def posture(self, name: str, coordinates: Mapping[str, float]) -> None:
@@ -269,14 +269,14 @@ class Mechanism(ConstraintMethods):
         return out
 
     def build(self) -> System:
-        """The `System` to compute with. Errors: `DescriptionError` naming what does not fit together."""
+        """The compiled `System`. Errors: `DescriptionError` that names what does not fit together."""
         from kempe.model.system import System
 
         with collecting_later(len(self.bodies)):
             return System(self)
 
     def save(self, path: str | Path) -> Path:
-        """Write it to a file, in the format that the ending names (.toml holds everything); returns the path."""
+        """Write the mechanism to a file, in the format of its ending (.toml holds everything); returns the path."""
         from kempe.description.write import write
 
         return write(self, path)
@@ -297,7 +297,7 @@ class Mechanism(ConstraintMethods):
     __hash__ = None  # type: ignore[assignment]
 
     def content(self) -> tuple[Any, ...]:
-        """All that matters, as nested tuples, in the order given; file positions and notes are left out."""
+        """All content as nested tuples in the order of declaration, without file positions and notes."""
         return (
             self.name, self.dim, self._ground, tuple(self.bodies.values()),
             tuple((j, tuple(j.limits.items()), tuple(j.velocity_limits.items())) for j in self.joints.values()),

@@ -20,7 +20,7 @@ Limits = tuple[float, float]
 
 
 class ReadOnlyDict(dict[Any, Any]):
-    """A dict that can only be read: what it says is part of something that does not change."""
+    """A dict that can only be read, since it belongs to an immutable object."""
 
     def _refuse(self, *_: Any, **__: Any) -> NoReturn:
         raise TypeError("this dict is read-only: nothing would change; change a Mechanism, or make another System "
@@ -109,12 +109,12 @@ class Declared:
 
     @property
     def kind(self) -> str:
-        """The name of its kind."""
+        """Name of the kind of constraint."""
         return self.of.kind
 
     @property
     def rod(self) -> bool:
-        """Whether it holds nothing but the distance of two points."""
+        """Whether the constraint only holds the distance of two points."""
         return [r.op for r in position_rows(self.of, 3)] == [Op.DISTANCE]
 
     def frames(self, parameters: Mapping[str, float], dim: int) -> tuple[Array, Array]:
@@ -130,28 +130,28 @@ class Declared:
         return float(getattr(made, row.equal))
 
     def equations(self, dim: int) -> int:
-        """How many equations f(q) = 0 it is, in the plane (2) or in space (3)."""
+        """Number of equations f(q) = 0 of the constraint, in the plane (`dim` 2) or in space (3)."""
         return sum(r.size(dim) for r in position_rows(self.of, dim))
 
     def positions(self, dim: int) -> int:
-        """How many rows it has that are not of velocity, in the plane (2) or in space (3)."""
+        """Number of rows on positions, not velocities, in the plane (`dim` 2) or in space (3)."""
         return self.equations(dim) + self.bounds(dim)
 
     def bounds(self, dim: int) -> int:
-        """How many rows it has that hold on one side, or between two ends, in the plane (2) or in space (3)."""
+        """Number of inequalities among the rows, in the plane (`dim` 2) or in space (3)."""
         return sum(r.size(dim) for r in self.of.rows(dim) if not r.velocity and one_sided(self.of, r))
 
     def of_pose(self, dim: int) -> int:
-        """How many of these are directions, turns and distances, which no expression says."""
+        """Number of equations on directions, rotations and distances, without those of expressions."""
         return sum(r.size(dim) for r in position_rows(self.of, dim) if r.op not in (Op.TAPE, Op.CALL))
 
     @property
     def links(self) -> bool:
-        """Whether it takes freedoms from the motion of one body against another, by rows that are no expressions."""
+        """Whether the constraint takes freedoms from the motion between two bodies, without expressions."""
         return bool(self.parent) and any(r.op not in (Op.TAPE, Op.CALL) for r in position_rows(self.of, 3))
 
     def key(self) -> tuple[Any, ...]:
-        """All that it is, comparable."""
+        """All content of the constraint as a tuple that can be compared."""
         return self.name, self.parent, self.child, self.X_PF, self.X_CM, content(self.of)
 
     def __eq__(self, other: object) -> bool:

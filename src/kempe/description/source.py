@@ -57,7 +57,7 @@ _KINDS = (
 
 
 def no_file(path: str | Path) -> str:
-    """What a path is in place of a plain file, empty for one, and where there is nothing at all."""
+    """What a path is if not a plain file, such as a folder; '' for a plain file and where nothing exists."""
     try:
         mode = os.stat(path).st_mode
     except (OSError, ValueError):
@@ -67,9 +67,9 @@ def no_file(path: str | Path) -> str:
 
 @contextmanager
 def collecting_later(count: int = MANY_BODIES) -> Iterator[None]:
-    """Where so many bodies are made, cyclic garbage is looked for afterwards only.
+    """Put off the garbage collection of Python while `count` bodies are made.
 
-    They last, and each look goes through all there are: that takes a third of the time.
+    The bodies last, and each collection goes through all that exist: that takes a third of the time.
     """
     if count < MANY_BODIES or not gc.isenabled():
         yield
@@ -100,7 +100,7 @@ class Source:
         return _LINE_END.split(self.text)
 
     def where(self, line: int, column: int = 1) -> Where:
-        """The place at `line` and `column`, both counted from 1."""
+        """The place in the text at `line` and `column`, both counted from 1."""
         text = self.lines[line - 1] if 0 < line <= len(self.lines) else ""
         return Where(self.name, line, column, text)
 
@@ -115,7 +115,7 @@ class Source:
 
 
 class Findings:
-    """What a reader collects: problems, which stop it in the end, and notes, which do not."""
+    """Problems and notes that a reader collects: problems end in an error, notes do not."""
 
     def __init__(self) -> None:
         self.problems: list[Fault] = []
@@ -128,7 +128,7 @@ class Findings:
             self.finish()
 
     def note(self, message: str, subject: str = "", where: Where | None = None) -> None:
-        """Record something harmless that the user should know."""
+        """Record a remark that is no problem but that the user should know."""
         self._notes.append((where.line if where else 0, str(Fault(message, subject, where))))
 
     @property
@@ -147,7 +147,7 @@ class Findings:
 
     @contextmanager
     def guard(self, subject: str = "", where: Where | None = None) -> Iterator[None]:
-        """Record what is raised inside as problems of `subject` at `where`, and go on."""
+        """Record errors raised inside as problems of `subject` at `where`, and continue."""
         try:
             yield
         except DescriptionError as error:

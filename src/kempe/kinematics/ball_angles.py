@@ -53,7 +53,7 @@ def regular_chart(system: System, q: Array, held: Collection[str] = ()) -> tuple
 
 
 def back(system: System, q: Array, turned: dict[str, Array]) -> Array:
-    """The configuration (nq,) of the system itself for one in the other chart."""
+    """The configuration (nq,) in coordinates of the system itself for `q` in the chart of `regular_chart`."""
     q = np.array(q)
     for name, turn in turned.items():
         at = _balls(system)[name]
@@ -64,7 +64,7 @@ def back(system: System, q: Array, turned: dict[str, Array]) -> Array:
 
 @kept
 def _balls(system: System) -> dict[str, list[int]]:
-    """Places in q of the three angles of each ball that has its own."""
+    """Indices in q of the three angles of each ball joint given by angles, by joint name."""
     names = {n: i for i, n in enumerate(system.coordinate_names)}
     related = {f.source for f in system.structure.couplings.values()} | set(system.structure.couplings)
     related |= {n for r in system.structure.relations for n in (r.of, *r.sources)}

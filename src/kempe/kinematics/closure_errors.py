@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def coordinate_value(system: System, q: spatial.Array, name: str) -> spatial.Array:
-    """Value (...) of any joint coordinate, one that follows another or is held included."""
+    """Value (...) of a joint coordinate at q (..., nq), also of a coupled or locked one."""
     follower: Follower | None = system.structure.couplings.get(name)
     if follower is None:
         return q[..., system.coordinate_names.index(name)]

@@ -70,7 +70,7 @@ def evaluate(
 
 
 def row_names(system: System) -> list[tuple[str, str]]:
-    """For each equation the name of the joint, constraint or coupling, and what it holds: 'x', 'rz', 'distance', ..."""
+    """For each equation the name of its joint, constraint or coupling, and the component: 'x', 'rz', 'distance', ..."""
     return list(full(system, False).names)
 
 
@@ -81,13 +81,13 @@ def full(system: System, scaled: bool) -> PackedLoops:
 
 
 def scales(system: System) -> Array:
-    """The unit (nv,) of each velocity coordinate: a radian, or the characteristic length for a slide."""
+    """Unit (nv,) of each velocity coordinate: a radian, or the characteristic length for a prismatic one."""
     return full(system, True).scale
 
 
 @dataclass(frozen=True, eq=False)
 class SystemConstraint:
-    """A constraint f(q) = 0 that a system has, by its rows of the packed equations."""
+    """A constraint f(q) = 0 of a system, as rows of the packed equations."""
 
     name: str
     loops: PackedLoops
@@ -95,7 +95,7 @@ class SystemConstraint:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What each row holds: 'x', 'rz', 'distance', ..."""
+        """The component that each row holds: 'x', 'rz', 'distance', ..."""
         return tuple(self.loops.names[i][1] for i in self.rows)
 
     @property
@@ -104,11 +104,11 @@ class SystemConstraint:
         return len(self.rows)
 
     def residual(self, system: System, q: Any) -> Array:
-        """How far it is violated (..., size), in metres and radians."""
+        """Residual (..., size) of the constraint at q (..., nq), in metres and radians."""
         return evaluate(system, q, False, loops=self.loops)[0][..., list(self.rows)]
 
     def jacobian(self, system: System, q: Any) -> Array:
-        """Derivatives (..., size, nv) of the residual by the velocity coordinates, exact where it is violated, too."""
+        """Derivatives (..., size, nv) of the residual by the velocity coordinates, exact for all q."""
         return evaluate(system, q, loops=self.loops)[1][..., list(self.rows), :]
 
 

@@ -36,7 +36,10 @@ def as_q(system: System, q: Any) -> Array:
 
 
 def as_start(system: System, q: Any) -> Array:
-    """Where a search starts, read as by `as_q`; what is not named is as at home, and no loop is closed."""
+    """Start of a search (..., nq), read as by `as_q`.
+
+    Coordinates that are not named are as at home; no loop is closed.
+    """
     return _read(system, q, from_home)
 
 
@@ -61,25 +64,28 @@ def _read(system: System, q: Any, complete: Callable[[System, Mapping[str, Any]]
 
 @kept
 def has_loops(system: System) -> bool:
-    """Whether equations tie the coordinates: of loops, of declared constraints, or relations of several coordinates."""
+    """Whether q has to fulfil equations: of loops, declared constraints, or relations of several coordinates."""
     tied = system.structure.closures or system.structure.relations
     return bool(tied) or any(c.equations(system.dim) for c in system._mechanism.constraints.values())
 
 
 def home_of(system: System) -> Array:
-    """Where a search starts by default: the posture 'closed' if there is one, else within the limits."""
+    """Default start (nq,) of a search: the posture 'closed' if it exists, else a point inside the limits."""
     if "closed" in system.structure.posture_names:
         return system.q("closed")
     return system.mid.copy()
 
 
 def from_home(system: System, coordinates: Mapping[str, Any]) -> Array:
-    """Named values as a configuration (..., nq) that need not be closed; the others are neutral, with loops at home."""
+    """Configuration (..., nq) with the named values, perhaps not closed.
+
+    Other coordinates are neutral, or as at home where the system has loops.
+    """
     return q_from_dict(system, coordinates, home_of(system) if has_loops(system) else None)
 
 
 def closed_from(system: System, coordinates: Mapping[str, Any], start: Any = None) -> Array:
-    """The configuration (..., nq) that named values make: of a system with loops, the one that closes these.
+    """Configuration (..., nq) with the named values; in a system with loops these are closed.
 
     The search starts at `start`, else at home. Where all coordinates are named nothing is searched for. Errors:
     `InputError` where no closed configuration was found, with the reason.
@@ -161,7 +167,7 @@ def q_dict(system: System, q: Any) -> dict[str, float]:
 
 
 def one(system: System, q: Any) -> Array:
-    """One configuration (nq,). Errors: `InputError`."""
+    """The argument as one configuration (nq,). Errors: `InputError`."""
     array = as_q(system, q)
     if array.ndim != 1:
         raise InputError(f"q has shape {array.shape}; it must be one configuration ({system.nq},)")

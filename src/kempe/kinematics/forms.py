@@ -46,14 +46,14 @@ TYPES = ("float64", "float32")
 
 @kept
 def chain_table(system: System, frame: str) -> tuple[np.ndarray, Array]:
-    """The chain that leads to a frame, packed for the kernels of chains in its cheapest form."""
+    """The chain that leads to a frame, packed for the kernels that compute chains in the cheapest form."""
     return regauge(*system.structure.table.pack([frame], system.structure.table.path(frame)))
 
 
 def in_form(
     system: System, q: Any, frame: Any, out: Array | None, threads: int | None, form: str, dtype: Any
 ) -> Array:  # fmt: skip
-    """The forward model in a form and a type of numbers; see `forward.fk`. Errors: as there."""
+    """Poses of a frame in a chosen form and number type; arguments and errors as in `forward.fk`."""
     from kempe.kinematics.forward import fk
 
     wanted = FORMS[known("form", form, FORMS)]
@@ -94,7 +94,7 @@ def in_form(
 
 
 def _taken(out: Array | None, shape: tuple[int, ...], kind: np.dtype) -> Array:
-    """`out`, checked, or a new array where it is None."""
+    """The array `out`, checked, or a new array where `out` is None."""
     if out is None:
         return np.empty(shape, dtype=kind)
     if isinstance(out, np.ndarray) and out.shape == shape and out.dtype == kind and out.flags.carray:

@@ -31,7 +31,7 @@ IN_FRAMES = {"world_aligned": WORLD_ALIGNED, "world": WORLD, "body": BODY}
 
 
 class Query(Protocol):
-    """The forward model of one frame of one system, with names looked up and arrays packed once."""
+    """Forward kinematics of one frame of one system, with names looked up and arrays packed only once."""
 
     frame: str
     system: System
@@ -39,7 +39,7 @@ class Query(Protocol):
     def __call__(self, q: ArrayLike, out: Array | None = None, threads: int | None = None) -> Array:
         """Pose (..., 4, 4) of the frame in the ground frame at q (..., nq).
 
-        `out`, where given, is a C-contiguous float64 array of that shape, and is what is returned.
+        `out`, where given, is a C-contiguous float64 array of this shape; it is filled and returned.
         """
         ...
 
@@ -58,7 +58,7 @@ class Query(Protocol):
 
 @explained
 def query(system: System, frame: FrameLike) -> Query:
-    """The bound forward model of a frame. Errors: `UnknownNameError`."""
+    """A function that computes the forward kinematics of one frame. Errors: `UnknownNameError`."""
     chain_of = _ChainQuery(system, system.structure.frame_name(frame))
     bound_to: Any = MethodType(_model(chain_of), chain_of)  # a method, for it is pickled as an attribute of its object
     return bound_to
@@ -267,7 +267,7 @@ def _apart(q: Array, out: Array | None) -> Array:
 
 
 def _out(out: Array | None, shape: tuple[int, ...]) -> Array:
-    """`out`, checked, or a new array where it is None."""
+    """The array `out`, checked, or a new array where `out` is None."""
     if out is None:
         return np.empty(shape)
     if not (

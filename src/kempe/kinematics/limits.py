@@ -56,7 +56,7 @@ def with_limits(system: System, limits: Any = None, velocity: Any = None) -> Sys
 
 
 def _by_name(system: System, given: Any, what: str, width: int) -> dict[str, Any]:
-    """Limits by coordinate name, of a dict or of an array of all. Errors: `InputError`."""
+    """Limits by coordinate name, from a dict or an array for all coordinates. Errors: `InputError`."""
     if given is None:
         return {}
     found = named(given)
@@ -87,7 +87,7 @@ def _owner(system: System, name: str) -> tuple[Joint, str]:
 
 
 def _led(system: System, name: str) -> tuple[int, float, float]:
-    """Which velocity coordinate moves this one, with multiplier and offset."""
+    """Index, multiplier and offset of the velocity coordinate that moves the coordinate `name`."""
     follower = system.structure.couplings.get(name)
     if follower is None:
         return system.structure.velocity_names.index(name), 1.0, 0.0
@@ -118,7 +118,7 @@ def _local(joint: Joint, name: str) -> str:
 
 
 def _others(system: System, name: str) -> str:
-    """The coordinates that move with one, by name."""
+    """Names, as text, of the coordinates that are coupled with this one."""
     i = _led(system, name)[0]
     moved = [
         system.structure.velocity_names[i],

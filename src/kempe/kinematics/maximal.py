@@ -58,7 +58,7 @@ def maximal(system: System) -> System:
 
 @explained
 def to_maximal(system: System, q: Any) -> Array:
-    """Poses (..., n_b, 4, 4) of all bodies but the ground; those of the tree, where loops are open."""
+    """Poses (..., n_b, 4, 4) of all bodies but the ground; where loops are open, along the spanning tree."""
     return np.ascontiguousarray(fk(system, q)[..., 1:, :, :])
 
 
@@ -80,7 +80,7 @@ def _joined(system: System, q: Array, poses: Array) -> Array:
 
 
 def coordinates_of_pose(X: Array, dim: int, particle: bool) -> list[Array]:
-    """The coordinates, in parts, of a free joint whose pose is X (..., 4, 4)."""
+    """The coordinates of a free joint at the pose X (..., 4, 4), as a list of arrays."""
     p, R = X[..., :dim, 3], X[..., :3, :3]
     if particle:
         return [p]

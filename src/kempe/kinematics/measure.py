@@ -42,7 +42,7 @@ SHOWN = 4
 
 
 class RowShape(NamedTuple):
-    """What rows hold of a pose: directions, what of the rotation, and whether the distance."""
+    """Which parts of a pose rows hold: directions, parts of the rotation, the distance."""
 
     mask: int
     turns: int
@@ -57,7 +57,7 @@ class RowShape(NamedTuple):
 
 @lru_cache(maxsize=512)
 def shape_of(rows: tuple[Row, ...], dim: int) -> RowShape:
-    """What rows of one frame hold of its pose."""
+    """Which parts of the pose of frame B in A the rows hold; `dim` is 2 in the plane, 3 in space."""
     sorts = {
         Op.ROTATION: L.ANGLE if dim == 2 else L.FULL, Op.TILT: L.ALIGN, Op.LOOK: L.LOOK, Op.DISTANCE: L.DISTANCE,
     }  # fmt: skip
@@ -76,7 +76,7 @@ def size_of(p: Array) -> Array:
 
 
 def angle_between(R: Array, S: Array) -> Array:
-    """Angle (...) between two rotations, by how far their entries are apart: sqrt(8) times the sine of its half."""
+    """Angle (...) between two rotations, from the Frobenius norm of their difference: sqrt(8) sin(angle / 2)."""
     d = R - S
     if d.ndim == 2:
         return 2.0 * math.asin(min(size_of(d.ravel()) / math.sqrt(8.0), 1.0))  # type: ignore[return-value]
@@ -187,7 +187,7 @@ def motion(primitives: Sequence[Primitive], values: Array) -> Array:
 
 
 class Poses:
-    """Poses of the bodies and frames of a system at q (..., nq): the joints of its tree, multiplied out."""
+    """Poses of bodies and frames of a system at q (..., nq), as products of joint transforms along the tree."""
 
     def __init__(self, system: System, q: Array):
         self.system, self.q, self.mechanism, tree = system, q, system.mechanism, system.structure.topology
@@ -218,7 +218,7 @@ class Poses:
         return self.bodies[frame.body] @ frame.X_BF.evaluate(self.mechanism.parameters)
 
     def joint(self, joint: Joint) -> tuple[Array, Array]:
-        """How far (...) a joint is open, in metres and radians; of a particle the angle is zero."""
+        """Gap (...) of a cut joint, in metres and radians: (distance, angle); the angle is 0 for a particle."""
         F, M = self.frames(joint)
         A, B = self.bodies[joint.parent] @ F, self.bodies[joint.child] @ M
         size = size_of(B[..., :3, 3] - A[..., :3, 3])
@@ -227,7 +227,7 @@ class Poses:
         return size, angle_between(A[..., :3, :3], B[..., :3, :3])
 
     def declared(self, declared: Declared) -> tuple[Array, Array]:
-        """How far (...) the rows of position of a declared constraint are missed, in metres and in radians."""
+        """Errors (...) of the position rows of a declared constraint, in metres and in radians."""
         m, dim = self.mechanism, self.system.dim
         made, A, B = resolved(declared, m.parameters, dim), None, None
         if declared.parent:
@@ -236,7 +236,7 @@ class Poses:
         return missed(self.system, made, [r for r in made.rows(dim) if not r.velocity], self.q, A, B)
 
     def relation(self, of: str, sources: dict[str, float], offset: float) -> tuple[Array, Array]:
-        """How far (...) a coupling with several sources is missed, as a part of its largest factor."""
+        """Error (...) of a relation of several coordinates, relative to its largest factor."""
         off = coordinate_value(self.system, self.q, of) - offset
         for name, factor in sources.items():
             off = off - factor * coordinate_value(self.system, self.q, name)
@@ -249,23 +249,23 @@ class Poses:
 
 
 class MeasuredTask(Protocol):
-    """A task, as `kempe.kinematics.tasks.task.Task` is."""
+    """Protocol of a task that can be measured, as `kempe.kinematics.tasks.task.Task`."""
 
     label: str
 
     def measure(
         self, system: System, q: Array, goals: Any = None, at: Callable[[Any], Array] | None = None
     ) -> tuple[Array, Array]:  # fmt: skip
-        """How far it is missed, with frames `at` these places."""
+        """Errors (...) of the task at q (..., nq), in metres and radians; `at` gives poses of frames."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """How far all that is declared, or requested, is missed, by poses multiplied out in numpy.
+    """Errors of all constraints and tasks at configurations, from poses computed in numpy, and whether they hold.
 
     `errors` (n, ..., 2) are by `names`, in metres and in radians (or plain numbers, of an equation); those above
-    `allowed` are `missed`.
+    `allowed` are violations.
     """
 
     names: tuple[str, ...]
@@ -274,12 +274,12 @@ class Judgement:
 
     @property
     def missed(self) -> np.ndarray:
-        """Whether (n, ...) something is missed by more than is allowed, or is no number."""
+        """Whether (n, ...) an error is above what is allowed, or NaN."""
         return np.asarray(~(self.errors <= self.allowed).all(axis=-1))
 
     @property
     def holds(self) -> Any:
-        """Whether (...) all of it holds."""
+        """Whether (...) all constraints and tasks hold."""
         return plain(~self.missed.any(axis=0))
 
     def of(self, which: np.ndarray) -> Judgement:
@@ -290,7 +290,7 @@ class Judgement:
         return bool(np.all(self.holds))
 
     def __str__(self) -> str:
-        """What is missed most, and by how much, or that all holds."""
+        """The sentence that names the largest violation, or says that all hold."""
         n = len(self.names)
         if not n:
             return "nothing is declared or requested that poses could miss"
@@ -305,7 +305,7 @@ class Judgement:
         return f"judged by poses multiplied out in numpy: {self.names[k]!r} is missed by {far}"
 
     def data(self) -> dict[str, Any]:
-        """The largest error of each, by name, in metres and in radians; whether all hold, and the sentence."""
+        """The largest error by name, in metres and radians; whether all hold; and the sentence."""
         worst = self.errors.reshape(len(self.names), -1, 2).max(axis=1, initial=0.0) if self.names else np.zeros((0, 2))
         return {"holds": np.asarray(self.holds).tolist(), "errors": dict(zip(self.names, worst.tolist(), strict=True)),
                 "text": str(self)}  # fmt: skip

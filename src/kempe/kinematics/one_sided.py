@@ -29,7 +29,7 @@ ROUNDING = 1e-9
 
 
 class Violation(NamedTuple):
-    """The declared row `name` is outside its bounds by `far` in its `unit`, by `size` in characteristic lengths."""
+    """A violated inequality `name`: outside its bounds by `far` in `unit`, or by `size` in characteristic lengths."""
 
     name: str
     far: float
@@ -38,12 +38,12 @@ class Violation(NamedTuple):
 
     @property
     def amount(self) -> str:
-        """By how much, with the unit."""
+        """Size of the violation, with the unit, as text."""
         return f"{self.far:.6g} {self.unit}".removesuffix(" 1")
 
     @property
     def text(self) -> str:
-        """Which row, and by how much."""
+        """Name of the violated row and size of the violation, as text."""
         return f"{self.name!r} by {self.amount}"
 
 
@@ -74,17 +74,17 @@ class OneSided:
 
     @cached_property
     def scale(self) -> Array:
-        """One over the characteristic length for rows in metres, 1 for others: what makes rows compare."""
+        """Factors (k,) by which rows become comparable: 1 / characteristic length for rows in metres, else 1."""
         return np.where(np.array(self.units) == "m", 1.0 / full(self.system, True).length, 1.0)
 
     @cached_property
     def well_inside(self) -> tuple[Array, Array]:
-        """Ends between which the rows' values are farther than `CLOSED` from their bounds."""
+        """Bounds (low, high) of the rows, each `CLOSED` farther inside than their own."""
         return self.low + CLOSED / self.scale, self.high - CLOSED / self.scale
 
     @cached_property
     def slack(self) -> Array:
-        """By how much (k,) each row may be beyond its bounds through rounding."""
+        """Rounding error (k,) by which each row may be outside its bounds."""
         bounds = np.where(np.isfinite([self.low, self.high]), np.abs([self.low, self.high]), 0.0)
         return ROUNDING * (1.0 + bounds.max(axis=0, initial=0.0))
 
@@ -118,13 +118,13 @@ class OneSided:
         return (self.scale[:k] * off)[out], J[out]
 
     def violations(self, q: Array) -> list[Violation]:
-        """Which declared rows are violated at q (nq,), and by how much."""
+        """The violations of declared rows at q (nq,)."""
         far = self.beyond(q, declared=True)
         return [Violation(self.names[k], float(far[k]), self.units[k], float(far[k] * self.scale[k]))
                 for k in np.flatnonzero(far)]  # fmt: skip
 
     def left_out(self, beyond: np.ndarray) -> str:
-        """What is said where configurations are left out that violate rows: which of them (n, k) each does violate."""
+        """Sentence on configurations left out because they violate rows; `beyond` (n, k) is by how much."""
         count = int(beyond.any(axis=1).sum())
         which = ", ".join(repr(self.names[k]) for k in np.flatnonzero(beyond.any(axis=0)))
         those = "1 is left out that violates" if count == 1 else f"{count} are left out that violate"
@@ -152,7 +152,7 @@ class OneSided:
         return values.reshape(*lead, k), J.reshape(*lead, k, nv) if rates else J
 
     def side(self, k: int, upper: bool) -> str:
-        """How one end of row k is called."""
+        """Name of the lower or `upper` bound of row k, as messages write it."""
         end = "upper" if upper else "lower"
         if k >= self.declared:
             return f"{end} limit of {self.names[k]}"

@@ -53,7 +53,7 @@ def _at_zero(system: System) -> Any:
 
 @kept
 def clocked(system: System) -> System:
-    """The system with the time as its last coordinate, a slide that nothing but equations reads."""
+    """The system with the time as its last coordinate, a prismatic one that appears in no pose, only in equations."""
     m = _plain(system, (TIME,))
     m.prismatic(TIME, m.ground, m.body(_free(m, "clock")), axis="x")
     return m.build()

@@ -23,7 +23,7 @@ FrameLike = Body | Frame | str
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Structure:
-    """What a system is made of: what its description says, and the tree, the coordinates and the table made from that.
+    """The parts of a system: the description, and the spanning tree, coordinates and primitive table made from it.
 
     It is read-only. The names and sizes that every computation needs are attributes of the `System` itself.
     """
@@ -47,7 +47,7 @@ class Structure:
 
     @property
     def frames(self) -> dict[str, Frame]:
-        """The named frames."""
+        """The named frames of the description, by name."""
         return ReadOnlyDict(self._mechanism.frames)
 
     @property
@@ -62,12 +62,12 @@ class Structure:
 
     @property
     def tolerance(self) -> float | str | None:
-        """What its dimensions may be off by, in metres and radians; None: nothing but rounding."""
+        """Tolerance of the dimensions in metres and radians, as described; None: the loops close up to rounding."""
         return self._mechanism.tolerance
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a reader found worth saying about the file."""
+        """Remarks of the reader of a file, such as on parts that it left out."""
         return tuple(self._mechanism.notes)
 
     # ---- the tree
@@ -91,12 +91,12 @@ class Structure:
 
     @property
     def relations(self) -> tuple[Relation, ...]:
-        """Linear relations between several coordinates, which restrict `q`."""
+        """Linear relations between several coordinates, which are equations on `q`."""
         return self.coordinates.relations
 
     @property
     def couplings(self) -> dict[str, Any]:
-        """Coordinates that follow one other (mimic joints, gears) or are held: they are not in `q`."""
+        """Coupled coordinates by name: each is a multiple of another plus an offset, or held; they are not in `q`."""
         return ReadOnlyDict(self.coordinates.followers)
 
     @property
@@ -110,7 +110,7 @@ class Structure:
         return self.coordinates.velocity
 
     def coordinates_of_joint(self, name: str) -> list[str]:
-        """Coordinate names of a joint, those that follow others or are locked included."""
+        """Names of all coordinates of a joint, also of those that are coupled or locked and not part of `q`."""
         m = self._mechanism
         return coordinate_names(m, m.joints[known("joint", name, m.joints, m.name)])
 
@@ -126,12 +126,12 @@ class Structure:
 
     @cached_property
     def content_hash(self) -> str:
-        """Digest of everything that the system is: equal systems have equal digests, in every process."""
+        """Digest, as text, of all content of the system: equal systems have equal digests, in every process."""
         return _digest(self._mechanism.content())
 
     @cached_property
     def hash(self) -> str:
-        """Digest of bodies, joints and tree without their numbers: the same for all designs of one kind."""
+        """Digest, as text, of bodies, joints and tree without numbers: equal for all designs of one structure."""
         m = self._mechanism
         joints = [(j.name, j.type.type_name, j.parent, j.child) for j in m.joints.values()]
         constraints = [(c.name, c.kind, c.parent, c.child) for c in m.constraints.values()]
@@ -200,18 +200,18 @@ class Compiled:
 
     @property
     def mechanism(self) -> Mechanism:
-        """A copy of the description, to change and build again."""
+        """A copy of the description, which can be changed and built again."""
         return self._mechanism.copy()
 
     @cached_property
     def structure(self) -> Structure:
-        """What it is made of: joints, frames, loop closures, couplings, limits, parameters, tree, table, identity."""
+        """The parts of the system: joints, frames, loop closures, couplings, limits, parameters, tree, table."""
         m, coordinates = self._mechanism, self._coordinates
         return Structure(m, self._topology, coordinates, self._table, coordinates.layout)
 
     @property
     def body_names(self) -> tuple[str, ...]:
-        """Bodies by number; the ground is number 0."""
+        """Names of the bodies in the order of their numbers; the ground is number 0."""
         return self._topology.bodies
 
     @cached_property
@@ -226,7 +226,7 @@ class Compiled:
 
     @property
     def coordinate_names(self) -> tuple[str, ...]:
-        """A name for each entry of `q`: the joint's where it has one coordinate, else 'joint.x', ..."""
+        """Names of the nq entries of `q`: that of the joint if it has one coordinate, else 'joint.x', ..."""
         return self._coordinates.names
 
     @property
@@ -236,12 +236,12 @@ class Compiled:
 
     @property
     def nq(self) -> int:
-        """Number of entries of a configuration."""
+        """Number nq of entries of a configuration `q`."""
         return self._coordinates.layout.nq
 
     @property
     def nv(self) -> int:
-        """Number of velocity coordinates: the degrees of freedom of all joints."""
+        """Number of velocity coordinates: the freedoms of all joints in the tree. A quaternion has 3, and 4 in `nq`."""
         return self._coordinates.layout.nv
 
     # ---- limits

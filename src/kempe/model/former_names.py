@@ -52,7 +52,7 @@ class Former:
 
 
 def found(system: Any, name: str) -> Any:
-    """What a former name stands for."""
+    """The attribute that a former name stands for, with a warning."""
     from functools import partial  # only here: few ask for former names
     from operator import attrgetter
 

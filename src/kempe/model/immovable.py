@@ -15,9 +15,9 @@ SHOWN = 6
 
 
 def immovable(system: System, coordinates: Iterable[int] | None = None, unstated: bool = False) -> str:
-    """The sentence that names velocity coordinates whose limits hold them still, and why; empty where there are none.
+    """Sentence that names velocity coordinates whose limits leave no motion, and why; '' where there are none.
 
-    `coordinates` are their numbers, all where None; `unstated` leaves out limits that were given.
+    `coordinates` are their indices, all where None; `unstated` leaves out limits that the description gives.
     """
     low, high = system.structure.limits.T
     still = np.flatnonzero(low == high).tolist()

@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 
 def kept(function: Callable[Concatenate[System, Keys], T]) -> Callable[Concatenate[System, Keys], T]:
-    """The function of a system and keys, which gives the same answer again for the same arguments."""
+    """A decorator for functions of a system and keys: an answer is kept, and returned again for equal arguments."""
 
     @wraps(function)
     def call(system: System, *keys: Any) -> T:
@@ -31,7 +31,7 @@ def kept(function: Callable[Concatenate[System, Keys], T]) -> Callable[Concatena
 
 
 def keep(answers: dict[Any, Any], key: Any, answer: T, most: int = MOST) -> T:
-    """The answer, kept; where there are too many, the oldest is dropped."""
+    """The answer, kept under `key` in a store of at most `most` answers, where it replaces the oldest."""
     while len(answers) >= most:
         answers.pop(next(iter(list(answers)), None), None)
     answers[key] = answer

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Namespace:
-    """Functions of one `system`."""
+    """Base of groups of methods of one `system`."""
 
     system: System
 
@@ -52,13 +52,13 @@ class Symbolic(Namespace):
 
 @dataclass(frozen=True, repr=False)
 class Inverse(Namespace):
-    """About the inverse model of a frame: how it is solved, and what a redundant chain is free to do."""
+    """Methods about the inverse kinematics of a frame: how it is solved, and self-motions of redundant chains."""
 
     @explained
     def plan(
         self, frame: FrameLike, task: str | tuple[str, ArrayLike] | None = None, fixed: Iterable[str] = ()
     ) -> Recognised:
-        """What is recognised of a frame's chain, and how `ik_all` solves it.
+        """The structure recognised in a frame's chain, and the closed form by which `ik_all` solves it.
 
         See `kempe.solvers.analytic.describe.describe`.
         """
@@ -85,13 +85,13 @@ class Inverse(Namespace):
         self, q: Any, tasks: Any, *, task: str | tuple[str, ArrayLike] | None = None, direction: Any = None,
         budget: Budget | None = None,
     ) -> SelfMotion:  # fmt: skip
-        """The configurations reached from q while a frame or tasks stay; see `kempe.solvers.paths.self_motion`."""
+        """The motion from q that keeps a frame's pose or other tasks; see `kempe.solvers.paths.self_motion`."""
         from kempe.solvers.paths.self_motion import self_motion
 
         return self_motion(self.system, q, tasks, task=task, direction=direction, budget=budget)
 
     def arm_angle(self, q: Any, frame: FrameLike, reference: ArrayLike | None = None) -> Any:
-        """Arm angle (...) of seven joints with spherical shoulder and wrist.
+        """Arm angle (...) in radians of a seven-joint arm with spherical shoulder and wrist at q (..., nq).
 
         See `kempe.solvers.analytic.redundant.arm_angle`.
         """
@@ -102,7 +102,7 @@ class Inverse(Namespace):
 
 @dataclass(frozen=True, repr=False)
 class Loops(Namespace):
-    """About closed loops: the constraints that close them, and velocities and forces through them."""
+    """Methods about closed loops: the constraints that close them, and velocities and forces through them."""
 
     def constraints(self) -> list[SystemConstraint]:
         """The constraints of the system: closures, declared ones, relations; see `kempe.kinematics.closure_rows`."""
@@ -111,13 +111,13 @@ class Loops(Namespace):
         return of_system(self.system)
 
     def closure_error(self, q: Any) -> Array:
-        """How far each loop is open (..., len(closures), 6): the twist [m; rad] missing in each left-out joint."""
+        """Gap of each loop (..., number of closures, 6): the twist [m; rad] that is missing in its cut joint."""
         from kempe.kinematics.closure_errors import closure_error
 
         return closure_error(self.system, q)
 
     def assembler(self, known: Iterable[str] = ()) -> Assembler:
-        """The bound form of `assemble`: names looked up once; see `kempe.solvers.assembly.assembler.Assembler`."""
+        """A reusable `assemble` for these known names; see `kempe.solvers.assembly.assembler.Assembler`."""
         from kempe.solvers.assembly.assembler import assembler
 
         return assembler(self.system, known)
@@ -133,7 +133,7 @@ class Loops(Namespace):
         self, q: Any, inputs: Sequence[str], outputs: Sequence[str], in_frame: str = "world_aligned", *,
         tolerance: float | str | None = None,
     ) -> LoopJacobian:  # fmt: skip
-        """Velocities of joints or frames by those of inputs, through the loops.
+        """Matrix from velocities of inputs to those of joints or frames, with all loops closed.
 
         See `kempe.analysis.motion.transmission`.
         """
@@ -164,14 +164,14 @@ class Loops(Namespace):
 
 @dataclass(frozen=True, repr=False)
 class ReachStudies(Namespace):
-    """What a frame reaches: poses of a list, cells of a box, from which places of the base."""
+    """Methods about the reach of a frame: listed poses, places of the base, cells of a box, planar workspaces."""
 
     @explained
     def poses(
         self, targets: ArrayLike, frame: FrameLike, *, task: str | tuple[str, ArrayLike] | None = None,
         budget: Budget | None = None,
     ) -> ReachStudy:  # fmt: skip
-        """Which of a list of poses are reached, how well, and what blocks the others.
+        """For a list of poses: which are reached, how far from singularities and limits, and what blocks the others.
 
         See `kempe.analysis.spaces.reach.reached_poses`.
         """
@@ -184,7 +184,7 @@ class ReachStudies(Namespace):
         self, targets: ArrayLike, frame: FrameLike, box: Mapping[str, Any], cells: int | Mapping[str, int] = 11, *,
         task: str | tuple[str, ArrayLike] | None = None, budget: Budget | None = None,
     ) -> BasePlacement:  # fmt: skip
-        """Where to put the base so that all of a list of poses are reached, as a map.
+        """A map of places for the base from which all of a list of poses are reached.
 
         See `kempe.analysis.spaces.reach.base_placement`.
         """
@@ -197,7 +197,7 @@ class ReachStudies(Namespace):
         self, frame: FrameLike, box: ArrayLike, cells: int | tuple[int, ...] = 10, directions: int | ArrayLike = 32,
         rolls: int | None = None, *, budget: Budget | None = None,
     ) -> CapabilityMap:  # fmt: skip
-        """In how many directions each cell of a box is reached, and how well.
+        """A map of a box: in how many directions each cell is reached, and how far from singularities.
 
         See `kempe.analysis.spaces.reach.capability`.
         """
@@ -207,7 +207,7 @@ class ReachStudies(Namespace):
 
     @explained
     def planar(self, frame: FrameLike) -> PlanarWorkspace:
-        """The workspace of a planar chain, exactly; see `kempe.analysis.spaces.planar.planar_workspace`."""
+        """The exact workspace of a planar chain; see `kempe.analysis.spaces.planar.planar_workspace`."""
         from kempe.analysis.spaces.planar.planar_workspace import planar_workspace
 
         return planar_workspace(self.system, frame)

@@ -64,7 +64,7 @@ class System(Compiled, Pictured, FormerNames):
 
     @property
     def mid(self) -> Array:
-        """A configuration (nq,) inside the limits: mid-range, or as near to neutral as a one-sided limit allows.
+        """A configuration (nq,) inside the limits: the middle of both limits, or the allowed value nearest to neutral.
 
         It is read-only: `mid.copy()` is one to change.
         """
@@ -98,7 +98,7 @@ class System(Compiled, Pictured, FormerNames):
 
     @cached_property
     def configuration_space(self) -> ConfigurationSpace:
-        """The set that `q` ranges over: its true dimension and its shape, such as T^2 x R, and the space around it."""
+        """The configuration space: its dimension and its shape, such as T^2 x R, within the space of all `q`."""
         from kempe.analysis.spaces.configuration.configuration_space import configuration_space
 
         return configuration_space(self)
@@ -107,7 +107,7 @@ class System(Compiled, Pictured, FormerNames):
     def task_space(
         self, tasks: Any, q: Any = None, *, task: str | None = None, budget: Budget | None = None
     ) -> TaskSpace:  # fmt: skip
-        """What of the configuration space is seen in a frame or in tasks; see `analysis.spaces.configuration`."""
+        """The task space of a frame or tasks: which freedoms of `q` move it; see `analysis.spaces.configuration`."""
         from kempe.analysis.spaces.configuration.task_space import task_space
 
         return task_space(self, tasks, q, task=task, budget=budget)
@@ -117,7 +117,7 @@ class System(Compiled, Pictured, FormerNames):
         self, frame: FrameLike, *, n: float | None = None, cells: Any = None, box: Any = None, client: Any = None,
         path: str | FilePath | None = None, budget: Budget | None = None,
     ) -> Workspace:  # fmt: skip
-        """What a frame reaches, as a map of any number of samples; see `kempe.analysis.spaces.workspace.mapping`."""
+        """The workspace of a frame as a sampled map; see `kempe.analysis.spaces.workspace.mapping`."""
         from kempe.analysis.spaces.workspace.mapping import workspace
 
         return workspace(self, frame, n=n, cells=cells, box=box, client=client, path=path, budget=budget)
@@ -149,14 +149,14 @@ class System(Compiled, Pictured, FormerNames):
         return jacobian(self, q, frame, in_frame, threads)
 
     def query(self, frame: FrameLike) -> Query:
-        """The forward model of one frame with everything looked up: ``f(q, out=None)`` and ``f.jacobian(q)``."""
+        """The forward kinematics of one frame as a fast function ``f(q, out=None)``, and ``f.jacobian(q)``."""
         from kempe.kinematics.forward import query
 
         return query(self, frame)
 
     @cached_property
     def symbolic(self) -> Symbolic:
-        """Its models as formulas: `symbolic.fk(frame)`."""
+        """Models of the system as formulas: `symbolic.fk(frame)`."""
         from kempe.model.namespaces import Symbolic
 
         return Symbolic(self)
@@ -219,7 +219,7 @@ class System(Compiled, Pictured, FormerNames):
 
     @cached_property
     def inverse(self) -> Inverse:
-        """About the inverse model of a frame: `plan`, `sweep`, `arm_angle`, `self_motion`."""
+        """Methods about the inverse kinematics of a frame: `plan`, `sweep`, `arm_angle`, `self_motion`."""
         from kempe.model.namespaces import Inverse
 
         return Inverse(self)
@@ -229,7 +229,7 @@ class System(Compiled, Pictured, FormerNames):
         self, frame: FrameLike | None = None, task: str | None = None, *, inputs: Iterable[str] | None = None,
         limits: bool = True, budget: Budget | None = None,
     ) -> Singularities:  # fmt: skip
-        """Where a frame or closed loops are singular, in which ways, and how far the nearest is.
+        """Singular configurations of a frame or of closed loops: their kinds, and how far away the nearest is.
 
         See `kempe.analysis.spaces.singular.singularities`.
         """
@@ -239,7 +239,7 @@ class System(Compiled, Pictured, FormerNames):
 
     @cached_property
     def reach(self) -> ReachStudies:
-        """What a frame reaches: `poses`, `place`, `capability`, and exactly in the plane, `planar`."""
+        """Methods about the reach of a frame: `poses`, `place`, `capability`, and `planar`, exact in the plane."""
         from kempe.model.namespaces import ReachStudies
 
         return ReachStudies(self)
@@ -278,14 +278,14 @@ class System(Compiled, Pictured, FormerNames):
     def independent(
         self, q: Any = None, prefer: Iterable[str] = (), *, tolerance: float | str | None = None
     ) -> Chart:  # fmt: skip
-        """Which coordinates can be set at a closed q, so that the others follow; see `solvers.assembly.charts`."""
+        """Independent coordinates at a closed q, which determine all others; see `kempe.solvers.assembly.charts`."""
         from kempe.solvers.assembly.charts import independent
 
         return independent(self, q, prefer, tolerance=tolerance)
 
     @cached_property
     def loops(self) -> Loops:
-        """About closed loops: `constraints`, `closure_error`, `assembler`, `jacobian`, `transmission_angle`, ..."""
+        """Methods about closed loops: `constraints`, `closure_error`, `assembler`, `jacobian`, ..."""
         from kempe.model.namespaces import Loops
 
         return Loops(self)
@@ -297,7 +297,7 @@ class System(Compiled, Pictured, FormerNames):
         self, q: Any = None, actuated: Iterable[str] | None = None, *, local: bool = True,
         rng: np.random.Generator | int = 0, tolerance: float | str | None = None,
     ) -> Mobility:  # fmt: skip
-        """Degrees of freedom by counting, by rank and truly, with the reasoning.
+        """Degrees of freedom by the Gruebler count, by rank, and locally exact, with the reasoning.
 
         See `kempe.analysis.mobility.mobility`.
         """
@@ -309,7 +309,10 @@ class System(Compiled, Pictured, FormerNames):
         self, q: Any = None, *, t: float = 0.0, project: bool = False, rng: np.random.Generator | int = 0,
         tolerance: float | str | None = None,
     ) -> Classification:  # fmt: skip
-        """Which kind each constraint is, and how far free velocities reach; see `kempe.analysis.mobility.classify`."""
+        """Kind of each constraint (holonomic or not, redundant), and the freedoms of configuration and velocity.
+
+        See `kempe.analysis.mobility.classify`.
+        """
         from kempe.analysis.mobility.classify import classify
 
         return classify(self, q, t=t, project=project, rng=rng, tolerance=tolerance)
@@ -343,7 +346,7 @@ class System(Compiled, Pictured, FormerNames):
         self, start: Any, goal: Any, *, radius: float | None = None, free: Iterable[str] = (),
         budget: Budget | None = None,
     ) -> Manoeuvre:  # fmt: skip
-        """A way between configurations of what rolls, without slipping; see `kempe.analysis.manoeuvre.manoeuvre`."""
+        """A motion of a rolling system between configurations, without slip; see `analysis.manoeuvre.manoeuvre`."""
         from kempe.analysis.manoeuvre.manoeuvre import manoeuvre
 
         return manoeuvre(self, start, goal, radius=radius, free=free, budget=budget)
@@ -354,10 +357,7 @@ class System(Compiled, Pictured, FormerNames):
         acceleration: Any = None, restitution: float = 1.0, tolerance: float | None = None,
         budget: Budget | None = None,
     ) -> Simulation:  # fmt: skip
-        """The motion under input velocities, or of a ball that falls and bounces.
-
-        See `kempe.analysis.simulation.simulate`.
-        """
+        """The motion under given velocities, or of a ball that falls and bounces; see `kempe.analysis.simulation`."""
         from kempe.analysis.simulation.simulate import simulate
 
         return simulate(self, duration, start, inputs=inputs, velocity=velocity, acceleration=acceleration,
@@ -372,7 +372,7 @@ class System(Compiled, Pictured, FormerNames):
         return with_parameters(self, numbers)
 
     def with_limits(self, limits: Any = None, velocity: Any = None) -> System:
-        """The same system with other limits, by coordinate name; see `kempe.kinematics.limits.with_limits`."""
+        """A copy of the system with other limits, by coordinate name; see `kempe.kinematics.limits.with_limits`."""
         from kempe.kinematics.limits import with_limits
 
         return with_limits(self, limits, velocity)

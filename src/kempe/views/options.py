@@ -39,7 +39,7 @@ _WORDS = tuple((re.compile(pattern), words) for pattern, words in WORDS)
 
 
 def in_options(text: str) -> str:
-    """The sentence as the command line says it."""
+    """A message of the library in words of the command line: `keyword=value` becomes `--keyword value`."""
     if not _ANY.search(text):
         return text
     for pattern, words in _WORDS:

@@ -234,7 +234,11 @@ def _usual(system: System, configurations: Array | None) -> Array:
 
 
 def motion_of(system: System, path: Any) -> tuple[Array | None, tuple[str, ...]]:
-    """Configurations (n, nq) of a path or None, and the joints that its `.driver` names."""
+    """Configurations (n, nq) of a path, and names of the joints that drive it.
+
+    `path` is an array, or an answer with a field `q`, and perhaps `driver`, a name or names; None gives (None, ()).
+    Errors: `InputError` for other shapes.
+    """
     if path is None:
         return None, ()
     configurations = as_q(system, path if isinstance(path, np.ndarray) else getattr(path, "q", path))

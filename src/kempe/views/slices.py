@@ -43,7 +43,7 @@ class Slices(Answer):
 
     @property
     def system(self) -> System:
-        """The system of the problem."""
+        """The system that was solved for."""
         return self._system
 
     @cached_property

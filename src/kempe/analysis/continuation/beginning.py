@@ -38,7 +38,7 @@ LONGEST = 0.1
 
 
 def longest_step(step: float | None) -> float:
-    """The longest step of arc length. Errors: `InputError`."""
+    """The longest step of arc length, as given or by default. Errors: `InputError`."""
     if step is None:
         return LONGEST
     if not is_real(step) or not 1e-6 <= step <= 1.0:
@@ -58,7 +58,11 @@ def wish_of(system: System, toward: Mapping[str, float] | None) -> Array:
 
 
 def angle_or_slide(system: System, name: str) -> int:
-    """Velocity index of a coordinate that is not part of a quaternion."""
+    """Index, among the nv velocity coordinates, of an angle or a prismatic coordinate given by name.
+
+    Errors: `InputError` for a coupled coordinate, which is not part of q; `UnknownNameError` for components of a
+    quaternion and for unknown names.
+    """
     names = list(system.structure.velocity_names)
     layout = system.structure.layout
     if name in names and (i := names.index(name)) in layout.vector_v:

@@ -30,12 +30,15 @@ class Further(Protocol):
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of these further equations."""
         ...
 
     def write(self, equations: Closure, x: Array, F: Array, J: Array, at: int, with_matrix: bool) -> None:
-        """Write what is missing in each, and the derivatives, into F (., ) and J (., n) from row `at` on; rows before
-        it are written."""  # fmt: skip
+        """Write the residuals of these equations into F (rows,) and their derivatives into J (rows, n).
+
+        `x` is the point of the curve; row `at` is the first to be written, and the rows before `at` are filled already.
+        Without `with_matrix` J is left as it is.
+        """
         ...
 
 
@@ -74,17 +77,17 @@ class Closure(Curve):
         self.rows = max(self.real, self.n)
 
     def add(self, further: Further) -> None:
-        """Let further equations hold from here on."""
+        """Add further equations to those that hold."""
         self.more = (*self.more, further)
         self._count()
 
     def leave_out(self, further: Further) -> None:
-        """Let these equations hold no longer."""
+        """Take out further equations that `add` has added."""
         self.more = tuple(m for m in self.more if m is not further)
         self._count()
 
     def values(self, x: Array) -> Array:
-        """What is missing in each equation (rows,) at `x`."""
+        """Residuals (rows,) of all equations at the point `x`."""
         return self.both(x, False)[0]
 
     def both(self, x: Array, with_matrix: bool = True, further: int | None = None) -> tuple[Array, Array]:
@@ -120,7 +123,7 @@ class Closure(Curve):
         return F, J
 
     def _further(self, x: Array, F: Array, J: Array, with_matrix: bool, most: int | None) -> None:
-        """Write the first so many of the further equations."""
+        """Write residuals and derivatives of the further equations, the first `most` of them."""
         at = len(self.weight) + len(self.held)
         for more in self.more[:most]:
             more.write(self, x, F, J, at, with_matrix)
@@ -139,7 +142,7 @@ class Closure(Curve):
         return self.system.structure.layout.difference(x, other) / self.unit
 
     def index(self, names: Sequence[str]) -> list[int]:
-        """Velocity indices of angles and slides by name."""
+        """Indices, among the velocity coordinates, of angles and prismatic coordinates given by name."""
         number = {n: i for i, n in enumerate(self.system.structure.velocity_names)}
         return [number[n] for n in names]
 

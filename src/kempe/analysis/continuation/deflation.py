@@ -40,7 +40,7 @@ class RankEquations:
         return self._left.shape[1] * self.nullity
 
     def write(self, equations: Closure, x: Array, F: Array, J: Array, at: int, with_matrix: bool) -> None:
-        """Write what is missing in each, and the derivatives, into F and J (., n) from row `at` on."""
+        """Write the residuals of these equations and their derivatives into F and J (., n) from row `at` on."""
         own = J[:at] if with_matrix else equations.both(x, True, self._before)[1][:at]
         U, _, Vt = np.linalg.svd(own)
         rank, here = own.shape[1] - self.nullity, slice(at, at + self.count)
@@ -74,9 +74,9 @@ class _Before(Closure):
 
 
 def hold_rank(equations: Closure, x: Array, curve: Callable[[], tuple[Closure, Node]]) -> bool:
-    """Hold the rank at a point (nq,) from here on, where this leaves a curve that leads on to both sides; whether so.
+    """Hold the rank at a point (nq,) from here on, if the equations then leave a curve through it; True if they do.
 
-    `curve` gives the equations of the curve, these or what is made of them, and its node at the point.
+    `curve` gives the equations of the curve, these or equations made of them, and its node at the point.
     """
     low = RankEquations(equations, x)
     if not low.count or rank_held(equations):

@@ -20,7 +20,7 @@ OUTSIDE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class OneSidedEnd:
-    """One end of a one-sided row: `sign` +1 for an upper one."""
+    """A bound of a one-sided constraint or coordinate: `sign` is +1 for an upper bound and -1 for a lower one."""
 
     name: str
     limit: float
@@ -29,19 +29,19 @@ class OneSidedEnd:
     """The velocity coordinate that it limits, None for a declared row."""
 
     def over(self, x: Array) -> float:
-        """How far the configuration x is beyond it."""
+        """How far the bounded quantity is beyond the bound at configuration x; negative inside."""
         return self.sign * (self.value(x) - self.limit)
 
     def value(self, x: Array) -> float:
-        """What is bounded."""
+        """Value of the bounded quantity at x."""
         raise NotImplementedError
 
     def rate(self, n: Node) -> float:
-        """How fast the curve goes outwards at a node."""
+        """Rate along the curve, at a node, at which the bounded quantity goes outwards."""
         raise NotImplementedError
 
     def outside(self, over: float) -> str:
-        """That it is violated, by `over`, as a sentence without its end."""
+        """Sentence, without its end, that the bound is violated by `over`."""
         raise NotImplementedError
 
 

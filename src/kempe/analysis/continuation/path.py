@@ -167,7 +167,7 @@ class Path(Motion):
 
     @property
     def length(self) -> float:
-        """Length of the whole curve."""
+        """Arc length of the whole curve."""
         return float(self.s[-1]) if len(self.s) else 0.0
 
     @property

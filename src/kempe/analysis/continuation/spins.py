@@ -57,7 +57,7 @@ class Spins:
         self.along = np.array([query(self.q)[:3, :3].T @ v for query, v in zip(self._queries, across, strict=True)])
 
     def write(self, equations: Closure, x: Array, F: Array, J: Array, at: int, with_matrix: bool) -> None:
-        """Write what is missing in each, and the derivatives, into F and J (., n) from row `at` on."""
+        """Write the residuals of these equations and their derivatives into F and J (., n) from row `at` on."""
         for i, query in enumerate(self._queries):
             along = query(x)[:3, :3] @ self.along[i]
             F[at + i] = self.ground[i] @ along

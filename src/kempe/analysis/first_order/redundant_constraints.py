@@ -93,7 +93,7 @@ class Redundancy:
 
 @dataclass(frozen=True, eq=False)
 class _JointReaction:
-    """One constraint direction: what it belongs to, its name, and what each self-stress of its cluster puts on it."""
+    """One constraint direction: its joint, its name, and the reaction in it of each self-stress of the cluster."""
 
     owner: str
     label: str
@@ -131,7 +131,10 @@ def redundancy(system: System, rank: Rank) -> Redundancy:
 
 
 def _rows(system: System, rank: Rank, c: ClusterRank) -> list[_JointReaction]:
-    """All constraint directions of a cluster with the self-stresses in them."""
+    """One record for each constraint direction of a cluster of loops, with the reaction of each self-stress in it.
+
+    `c` holds the self-stresses of the cluster, `rank` the screws of all joints at the same configuration.
+    """
     s, at = structure(system), rank.screws
     wrenches = np.zeros((len(c.cluster.loops), 6, c.dependent))
     n, rows = 0, []
@@ -227,7 +230,10 @@ def _not_held(names: Sequence[str], twists: Array, moves: Array) -> frozenset[st
 
 
 def _choose(rows: Sequence[_JointReaction], count: int) -> list[list[_JointReaction]]:
-    """Rows, by owner, whose removal leaves no self-stress: owners that take most first, so that they are few."""
+    """Constraint directions, grouped by joint, whose removal leaves no self-stress.
+
+    Joints that remove most come first, so that they are few.
+    """
     owners: dict[str, list[_JointReaction]] = {}
     for r in rows:
         owners.setdefault(r.owner, []).append(r)
@@ -276,7 +282,7 @@ def _direction(row: _JointReaction) -> str:
 
 
 def _release(rows: Sequence[_JointReaction], dim: int) -> Release:
-    """The release of some directions of one owner."""
+    """The release of some constraint directions of one joint or constraint."""
     edge = rows[0].edge
     labels = tuple(r.label for r in rows if r.label)
     if edge is None:

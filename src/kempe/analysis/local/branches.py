@@ -62,7 +62,7 @@ class Branch:
 
 @dataclass(eq=False)
 class Spot:
-    """A point near the configuration: its offsets at the radii (3, nv) and what is known of the branch there."""
+    """A sampled point of the solution set near the configuration: offsets at three radii (3, nv), and its branch."""
 
     offsets: Array
     split: Split
@@ -76,7 +76,7 @@ class Spot:
 
 @dataclass(eq=False)
 class ConeFamily:
-    """Points on the largest sphere with nearly the same null space; where that is a line, points that are one."""
+    """Sampled points of one branch on the largest sphere: their null spaces nearly agree; of a curve, one point."""
 
     spots: list[Spot]
     cone: bool = False
@@ -86,11 +86,11 @@ class ConeFamily:
 
     @property
     def found(self) -> int:
-        """How many starts led to this side or to the other."""
+        """Number of random starts that led to this family, on either side of the configuration."""
         return self.hits + (0 if self.opposite in (None, self) else self.opposite.hits)
 
     def holds(self, spot: Spot) -> bool:
-        """Whether a point is of this family."""
+        """Whether a sampled point belongs to this family."""
         first = self.spots[0]
         if first.split.delta != spot.split.delta:
             return False
@@ -99,7 +99,7 @@ class ConeFamily:
         return apart(first.split.null_space, spot.split.null_space) < SAME_PLANE
 
     def add(self, spot: Spot, hits: int) -> None:
-        """Count a point, and keep it if it is new and few are there."""
+        """Add `hits` to the starts that led here; keep the point if it is new and fewer than MOST_KEPT are kept."""
         self.hits += hits
         if len(self.spots) < MOST_KEPT and not any(_same(s.offsets[0], spot.offsets[0]) for s in self.spots):
             self.spots.append(spot)
@@ -111,7 +111,7 @@ def _same(x: Array, y: Array) -> bool:
 
 
 class SpherePoints(NamedTuple):
-    """Points (n, nq) on a sphere with their offsets (n, nv) from its center, Jacobians, and whether they are good."""
+    """Points (n, nq) on a sphere, their offsets (n, nv) from its center, their Jacobians, and which (n,) were found."""
 
     q: Array
     offsets: Array
@@ -213,7 +213,7 @@ def _sort_in(
 
 
 def _turns(equations: Equations, at: Split, spot: Spot) -> bool:
-    """Whether the tangent space turns on the way along the sphere: on a branch with a tangent space it does not."""
+    """Whether the null space turns along the sphere, as it does not on a branch that has a tangent space."""
     x, K = spot.offsets[0] / RADII[0], spot.split.null_space
     along = K @ reduction.axes(np.random.default_rng(0), K.shape[1]).T
     along -= x[:, None] * (x @ along)

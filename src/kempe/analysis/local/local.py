@@ -260,7 +260,11 @@ def _answer(
 
 
 def _walked(equations: Equations, at: Split, rng: np.random.Generator) -> tuple[float, bool]:
-    """How far what seems to be a motion along the null space can be followed; whether it is seen to be none there."""
+    """How far a motion along the null space can be followed, and whether it is seen to end there: (distance, bool).
+
+    The direction is random, the distance at most 1, in radians and characteristic lengths. True means that the residual
+    there is small but not zero: there is no finite motion, the loops only seem to close near the configuration.
+    """
     x = reduction.axes(rng, at.delta) @ at.null_space.T
     reached = 0.0
     for radius in WALK:

@@ -180,7 +180,7 @@ class Equations:
         return self.move(q, step * shorter[:, None])
 
     def _project(self, q: Array, centers: Array, radius: Array | float, iterations: int) -> Landing:
-        """The same, overwriting q."""
+        """As `project`, overwriting q with the points found."""
         from kempe.kernels.compiled import projection
 
         centers = np.ascontiguousarray(np.broadcast_to(centers, q.shape), dtype=float)
@@ -193,15 +193,18 @@ class Equations:
         return Landing(q, info[:, 0], info[:, 1], value, J * self.scale)
 
     def move(self, q: Array, x: Array) -> Array:
-        """Configurations reached from q by scaled tangent vectors x (..., nv)."""
+        """Configurations (..., nq) reached from q (..., nq) by scaled tangent vectors x (..., nv)."""
         return self.system.structure.layout.integrate(q, np.asarray(x) * self.scale)
 
     def offset(self, q0: Array, q: Array) -> Array:
-        """Scaled tangent vectors (..., nv) from q0 to q."""
+        """Tangent vectors (..., nv) from configurations q0 to q (..., nq), in units of `scale` (nv,)."""
         return self.system.structure.layout.difference(q0, q) / self.scale
 
     def series(self, q: Array, n: int, order: int) -> Series:
-        """Taylor series along n curves that begin at q (nq,) or at n configurations (n, nq)."""
+        """Taylor series, up to `order`, of the equations along n curves of configurations.
+
+        The curves begin at q (nq,), or each at its own (n, nq); `Series.set` gives their coefficients, order by order.
+        """
         return Series(self, np.array(np.broadcast_to(q, (n, self.nq)), dtype=float), order)
 
     @cached_property
@@ -238,7 +241,7 @@ class Series:
         """Series (n, order + 1, m) of the equations."""
 
     def set(self, k: int, x: Array) -> None:
-        """Set order k of the curves to the scaled tangent vectors x (n, nv)."""
+        """Set the coefficients of order k of the curves: scaled tangent vectors x (n, nv)."""
         self._v[:, k] = x * self.equations.scale
 
     def compute(self, first: int, last: int) -> Array:

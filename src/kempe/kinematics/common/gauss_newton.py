@@ -33,7 +33,7 @@ Equations = Callable[[Array], tuple[Array, Array]]
 
 
 class GaussNewtonEnd(NamedTuple):
-    """Where the steps ended, what is missing there, and the derivative of that."""
+    """End of a Gauss-Newton iteration: the point, the residual there, and its derivative."""
 
     x: Array
     r: Array
@@ -41,12 +41,12 @@ class GaussNewtonEnd(NamedTuple):
 
     @property
     def size(self) -> float:
-        """The largest of what is missing; NaN where a number is."""
+        """Largest entry of the residual; NaN where an entry is NaN."""
         return float(np.abs(self.r).max(initial=0.0))
 
 
 def least_squares(A: Array, b: Array, cut: float = CUT) -> Array:
-    """The least y (n,) with least |A y - b|; singular values below `cut` of the largest count as zero."""
+    """The shortest y (n,) that minimises |A y - b|; singular values below `cut` of the largest count as zero."""
     return least_squares_of_many(A[None], b[None], cut)[0] if len(b) > LARGE else _by_values(A, b, cut)
 
 
@@ -76,7 +76,7 @@ def least_squares_of_many(A: Array, b: Array, cut: float = CUT) -> Array:
 
 
 def damped_least_squares(A: Array, b: Array, damping: float) -> Array:
-    """The y (n,) that makes |A y - b|^2 + damping |y|^2 least."""
+    """The vector y (n,) that minimises |A y - b|^2 + damping |y|^2."""
     U, s, Vt = np.linalg.svd(A, full_matrices=False)
     return Vt.T @ (s / (s * s + damping) * (U.T @ b))
 

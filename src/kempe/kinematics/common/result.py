@@ -24,10 +24,10 @@ Cells = tuple[Sequence[str], Sequence[Sequence[str]]]
 
 @explained_methods
 class Result:
-    """What comes of a question. Base of `Answer`, which has configurations, and of `Report`, which has findings.
+    """Base of all results: `Answer`, which has configurations, and `Report`, which has findings.
 
     `success` (...) says whether the question was answered, `code` (...) is its `Status` (of a batch an array of their
-    numbers), `status` (...) the sentence that says so. It is true where all of `success` is; `print` it.
+    numbers), `status` (...) the sentence that says so. A result is true where all of `success` is; `print` it.
     """
 
     success: Any

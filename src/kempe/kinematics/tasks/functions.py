@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 class Whole:
-    """A function of q (nq,), or of the poses (4, 4) of some frames, of one system, with derivatives (m, nv).
+    """A user's function of q (nq,), or of poses (4, 4) of frames, with its derivatives (m, nv), bound to one system.
 
     It is called first at `system.random(0)`, which finds how many numbers it gives and checks a Jacobian that is given.
     Errors: `InputError` for what is no function, a wrong Jacobian, with its worst entry, values that are not finite.
@@ -70,7 +70,10 @@ class Whole:
         return self.supplied(*self._inputs(q))
 
     def values(self, q: Array) -> Array:
-        """The numbers (m,) at q. Errors: `InputError` for another count."""
+        """Values (m,) of the user's function at the configuration q (nq,).
+
+        Errors: `InputError` where their number is not m.
+        """
         return self._checked(self.raw(q.copy()))
 
     def _checked(self, found: Any) -> Array:

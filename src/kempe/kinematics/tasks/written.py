@@ -74,7 +74,11 @@ class Written(Task):
         return self.names(system), self.tool.tobytes(), *each
 
     def ties(self, system: System, table: Table) -> list[Tie]:
-        """One for all equations of an expression and one for what is one-sided; pinned at the goal where it has one."""
+        """The packed constraints of the expressions: one for all equations and one for each group of inequalities.
+
+        `table` holds the frames in which the poses are. Constraints that read poses have a goal, which comes with each
+        call. Errors: `InputError` where axes of a particle are read.
+        """
         if not self.posed:
             return every_tie(system, self.label, self.made(system).of, GROUND, GROUND, True)
         a, b = self.names(system)

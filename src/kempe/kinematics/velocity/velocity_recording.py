@@ -93,7 +93,7 @@ class Numbers:
 
 @dataclass
 class RecordedPose:
-    """A recorded pose: rotation by rows, and position."""
+    """A recorded pose: rotation matrix by rows, and position."""
 
     R: list[list[Num]]
     p: list[Num]
@@ -107,7 +107,10 @@ IDENTITY = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 
 
 class Recorder:
-    """Rows of one system being recorded: `entries` are (row, velocity, number), the velocity nv standing for -b."""
+    """The velocity constraints of one system while they are recorded as a tape.
+
+    `entries` are (row, velocity, number); the velocity nv stands for -b.
+    """
 
     def __init__(self, table: Table, coordinates: tuple[str, ...], time: str):
         self.table, self.builder = table, Builder([*coordinates, time])
@@ -159,7 +162,11 @@ class Recorder:
         return RecordedPose(R, at.p)
 
     def _ball(self, q: int, inverse: bool) -> list[list[Num]]:
-        """The rotation of a quaternion wxyz of norm one, as polynomials; of another norm its square times it."""
+        """Rotation matrix (3 rows of 3) of the quaternion wxyz that begins at q[`q`], recorded as polynomials.
+
+        With `inverse` it is the transpose. The quaternion is taken to have norm 1; at norm n the matrix is n^2 times as
+        large.
+        """
         n, (w, x, y, z) = self.numbers, range(q, q + 4)
         if inverse:
             x, y, z = n.neg(x), n.neg(y), n.neg(z)

@@ -65,29 +65,29 @@ class RecordedRows:
     """Inputs that are numbers of the call."""
 
     def input(self, name: str) -> int:
-        """What an input is, as `loop_layout` says."""
+        """Number of the input `name`, as `loop_layout` encodes it."""
         if name in self.given:
             return L.GIVEN
         return L.PLACE + POSE.index(name) if self.posed and name in POSE else L.COORDINATE
 
     @property
     def moved(self) -> bool:
-        """Whether it depends on the pose."""
+        """Whether the expression depends on the pose of B in A."""
         return any(self.input(n) < L.COORDINATE for n in self.tape.inputs)
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """The coordinates that it depends on."""
+        """Names of the coordinates that the expression depends on."""
         return tuple(n for n in self.tape.inputs if self.input(n) == L.COORDINATE)
 
     def over(self, sources: Mapping[str, tuple[str | None, float, float]]) -> RecordedRows:
-        """The same where coordinates follow others: source, multiplier, offset."""
+        """The expression with coupled coordinates replaced by their sources: (source, multiplier, offset) by name."""
         return replace(self, tape=substituted(self.tape, {n: sources[n] for n in self.coordinates if n in sources}))
 
 
 @dataclass(frozen=True, eq=False)
 class Tie:
-    """One constraint: what it is called, its frames (row, placement, particle), what it holds of B in A, a number."""
+    """Equations that hold a frame B in a frame A: name, both ends (row, placement, particle), and what they hold."""
 
     name: str
     a: tuple[int, np.ndarray, bool]
@@ -138,7 +138,11 @@ class Tie:
 
 @dataclass(frozen=True, eq=False)
 class PackedLoops:
-    """The ties of a system, packed. `ints` and `floats` are its table; the other arrays are as in `loop_layout`."""
+    """The loop closures and constraints ("ties") of a system as arrays for the kernels.
+
+    A tie is a set of equations that hold a frame B in a frame A. `ints` and `floats` are the table of primitives; the
+    other arrays are as in `loop_layout`.
+    """
 
     ties: tuple[Tie, ...]
     names: tuple[tuple[str, str], ...]
@@ -179,23 +183,23 @@ class PackedLoops:
 
     @property
     def scale(self) -> np.ndarray:
-        """What a unit of each velocity coordinate (nv,) is in the kernels; a view."""
+        """Unit (nv,) of each velocity coordinate in the kernels, in radians or metres; a view."""
         return L.velocity_lists(self.weights, int(self.ints[NV]))[0]
 
     @cached_property
     def functions(self) -> tuple[CompiledFunction, ...]:
-        """The Python functions among its ties."""
+        """The user's functions among the constraints, compiled."""
         return tuple(t.function for t in self.ties if t.function is not None)
 
     def check(self) -> None:
-        """Raise what a function raised when a kernel called it."""
+        """Raise the error that a user's function raised while a kernel called it, if any."""
         for f in self.functions:
             if f.error is not None:
                 error, f.error = f.error, None
                 raise error
 
     def columns(self, k: int) -> list[int]:
-        """Velocity coordinates that tie k depends on."""
+        """Indices of the velocity coordinates that the equations of tie k (a loop closure or constraint) depend on."""
         tie = self.plan[self.plan[L.AT_TIES] + L.TIE_INTS * k :]
         at = int(self.plan[L.AT_LOCALS] + tie[L.LOCAL])
         return self.plan[at : at + int(tie[L.LOCALS])].tolist()

@@ -89,7 +89,7 @@ def pack(
     further: Callable[[Table], list[Tie]] | None = None, wide: np.ndarray | None = None,
     level: Callable[[Tie], int] | None = None, one_sided: bool = False,
 ) -> PackedLoops:  # fmt: skip
-    """As `loops_of`, but packed anew, and with `further` ties over the rows of the table that it is given.
+    """The packed loops as `loops_of` gives them, but packed anew, with `further` ties over the rows of the table.
 
     `wide` (nv,) marks angles whose limits do not count, for whole turns lead back into them. Ties of a lower `level`
     stand before others, so that of rows that depend on each other the later ones yield.
@@ -188,7 +188,7 @@ def _implicit(system: System, joint: Joint) -> ImplicitForm | None:
 
 
 def _mask(axes: str) -> int:
-    """The bits of some axes."""
+    """The bits of some axes, as one integer."""
     return sum(1 << "xyz".index(a) for a in axes)
 
 
@@ -201,7 +201,7 @@ def _in_order(ties: list[Tie], table: Table, first: Places) -> list[Tie]:
 
     users: dict[int, list[int]] = {}
     for k, tie in enumerate(ties):
-        for v in _movers(tie, table, first):
+        for v in _coordinates_of(tie, table, first):
             users.setdefault(v, []).append(k)
     pairs = [(i, j) for use in users.values() for i in use for j in use]
     if not pairs:
@@ -222,14 +222,17 @@ def _by_level(ties: list[Tie], table: Table, level: Callable[[Tie], int], first:
     groups = [[t for t in ties if level(t) == n and t not in loose] for n in sorted({level(t) for t in ties})]
     out: list[Tie] = []
     for tie in (t for group in groups for t in _in_order(group, table, first)):
-        moved_by = _movers(tie, table, first)
+        moved_by = _coordinates_of(tie, table, first)
         out += [*(t for t in loose if t.own in moved_by), tie]
         loose = [t for t in loose if t.own not in moved_by]
     return out + loose
 
 
-def _movers(tie: Tie, table: Table, first: Places) -> set[int]:
-    """Velocity coordinates that a tie shares with others; a relation is said to have none."""
+def _coordinates_of(tie: Tie, table: Table, first: Places) -> set[int]:
+    """Velocity coordinates that the equations of a tie depend on, by which its neighbours in the order are found.
+
+    `table` holds the rows of the tree, `first` the places of coordinates by name.
+    """
     if tie.own >= 0:
         return {tie.own}
     if tie.function is not None:
@@ -243,5 +246,5 @@ def _movers(tie: Tie, table: Table, first: Places) -> set[int]:
 
 
 def _between(tie: Tie, table: Table) -> set[int]:
-    """Velocity coordinates that move B against A."""
+    """Velocity coordinates that move frame B of a tie against its frame A."""
     return {int(table.iv[row]) for _, row in moving(tie.a[0], tie.b[0], table.parent)}

@@ -114,7 +114,7 @@ class _TableRows:
     def motion(
         self, at: tuple[int, np.ndarray], primitive: Primitive, name: str, sign: float
     ) -> tuple[int, np.ndarray]:
-        """Where one is after a primitive of the coordinate `name`, starting at (row, placement)."""
+        """Row and placement reached after a primitive of the coordinate `name`, from `at` (row, placement)."""
         row, X = at
         X = X @ _AXES[primitive.axis]
         follower = self.coordinates.followers.get(name)
@@ -137,7 +137,7 @@ class _TableRows:
     def joint(
         self, mechanism: Mechanism, joint: Joint, at: tuple[int, np.ndarray], backwards: bool
     ) -> tuple[int, np.ndarray]:
-        """Where one is after the motion of a joint, walked from F to M or backwards."""
+        """Row and placement reached after a joint's motion from `at` (row, placement); `backwards`: from M to F."""
         names = coordinate_names(mechanism, joint)
         primitives = joint.type.layout(mechanism.dim, mechanism.bodies[joint.child].particle)[1]
         sign = -1.0 if backwards else 1.0
@@ -149,7 +149,7 @@ class _TableRows:
         return at
 
     def ball(self, at: tuple[int, np.ndarray], names: Sequence[str], sign: float) -> tuple[int, np.ndarray]:
-        """Where one is after a quaternion, or after a constant one where it is locked."""
+        """Row and placement reached after a rotation by a quaternion, constant where the joint is locked."""
         row, X = at
         locked = [self.coordinates.followers.get(n) for n in names]
         if all(f is not None for f in locked):

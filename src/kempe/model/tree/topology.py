@@ -36,7 +36,7 @@ class Topology:
 
 
 def natural(name: str) -> tuple[Any, ...]:
-    """Sort key in which 'J2' comes before 'J10'."""
+    """Sort key by which 'J2' comes before 'J10'."""
     parts = ((p, p.lstrip("0")) for p in re.split(r"(\d+)", name) if p)
     return tuple((0, len(d), d) if p.isdecimal() else (1, 0, p) for p, d in parts) + ((-1, 0, name),)
 

@@ -109,7 +109,7 @@ def _reached(rows: Array) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class _Targets:
-    """The targets of a question with what is known of them: arrays that are written in place."""
+    """The targets of a closed-form problem with the best solutions so far, in arrays that are written in place."""
 
     question: Question
     plan: ChainPlan
@@ -123,11 +123,14 @@ class _Targets:
 
     @property
     def spare(self) -> list[int]:
-        """Joints that are held by choice."""
+        """Numbers of the spare joints, which are held at chosen values."""
         return [i for i in self.plan.locked if i not in self.plan.fixed]
 
-    def solved(self, which: np.ndarray, locked: Array) -> tuple[Array, np.ndarray]:
-        """Rows and counts of some targets with joints held at `locked` (1 or m, n)."""
+    def solutions_at(self, which: np.ndarray, locked: Array) -> tuple[Array, np.ndarray]:
+        """All solutions of the targets `which` (m indices) with the spare joints held at `locked` (1 or m, n).
+
+        Returns rows (m, K, n + 2), each a configuration with its error and flag, and their counts (m, 2).
+        """
         lead = None if self.question.lead is None and len(which) == 1 else (len(which),)
         some = replace(self.question, targets=self.question.targets[which], lead=lead)
         near = self.near if len(self.near) == 1 else self.near[which]
@@ -150,7 +153,7 @@ class _Targets:
             locked = self.locked[which]
             locked[:, self.spare] = np.tile(some, (len(left), 1))
             same = len(some) == 1 and not np.ptp(locked, axis=0).any()
-            rows, counts = self.solved(which, locked[:1] if same else locked)
+            rows, counts = self.solutions_at(which, locked[:1] if same else locked)
             grade = (2 * _reached(rows) + _used(rows)).reshape(len(left), len(some))
             first = np.arange(len(left)) * len(some) + np.argmax(grade, axis=1)
             self.take(left, locked[first], rows[first], counts[first])
@@ -170,7 +173,7 @@ class _Targets:
         if len(which):
             locked = self.locked[which]
             locked[:, self.spare] = q[:, self.spare]
-            rows, counts = self.solved(which, locked)
+            rows, counts = self.solutions_at(which, locked)
             for i in np.flatnonzero(~(_reached(rows) if limited else _used(rows))):
                 _put(rows[i], counts[i], q[i], error[i], limited, self.question.lead is None)
             self.tried[which] += 1

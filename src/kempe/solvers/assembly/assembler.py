@@ -62,10 +62,10 @@ SPENT = _spent(None)
 
 
 class Assembler:
-    """Assembly with the names of what is known looked up and the loops packed, once.
+    """A reusable `assemble`: the names of known coordinates and frames are looked up, and the loops packed, only once.
 
-    `known` are names of coordinates and of frames, in the order in which values are given. Without `one_sided` declared
-    constraints count only as far as they are equations.
+    `known` are names of coordinates and of frames, in the order in which values are given. Without `one_sided` the
+    inequalities among the declared constraints do not count.
     """
 
     def __init__(self, system: System, known: Iterable[str] = (), one_sided: bool = True):
@@ -80,7 +80,11 @@ class Assembler:
         self.no_pins = np.zeros((1, 12 * len(self.frames)))
 
     def _places(self, names: list[str]) -> None:
-        """Find where known coordinates are in q, and how those that follow others lead to their source."""
+        """Find the places in q of the known coordinates; for a coupled one the place, factor and offset of its source.
+
+        Sets `places`, `factors`, `offsets`, `held`, and the limits `low` and `high`. Errors: `UnknownNameError`,
+        `InputError`.
+        """
         system = self.system
         index = {n: i for i, n in enumerate(system.coordinate_names)}
         places, factors, offsets = [], [], []
@@ -185,7 +189,7 @@ class Assembler:
         self, values: Any = (), start: Any = None, *, prefer: str | None = None, limits: bool = True,
         tolerance: float = TOLERANCE, budget: Budget | None = None,
     ) -> Assembly:  # fmt: skip
-        """As `assemble`, with `values` (..., k) of the known coordinates in their order, or a dict with all of them."""
+        """Answer of `assemble` for `values` (..., k) of the known coordinates in order, or a dict with all of them."""
         named = values.__class__ is dict or isinstance(values, Mapping)
         given = values if named else self._by_name(values)
         return self._solve(Problem(self.system, "one", given, start, prefer, limits, tolerance, budget))
@@ -331,12 +335,12 @@ def assembler(system: System, known: Iterable[str] = ()) -> Assembler:
 
 @kept
 def bound(system: System, known: tuple[str, ...]) -> Assembler:
-    """Bound to the mechanism that answers for this one."""
+    """The assembler for the mechanism that replaces this one in computations, such as with exact dimensions."""
     return bare(ideal_of(system), known)
 
 
 def bare(system: System, known: Iterable[str] = ()) -> Assembler:
-    """As `assembler`, of the mechanism as it is given, without any tolerance."""
+    """The assembler for the mechanism exactly as it is given, without any tolerance of its dimensions."""
     return _assembler(system, tuple(known), True)
 
 

@@ -46,10 +46,10 @@ ZERO = 1e-9
 
 
 class Dimensions:
-    """The placements of all joints and constraints of a system, and small changes `p` of them.
+    """The placements of all joints and constraints of a system, and small changes `p` of these dimensions.
 
-    `p` (size,) are slides and turns by `motions`, in characteristic lengths and radians, after each placement of
-    `places`: (table, name, side). `unit` (size,) are metres or radians of one unit.
+    `p` (size,) are translations and rotations by `motions`, in characteristic lengths and radians, after each placement
+    of `places`: (table, name, side). `unit` (size,) are metres or radians of one unit.
     """
 
     def __init__(self, system: System):
@@ -79,7 +79,7 @@ class Dimensions:
         return type(system)(m, system.structure.topology)
 
     def derivative(self, p: Array, q: Array) -> Array:
-        """Derivatives (N, m, size) of the loop equations at configurations q (N, nq) by the changes."""
+        """Derivatives (N, m, size) of the m loop equations, at configurations q (N, nq), with respect to p (size,)."""
         out = []
         for e in DIFFERENCE * np.eye(self.size):
             above, below = (evaluate(self.changed(p + s * e), q, False, True)[0] for s in (1.0, -1.0))

@@ -46,12 +46,12 @@ class Answer(Result, Tabular):
         return self.system._ideal
 
     def sentence(self, index: tuple[int, ...] | int = ()) -> str:
-        """The sentence for one question, by its place in a batch. Errors: `InputError`."""
+        """The sentence for one target, by its index in the batch. Errors: `InputError`."""
         return self._sentence(place_in(index, self._shape))
 
     @property
     def _shape(self) -> tuple[int, ...]:
-        """The leading shape of a batch; () for a single question."""
+        """Leading shape of a batch of answers; () for a single one."""
         return np.shape(self.code)
 
     def _sentence(self, index: tuple[int, ...]) -> str:
@@ -91,11 +91,11 @@ class Answer(Result, Tabular):
         return ()
 
     def _left(self) -> Any:
-        """What (...) is left of the equations of a success, as solvers say."""
+        """Residual (...) of the equations of successful rows, as the solver reports it."""
         return 0.0
 
     def _claimed(self) -> np.ndarray:
-        """Which of `q` (...) are said to be right."""
+        """Which rows of `q` (...) the solver reports as solutions."""
         return np.asarray(self.success)
 
     @property
@@ -142,14 +142,17 @@ class Answer(Result, Tabular):
         return list(self.system.coordinate_names), np.reshape(self.q, (-1, self.system.nq))
 
     def expect(self) -> Self:
-        """The answer itself, where it is a success. Errors: `NoSolutionError`, with the answer as its `solution`."""
+        """The answer itself if it is a success.
+
+        Errors: `NoSolutionError` otherwise, with the answer as its `solution`.
+        """
         if not self:
             raise NoSolutionError(self)
         return self
 
     @property
     def solver(self) -> Choice | None:
-        """Who answered, of the table of solvers, and why those before it did not; None where there is no choice."""
+        """The solver that answered, and why those before it in the table did not; None where there is no choice."""
         return self.__dict__.get("_choice") or self._chosen()
 
     def _chosen(self) -> Choice | None:
@@ -225,11 +228,11 @@ class Configurations(ConfigurationList, Answer):
         return self._broken_off() or (Status.PARTLY if len(self) > 1 else Status.NOT_FOUND)
 
     def _broken_off(self) -> Status | None:
-        """What ended the work early, if anything did."""
+        """The `Status` that says what ended the computation early, an interrupt or the time limit; None otherwise."""
         return Status.INTERRUPTED if self.interrupted else Status.OUT_OF_TIME if self.late else None
 
     def _partial(self) -> str:
-        """The tail of a sentence about work that was broken off."""
+        """End of the sentence about a computation that ended early; '' otherwise."""
         return partial(self.interrupted, self.late)
 
     def _claimed(self) -> np.ndarray:

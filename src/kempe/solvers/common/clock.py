@@ -29,7 +29,7 @@ class TimeLimit:
         self.soon = self.end - (1.0 - SHARE) * (limit or 0.0)
 
     def check(self) -> None:
-        """Raise `TimeUp` where it is time to come to an end."""
+        """Raise `TimeUp` if the time of the call is spent."""
         if self.limit is not None and time.monotonic() >= self.soon:
             raise TimeUp
 
@@ -38,7 +38,7 @@ class TimeLimit:
         self.soon = self.end
 
     def reason(self, error: BaseException) -> str:
-        """What broke the work off: the interrupt, or the time limit."""
+        """What ended the computation, as text: the interrupt, or the time limit."""
         return f"the time limit of {self.limit:g} s" if isinstance(error, TimeUp) else "the interrupt"
 
 
@@ -47,7 +47,7 @@ BROKEN_OFF = (KeyboardInterrupt, TimeUp)
 
 
 def partial(interrupted: bool, late: bool) -> str:
-    """The tail of a sentence about work that was broken off, empty about any other."""
+    """End of a sentence about a computation that ended early; '' otherwise."""
     why = "interrupted" if interrupted else "stopped by the time limit"
     return f" ({why}: this is the part that was done)" if interrupted or late else ""
 

@@ -117,7 +117,7 @@ class Local:
 
     @cached_property
     def left(self) -> Array:
-        """An orthonormal basis (nv, k) of the velocities that loops and tasks leave, to first order."""
+        """Orthonormal basis (nv, k) of the velocities that loops and tasks allow, to first order."""
         return self._left[0]
 
     @cached_property
@@ -134,8 +134,10 @@ class Local:
 
     @cached_property
     def finite(self) -> int:
-        """How many freedoms are motions over a distance: the dimension of the solutions about q, of the largest part
-        where several meet."""
+        """Number of freedoms that are finite motions: the dimension of the set of solutions about q.
+
+        Where several branches meet it is the largest of their dimensions.
+        """
         basis, independent = self._left
         if independent:
             return basis.shape[1]
@@ -167,7 +169,7 @@ class Local:
         return np.array(out).reshape(len(out), self.problem.system.nv)
 
     def _holds(self, q: Array) -> bool:
-        """Whether the equations hold at q as well as they do where all this began."""
+        """Whether the equations hold at q (nq,) as well as at the first configuration."""
         there, here = (float(np.linalg.norm(self.equations(x)[0])) for x in (q, self.q))
         return there <= 10.0 * max(here, 100.0 * ROUNDING)
 

@@ -60,7 +60,7 @@ class Solver(NamedTuple):
     run: Callable[..., Any]
 
     def choice(self, refused: Sequence[tuple[str, str]] = ()) -> Choice:
-        """What an answer of it says, with those before it that refused."""
+        """The `Choice` of this solver, for its answers, with the solvers `refused` before it."""
         return Choice(self.name, self.how, tuple(refused))
 
 
@@ -91,6 +91,6 @@ def takes_all(*structure: Any) -> None:
 
 
 def chosen_by(answer: Found, choice: Choice) -> Found:
-    """The answer, which says by whom it is."""
+    """The answer with the `Choice` that says which solver gave it."""
     answer.__dict__["_choice"] = choice
     return answer

@@ -106,7 +106,7 @@ def _chain(system: System, name: str) -> Chain:
 
 
 def moved_by(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
-    """Which velocities (n,) of the chain turn something, and which slide something (masks); those of screws do both."""
+    """Masks (n,) of the chain's coordinates that rotate something and of those that translate it; screws do both."""
     rows = rows_of(chain.ints)
     each = np.arange(len(chain.v_index))
     turns, slides = (np.isin(each, rows[rows[:, KIND] == kind, V_INDEX]) for kind in (TURN, SLIDE))
@@ -114,13 +114,13 @@ def moved_by(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
 
 
 def of_loops(system: System, name: str) -> bool:
-    """Whether a frame moves with a loop."""
+    """Whether the motion of a frame depends on a closed loop."""
     return " moves with the loop " in (obstacle(system, name) or "")
 
 
 @kept
 def obstacle(system: System, name: str) -> str | None:
-    """Why no chain of its own leads to a frame: a loop or a relation that moves it; None if one does."""
+    """Why no open chain leads to a frame, such as a loop that moves it; None if one does."""
     used = {system.structure.velocity_names[i] for i in local_chain(system.structure.table, name)[2]}
     for closure in system.structure.closures:
         if used & loop_coordinates(system, closure):

@@ -31,7 +31,7 @@ def rolls(system: System) -> bool:
 
 
 def way_there(system: System) -> str:
-    """The tail of a sentence about a configuration that was found regardless of velocity constraints, if any."""
+    """End of a sentence about a configuration: going there is a manoeuvre; '' without velocity constraints."""
     if not rolls(system):
         return ""
     names = list(dict.fromkeys(name for name, *_ in row_names(system)))
@@ -50,7 +50,7 @@ def hard_rows(system: System, q: Array, scale: Array) -> tuple[Array, Array]:
 
 
 def at_rest(C: Array, A: Array, b: Array) -> Array:
-    """The least velocities (nv,) that the rows ask for, where loops C and rows A u = b hold.
+    """The shortest velocity vector (nv,) that fulfils the loops C v = 0 and the velocity rows A v = b.
 
     Errors: `InputError` where they contradict each other.
     """
@@ -75,7 +75,7 @@ class Slip(NamedTuple):
 
     @property
     def text(self) -> str:
-        """How much it slips, in words."""
+        """Amount and place of the slip, in words."""
         return f"slips by {abs(self.amount):.3g} {self.unit} across {self.name!r}"
 
 

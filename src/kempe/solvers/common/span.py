@@ -52,16 +52,16 @@ class Span(NamedTuple):
 
     @property
     def rounding(self) -> float:
-        """What rounding leaves of positions, in metres."""
+        """Rounding error of positions, in metres."""
         return 16.0 * EPSILON * max(self.largest, self.away)
 
     @property
     def blur(self) -> float:
-        """What rounding leaves of angles, where a long length moves what short ones decide."""
+        """Rounding error of angles, where one long link makes short ones imprecise."""
         return BLUR * EPSILON * (self.largest / self.middle) ** 2 if self.middle > 0.0 else 0.0
 
     def figures(self) -> str:
-        """How far lengths are apart, and what is left of positions."""
+        """Text with the ratio of the lengths, and the rounding error of positions."""
         largest = max(self.largest, self.away)
         orders = math.log10(largest) - math.log10(self.smallest)
         what = "the distance of the base" if self.away > self.largest else "the longest"
@@ -71,7 +71,7 @@ class Span(NamedTuple):
         )
 
     def sentence(self) -> str:
-        """What is to be said of an answer that was not found."""
+        """Sentence of caution, on rounding, for an answer that was not found."""
         return f"{self.figures()}, and solutions may be missed"
 
 

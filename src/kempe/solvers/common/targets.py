@@ -38,7 +38,7 @@ def twist_rows(task: str, dim: int) -> list[int]:
 
 
 def task_of(task: object, is_position: bool, particle: bool) -> str:
-    """The task by its name, or as the target says. Errors: `InputError`."""
+    """Name of the task, as given, or by default that of the kind of target. Errors: `InputError`."""
     if task is None:
         return "position" if is_position or particle else "pose"
     if not isinstance(task, str) or task not in TASKS:
@@ -49,7 +49,7 @@ def task_of(task: object, is_position: bool, particle: bool) -> str:
 
 
 def task_and_axis(task: Any) -> tuple[Any, Any]:
-    """The task and the axis of the tool that it points, where a pair of these is given; by default the z axis."""
+    """A `task` split into its name and the axis of the tool that is pointed, by default the z axis."""
     if isinstance(task, (tuple, list)) and len(task) == 2:
         return task[0], task[1]
     return task, Z_AXIS
@@ -202,7 +202,10 @@ def check_particle(targets: Array, name: str) -> None:
 
 
 def not_a_pose(target: Array, other: str = "target") -> str:
-    """Why a target (4, 4) was refused; `other` is what was bad where that is fine."""
+    """Message that says why a target (4, 4) was refused.
+
+    If the target itself is a pose, the message names `other`, the argument that was wrong instead.
+    """
     R, last = target[:3, :3], target[3].tolist()
     if np.isfinite(last).all() and last != [0.0, 0.0, 0.0, 1.0]:
         return f"target is not a pose: its last row is {last}; it must be 0 0 0 1"

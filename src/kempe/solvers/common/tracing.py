@@ -42,7 +42,7 @@ class Curve:
     n: int
 
     def both(self, x: Array) -> tuple[Array, Array]:
-        """What is missing in each equation (rows,), and the derivatives (rows, n): n rows at least, some zero."""
+        """Residuals (rows,) of the equations at `x`, and their derivatives (rows, n): at least n rows, some zero."""
         raise NotImplementedError
 
     def matrix(self, x: Array) -> Array:
@@ -62,7 +62,7 @@ class Curve:
         return CLOSED
 
     def corrected(self, x: Array, across: Array) -> GaussNewtonEnd | None:
-        """What is found near `x` on the curve, in the plane across the direction `across` (n,), or None."""
+        """The corrected point of the curve near `x`, in the plane normal to the direction `across` (n,); or None."""
         return correct(self, x, across)
 
     def node(self, x: Array, toward: Array, J: Array) -> Node:
@@ -111,7 +111,7 @@ def node(equations: Curve, x: Array, toward: Array | None = None, J: Array | Non
 
 
 def correct(equations: Curve, x: Array, across: Array, tries: int = 12) -> GaussNewtonEnd | None:
-    """What is found on the curve in the plane through `x` across the direction `across` (n,), or None.
+    """The point of the curve in the plane through `x` normal to the direction `across` (n,), or None.
 
     Newton's method with least squares, so that dependent equations do no harm.
     """
@@ -125,7 +125,7 @@ def correct(equations: Curve, x: Array, across: Array, tries: int = 12) -> Gauss
 
 
 def step(curve: Curve, a: Node, h: float) -> Node | None:
-    """The next node at a distance of about `h`, or None where that is too far to be sure of the curve."""
+    """The next node of the curve, at a distance of about `h` from `a`; None where `h` is too long to be safe."""
     guess = curve.move(a.x, h * a.t)
     there = curve.corrected(guess, a.t)
     if there is None or float(np.linalg.norm(curve.between(guess, there.x))) > ACROSS * h:

@@ -97,19 +97,19 @@ class Decomposition:
                 return True
             c = terms.pop(unknown[0])
             place = self.code.coordinate(unknown[0])
-            self.code.say(K.SET, [place], [relation.offset / c])
+            self.code.append(K.SET, [place], [relation.offset / c])
             for slot, m in terms.items():
-                self.code.say(K.ADD, [place, self.code.coordinate(slot)], [-m / c])
+                self.code.append(K.ADD, [place, self.code.coordinate(slot)], [-m / c])
             self._learn(unknown[0])
             return True
         return False
 
     def _expect(self, constant: float, terms: dict[int, float]) -> None:
         """Count how far constant + sum of terms is from zero among the openings."""
-        self.code.say(K.SET, [K.SPARE], [constant])
+        self.code.append(K.SET, [K.SPARE], [constant])
         for slot, m in terms.items():
-            self.code.say(K.ADD, [K.SPARE, self.code.coordinate(slot)], [m])
-        self.code.say(K.EXPECT_ZERO, [K.SPARE], [self.parts.size])
+            self.code.append(K.ADD, [K.SPARE, self.code.coordinate(slot)], [m])
+        self.code.append(K.EXPECT_ZERO, [K.SPARE], [self.parts.size])
 
     def _drive(self) -> bool:
         """Merge the clusters on both sides of a joint whose coordinate is known."""
@@ -129,9 +129,9 @@ class Decomposition:
             out = self._out(other, 0)
             numbers = [sign * link.multiplier, *start, *inverse(end)]
             register, coordinate = self.code.register, self.code.coordinate(link.slot)
-            self.code.say(K.TURN if link.kind == R else K.SLIDE, [out, register(on), coordinate], numbers)
+            self.code.append(K.TURN if link.kind == R else K.SLIDE, [out, register(on), coordinate], numbers)
             if len(self.members[other]) > 1:
-                self.code.say(K.DIVIDE, [out, register(part)])
+                self.code.append(K.DIVIDE, [out, register(part)])
             self._join(base, {other: out})
             return True
         return False
@@ -155,10 +155,10 @@ class Decomposition:
         if link.kind == R:
             between = times((link.F[0], -link.F[1], 0.0, 0.0), (link.M[0], link.M[1], 0.0, 0.0))
             numbers = [*between[:2], 1.0 / m, -o / m, 2.0 * math.pi / abs(m), *self.limits[link.slot]]
-            code.say(K.READ_TURN, ints, [*numbers, *link.F[2:], *link.M[2:], abs(m) * size])
+            code.append(K.READ_TURN, ints, [*numbers, *link.F[2:], *link.M[2:], abs(m) * size])
         else:
             a, b = link.rails(True)
-            code.say(K.READ_SLIDE, ints, [*a.rail, *b.rail, 1.0 / m, -o / m, abs(m), size])
+            code.append(K.READ_SLIDE, ints, [*a.rail, *b.rail, 1.0 / m, -o / m, abs(m), size])
         self._learn(link.slot)
 
     # ---- clusters
@@ -179,7 +179,7 @@ class Decomposition:
             members = self.members.pop(cluster)
             if len(members) > 1:
                 for part in members:
-                    self.code.say(K.CARRY, [self.code.register(part), register])
+                    self.code.append(K.CARRY, [self.code.register(part), register])
             for part in members:
                 self.cluster[part] = base
             moved += members
@@ -345,7 +345,7 @@ class Decomposition:
         if rebase is not None:
             still, other = rebase
             new = {still: self._out(still, 2), other: self._out(other, 0 if len(self.members[other]) == 1 else 1)}
-            self.code.say(K.REBASE, [outs[base], outs[other], new[still], new[other]])
+            self.code.append(K.REBASE, [outs[base], outs[other], new[still], new[other]])
             outs = new
         self._join(base, outs)
 

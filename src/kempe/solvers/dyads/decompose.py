@@ -316,7 +316,7 @@ def _hinges(
 
 
 class Code:
-    """A program being written: operations, with the places of registers and coordinates."""
+    """A program for the dyad kernel while it is written: operations, and the places of registers and coordinates."""
 
     def __init__(self, n_parts: int, nq: int):
         self.registers, self.nq, self.n_parts = n_parts + 3, nq, n_parts
@@ -332,7 +332,7 @@ class Code:
         return K.REGISTERS + 4 * self.registers + slot
 
     def target(self, slot: int) -> int:
-        """Place of the value that a coordinate should be near to."""
+        """Place of the value near which a coordinate is wanted."""
         return self.coordinate(self.nq) + slot
 
     def sign(self) -> int:
@@ -340,14 +340,14 @@ class Code:
         self.signs += 1
         return self.target(self.nq) + self.signs - 1
 
-    def say(self, code: int, ints: list[int], floats: object = ()) -> None:
-        """Append an operation."""
+    def append(self, code: int, ints: list[int], floats: object = ()) -> None:
+        """Append an operation: its number `code` (of `dyad_layout`) with its integer and float operands."""
         self.ops.append(([code, *ints], [float(x) for x in floats]))  # type: ignore[attr-defined]
 
     def pins(self, code: int, ends: list[PartLine], more: list[int], rails: int = 0) -> None:
         """Append an operation on ends, the first `rails` of which are rails."""
         floats = [x for i, e in enumerate(ends) for x in (e.rail if i < rails else e.numbers)]
-        self.say(code, [*(self.register(e.part) for e in ends), *more], floats)
+        self.append(code, [*(self.register(e.part) for e in ends), *more], floats)
 
     def pack(self, known: list[int]) -> tuple[np.ndarray, Array]:
         """The arrays that the kernel walks."""

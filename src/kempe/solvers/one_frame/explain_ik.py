@@ -110,7 +110,10 @@ def _solved(task: FrameProblem, target: Array, limits: Array | None = None, near
 
 
 def _rows(task: FrameProblem, q: Array, tolerance: float) -> int:
-    """The largest rank of what the task reads of the frame's Jacobian, at configurations (N, nq)."""
+    """Largest rank, over configurations (N, nq), of those rows of the frame's Jacobian that the task uses.
+
+    Singular values count from `tolerance` times the largest on.
+    """
     from kempe.kinematics.forward import jacobian  # only here: a success needs no forward kernels
 
     J = jacobian(task.system, q, task.frame, "body")

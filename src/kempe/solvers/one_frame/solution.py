@@ -72,7 +72,7 @@ class Solution(Answer):
 
     @classmethod
     def postponed(cls, code: np.ndarray, problem: Any, later: tuple[Callable[..., Solution], Any]) -> Solution:
-        """The answer for a batch of which only codes (...) are known: ``later[0](*later[1])`` gives the rest."""
+        """The answer for a batch of which only codes (...) are known yet; ``later[0](*later[1])`` computes the rest."""
         out = object.__new__(cls)
         out.__dict__.update(success=code == Status.SOLVED, code=code, problem=problem, _later=later)
         return out
@@ -108,12 +108,12 @@ class Solution(Answer):
 
     @property
     def residual(self) -> Any:
-        """Norm (...) of position error [m] and orientation error [rad]."""
+        """Error (...) of each configuration: the norm of its position error [m] and orientation error [rad]."""
         return plain(np.hypot(self.position_error, self.orientation_error))
 
     @property
     def proven(self) -> Any:
-        """Where (...) it is proven that there is no answer; elsewhere a failure is evidence, from so many starts.
+        """Where (...) it is proven that no solution exists; elsewhere a failure only means that no start found one.
 
         Proofs are lengths, two tasks that contradict each other, and limits outside of which all the answers are.
         """
@@ -137,12 +137,12 @@ class Solution(Answer):
 
     @property
     def system(self) -> System:
-        """The system of the problem."""
+        """The system that was solved for."""
         return self.task.system
 
     @cached_property
     def _local(self) -> tuple[int, int, int, Array]:
-        """Equations of the problem, freedoms, rank of the equations in these, basis of self-motions."""
+        """(m, n, rank, basis): equations, freedoms, rank of the equations, and an orthonormal basis of self-motions."""
         if np.ndim(self.success):
             raise InputError("m, n, rank and self_motion are those of one answer: ask for one problem, not for a batch")
         return self._analysed()
@@ -163,12 +163,12 @@ class Solution(Answer):
 
     @property
     def n(self) -> int:
-        """Freedoms of the system at the answer: velocity coordinates, less what loops and relations take."""
+        """Freedoms of the system at the answer: velocity coordinates, less the rank of loops and relations."""
         return self._local[1]
 
     @property
     def rank(self) -> int:
-        """Rank of the hard tasks' Jacobian in these freedoms, at the answer."""
+        """Rank of the hard tasks' Jacobian at the answer, restricted to velocities that keep the loops closed."""
         return self._local[2]
 
     @property
@@ -198,13 +198,13 @@ class Solution(Answer):
         return derivative(self)
 
     def _sentence(self, index: tuple[int, ...]) -> str:
-        """The sentence for one configuration."""
+        """Sentence that describes the answer for one target, at `index` in the batch."""
         from kempe.solvers.one_frame.explain_ik import sentence
 
         return sentence(self, index) + self._way_there(index)
 
     def _way_there(self, index: tuple[int, ...]) -> str:
-        """The tail of a sentence about what was reached: whether going there is a manoeuvre."""
+        """End of a success sentence: under velocity constraints, that driving there needs a manoeuvre; else ''."""
         from kempe.solvers.common.slip import way_there
 
         return way_there(self.system) if np.asarray(self.success)[index] else ""

@@ -50,7 +50,7 @@ TRUNCATED = 6
 
 
 class Order(NamedTuple):
-    """What is missing, to first order."""
+    """First-order step towards a problem's solution, and how singular its Jacobian is."""
 
     ahead: Array
     """The scaled step (nv,) to it, damped."""
@@ -63,7 +63,7 @@ class Order(NamedTuple):
 
 
 class PathSteps:
-    """The targets of a path, all that lies between them, and steps along it."""
+    """The targets of a path, those interpolated between them, and steps from one to the next."""
 
     def __init__(
         self, problem: Demands, max_step: float, budget: TimeLimit, progress: Callable[[int], None] | None = None
@@ -81,7 +81,7 @@ class PathSteps:
         self.counts = np.isin(packed.rows[own], hard) & equal[own]
 
     def at(self, i: int, part: float) -> Demands:
-        """The problem at a part of the way from target i - 1 to target i."""
+        """The problem at the fraction `part` of the way from target i - 1 to target i."""
         if part >= 1.0:
             return self.rows[i]
         a, b = self.rows[i - 1].goals, self.rows[i].goals
@@ -91,7 +91,10 @@ class PathSteps:
         return replace(self.rows[i], goals=goals, pins=self.problem.packed.pins(goals))
 
     def first_order(self, problem: Demands, q: Array, weak: float = 0.0) -> Order:
-        """What a problem asks from q to first order, damped; of singular values above `weak` times the largest."""
+        """Damped first-order step from q that solves a problem.
+
+        Singular values below `weak` times the largest are left out.
+        """
         e, J = self.missing(problem, q)
         if not J.size:
             return Order(np.zeros(self.system.nv), 1.0, np.zeros(self.system.nv), 0.0)
@@ -102,7 +105,7 @@ class PathSteps:
         return Order(-Vt.T @ (part * (U.T @ e)), float(s[-1] / max(s[0], 1e-300)), Vt[-1], float(np.linalg.norm(e)))
 
     def missing(self, problem: Demands, q: Array) -> tuple[Array, Array]:
-        """The equations (m,) of hard tasks and loops at q (nq,), and their Jacobian (m, nv)."""
+        """Residuals (m,) of hard tasks and loops at q (nq,), and their Jacobian (m, nv)."""
         packed = problem.packed
         e, J = packed.evaluate(q, problem.pins)
         if not self.counts.all():
@@ -113,9 +116,9 @@ class PathSteps:
         return e, J
 
     def step(self, problem: Demands, q: Array, order: Order | None = None) -> Array | None:
-        """The configuration (nq,) that holds a problem and that one gets to from q; None where one does not.
+        """The configuration (nq,) near q that solves a problem, found by first-order steps; None where there is none.
 
-        Singular configurations are left by a small step to either side: there, what is missing gives no direction.
+        Singular configurations are left by a small step to either side: there, the residual gives no direction.
         """
         ahead, ratio, weak, _ = self.first_order(problem, q) if order is None else order
         if np.abs(ahead).max(initial=0.0) > self.max_step:
@@ -129,7 +132,10 @@ class PathSteps:
         return None
 
     def coast(self, problem: Demands, q: Array, before: Array) -> Array | None:
-        """The same by going on as before, by the scaled step (nv,): so targets that jump over a singularity are met."""
+        """The configuration (nq,) near q that solves a problem, found by repeating the last scaled step (nv,); or None.
+
+        So targets beyond a singularity are met.
+        """
         if not before.any():
             return None
         found = self.loose(problem, q, before)
@@ -139,13 +145,13 @@ class PathSteps:
         return found if found is not None and self.smooth(moved, before) else None
 
     def loose(self, problem: Demands, q: Array, before: Array) -> Array | None:
-        """The same where it holds within the tolerance only: what a singularity cannot give is left out."""
+        """As `step`, but within the tolerance only: residuals in singular directions stay. None where this fails."""
         x = self.truncated(problem, q, before) if self.given > TOLERANCE else None
         good = x is not None and judge(problem, x[None], np.full((1, 3), SOLVED)).success
         return x if good else None
 
     def truncated(self, problem: Demands, q: Array, before: Array) -> Array | None:
-        """Where (nq,) one gets to by going on as before and making good what is not singular; None if elsewhere."""
+        """As `coast`, then corrected in the regular directions only; None where the configuration is off the target."""
         x = self.system.structure.layout.integrate(q, before * self.scale)
         for _ in range(TRUNCATED):
             x = self.system.structure.layout.integrate(x, self.first_order(problem, x, SINGULAR).ahead * self.scale)
@@ -153,13 +159,16 @@ class PathSteps:
         return x if self.smooth(self.system.structure.layout.difference(q, x) / self.scale, before) else None
 
     def smooth(self, moved: Array, before: Array) -> bool:
-        """Whether a scaled step (nv,) goes on as one before."""
+        """Whether a scaled step (nv,) continues the step before, without a jump or a sharp turn."""
         close = np.linalg.norm(moved - before) <= ALIKE * np.linalg.norm(before)
         return bool(close) and np.abs(moved).max(initial=0.0) <= self.max_step
 
     def opening(self, i: int, q: Array, order: Order) -> Array | None:
-        """Of the configurations (nq,) at target i near q, on either side of a singularity, that from which the next
-        target is reached by going on most alike; None where there is none."""
+        """The configuration (nq,) at target i, near q, from which the next step is most like the step that led there.
+
+        Near a singularity a candidate is tried on either side. `order` is the first-order step at q. None where no
+        candidate leads smoothly to the next target.
+        """
         size = max(float(np.linalg.norm(order.ahead)), SMALL)
         tried: list[tuple[float, Array]] = []
         for aside in ASIDE if i + 1 < len(self.rows) and order.way > STAYS else ():

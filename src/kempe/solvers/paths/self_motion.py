@@ -103,16 +103,17 @@ def self_motion(
     system: System, q: Any, tasks: FrameLike | Constraint | Sequence[Constraint], *,
     task: str | tuple[str, ArrayLike] | None = None, direction: Any = None, budget: Budget | None = None,
 ) -> SelfMotion:  # fmt: skip
-    """The configurations that a system can reach from q (nq,) without leaving tasks, both ways.
+    """The motion of a system from q (nq,), in both directions, that keeps tasks fulfilled.
 
-    `tasks` is a frame, or hard tasks that hold at q. A frame stays at its pose, or at what `task` names, as for
-    `System.ik`: "position", "orientation", "direction", "position_axis". Where they leave one freedom, its whole curve
-    is traced until it closes, meets a limit or has all its points each way; where they leave more, `direction` says
-    where to go: a coordinate to be moved, or a velocity (nv,), of which the part is followed that the tasks allow.
-    `step` is the length of a step in radians and characteristic lengths. The tasks hold to 1e-9 all along: each step is
-    led back by steps of minimum norm. Where the Jacobian loses rank and no motion is found, the answer is q alone, and
-    says so. Errors: `InputError` where the tasks do not hold at q, or leave no freedom even to first order, or more
-    than one without a direction; `UnsupportedError` where velocity constraints do not allow the motion.
+    `tasks` is a frame, or hard tasks that are fulfilled at q. A frame keeps its pose, or only the part that `task`
+    names, as for `System.ik`: "position", "orientation", "direction", "position_axis". If the tasks leave one freedom,
+    the whole curve is traced until it closes, meets a limit or has the largest number of points in each direction. If
+    they leave more, `direction` chooses a curve: the name of a coordinate, or a velocity (nv,), which is projected onto
+    the velocities that the tasks allow. `budget.step` is the length of a step, in radians and characteristic lengths.
+    The tasks are fulfilled to 1e-9 at all points, by corrections of minimum norm. Where the Jacobian loses rank and no
+    motion is found, the answer is q alone, and says so. Errors: `InputError` where the tasks are not fulfilled at q,
+    leave no freedom to first order, or more than one without a direction; `UnsupportedError` where velocity constraints
+    do not allow the motion.
     """
     q = as_q(system, q)
     if q.ndim != 1:

@@ -294,9 +294,9 @@ def _is_pose(x: Array) -> bool:
 
 @kept
 def speeds(system: System) -> Array:
-    """Largest speeds (nv,) that steps keep: those of the system, and where it has none `TURNING` and `SLIDING`.
+    """Largest speeds (nv,) of the steps, in rad/s and m/s: the system's velocity limits, else `TURNING` and `SLIDING`.
 
-    What follows a coordinate counts, too: nothing that it turns or slides is faster than that.
+    The defaults hold for coupled joints too: a coordinate is so slow that none of its followers exceeds them.
     """
     table, given = own_tree(system).structure.table, system.structure.velocity_limits
     usual = np.where(system.structure.coordinates.turning, TURNING, SLIDING)

@@ -49,7 +49,7 @@ TRIALS, HALVINGS = 16, 6
 
 
 def chain_length(chain: Chain) -> float:
-    """The characteristic length of a chain, as `ik` weighs lengths by it: a third of the lengths of its links."""
+    """Characteristic length of a chain, by which `ik` divides position errors: a third of the sum of link lengths."""
     length = float(np.linalg.norm(placements_of(chain.ints, chain.floats)[1:, :, 3], axis=1).sum())
     return length / 3.0 if length > 0.0 else 1.0
 

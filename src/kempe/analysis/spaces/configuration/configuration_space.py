@@ -93,7 +93,7 @@ class ConfigurationSpace(Report):
 
     @property
     def ambient_dimension(self) -> int:
-        """Dimension of the space of all coordinates."""
+        """Dimension nv of the space of all coordinates, in which constraints cut out the configuration space."""
         return self.ambient.dimension
 
     @property

@@ -111,7 +111,7 @@ class PlanarWorkspace(Report):
         return int(out[0]) if p.ndim == 0 else out.reshape(p.shape)
 
     def distance(self, points: ArrayLike) -> Any:
-        """How far (...) points (..., 2) are from the boundary, in metres."""
+        """Distances (...) >= 0, in metres, of points (..., 2) from the boundary, inside or outside."""
         p = self._points(points)
         best = np.full(p.shape, np.inf)
         for piece in self.boundary:
@@ -193,12 +193,13 @@ def _loops(pieces: list[PlanePiece], same: float) -> tuple[tuple[PlanePiece, ...
 
 @explained
 def planar_workspace(system: System, frame: FrameLike) -> PlanarWorkspace:
-    """The workspace of a frame's origin, of a planar chain of turns and slides with limits, exactly.
+    """The exact workspace of the origin of a frame of a planar open chain of revolute and prismatic joints.
 
-    The boundary is found among arcs and segments on which joints are at limits or singular; which of them bound it is
-    decided by the inverse model on both sides (see `kempe.analysis.spaces.planar.planar_chain`). Turns may have no
-    limits, slides must. Errors: `UnsupportedError` for systems in space or with constraints, chains with loops,
-    coupled or more than 6 joints; `InputError` for slides without limits and frames that do not move.
+    Candidates for the boundary are arcs and segments on which joints are at limits or singular; the number of solutions
+    of the inverse model on both sides decides which of them bound the workspace (see
+    `kempe.analysis.spaces.planar.planar_chain`). Prismatic joints must have limits, revolute ones may. Errors:
+    `UnsupportedError` for spatial systems, for constraints, and for chains with loops, with coupled joints or with more
+    than 6 joints; `InputError` for prismatic joints without limits and for frames that do not move.
     """
     name = system.structure.frame_name(frame)
     if system.dim != 2:

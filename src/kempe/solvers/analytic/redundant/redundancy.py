@@ -156,7 +156,7 @@ def _count(n: object) -> int:
 
 @dataclass(frozen=True, eq=False)
 class SweepProblem:
-    """What a sweep is of."""
+    """System, frame, target and parameter of a sweep over the solutions of a redundant chain."""
 
     system: System
     frame: str
@@ -231,7 +231,10 @@ class ArmCurves:
         return self.posed.intervals(limited)
 
     def residual(self, q: Array) -> Array:
-        """Norm (...) of position error [m] and orientation error [rad] of configurations (..., nq)."""
+        """Distance (...) of configurations (..., nq) from the target: the norm of position error [m] and angle [rad].
+
+        It is the root of the sum of both squares.
+        """
         X = self.over.system.fk(q, self.over.frame)
         turn = log_so3(np.swapaxes(X[..., :3, :3], -1, -2) @ self.over.target[:3, :3])
         return np.linalg.norm(np.concatenate([X[..., :3, 3] - self.over.target[:3, 3], turn], axis=-1), axis=-1)
@@ -261,7 +264,7 @@ class JointCurves:
         return [[(a * self.unit, b * self.unit) for a, b in arc.intervals(limited)] for arc in self.arcs]
 
     def residual(self, q: Array) -> Array:
-        """Norm (...) of position error [m] and orientation error [rad] of configurations (..., nq)."""
+        """Distance (...) of configurations (..., nq) from the target, as in `ArmCurves`."""
         return np.linalg.norm(self.motion.missing(q) * np.repeat([self.lines.length, 1.0], 3), axis=-1)
 
     def rows(self, values: Array, branch: int | None = None) -> tuple[Array, np.ndarray]:
