@@ -82,7 +82,11 @@ class SharedTargets(NamedTuple):
 
 @device
 def coordinate(pr, joint, theta, near):
-    """(q, inside) of a joint: of all turns the one inside the limits and nearest to `near`; inside is 1 or 0."""
+    """(q, inside): the coordinate of a joint at the angle `theta`, by as many periods as suit limits and `near`.
+
+    Of the values q + k * period, the one inside the limits nearest to `near`, with inside 1; where none is inside, the
+    one nearest to `near`, with inside 0. `pr` is the problem with the table of joints.
+    """
     at = JOINT_FLOATS * joint
     low, high = pr.joints[at + LOW], pr.joints[at + HIGH]
     period = 2.0 * math.pi / abs(pr.joints[at + FACTOR])

@@ -90,7 +90,7 @@ def summed(a, b):
 
 @device
 def combined(x, a, y, b):
-    """x a + y b for triples."""
+    """The vector x a + y b for numbers x, y and vectors a, b of three components."""
     return x * a[0] + y * b[0], x * a[1] + y * b[1], x * a[2] + y * b[2]
 
 
@@ -236,7 +236,7 @@ def gathered(m, free, x):
 
 @device
 def nothing():
-    """The lower triangle of zeros."""
+    """21 zeros: the lower triangle of a symmetric 6x6 matrix, from which a sum begins."""
     o = spread_lanes(0.0)
     return o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o
 

@@ -86,7 +86,10 @@ def take(chain, seeds, k):
 
 @routine
 def middle(chain, limits, home):
-    """Write the middle of the limits to `home`, nearest to zero where one is missing, no turn for balls."""
+    """Write to `home` (nq,) the middle of the limits of each coordinate; the identity for quaternions.
+
+    Where a limit is missing it is the allowed value nearest to 0.
+    """
     for k in range(chain.nq):
         home[k] = 0.0
     v = 0

@@ -183,9 +183,12 @@ def missed_softly(loops, ask):
 
 @routine
 def reach(loops, work, ask, key, tries, limit, mode, stop):
-    """Status, steps and starts; q is the answer, or the nearest found.
+    """(status, steps, starts) of a search for a configuration that fulfils tasks; `loops.q` is start and answer.
 
-    With `tries` below 0, all stages but the last are held as q has them.
+    If none is found, `loops.q` is the nearest one. `ask` holds the tasks in stages: stage 0 are the loops, later ones
+    yield to earlier ones. `tries` is the number of random starts, drawn by `key`; below 0, only the last stage is
+    improved and the others keep the residuals of the start. `limit` is the number of steps of a start, `mode` what is
+    minimised in the freedoms left (or NOTHING), `stop` the clock. `work` is scratch memory.
     """
     first = ask.stages if tries < 0 else 1
     unbind(loops, work)
