@@ -287,7 +287,7 @@ class Mechanism(ConstraintMethods):
     def _repr_html_(self) -> str | None:
         """The system that it makes, in a notebook; None, for its text, where it makes none yet."""
         try:
-            return self.build()._repr_html_()
+            return self.build()._repr_html_()  # pyright: ignore[reportPrivateUsage]
         except KempeError:
             return None
 
