@@ -764,7 +764,7 @@ def test_several_configurations_side_by_side():
     arm = kempe.load("puma560")
     every = arm.ik_all(arm.fk(arm.mid + 0.3, "tool"), "tool")
     assert len(arm.plot(every.q[:2], side_by_side=True)) == 2
-    with pytest.raises(InputError, match="side by side 2 are needed"):
+    with pytest.raises(InputError, match="must be 2 matplotlib axes"):
         bar.plot(modes, side_by_side=True, ax=axes[0])
 
 

@@ -108,7 +108,7 @@ def test_what_cannot_be_drawn_is_said():
             ARM.plot_spaces("e", points=points)
     with pytest.raises(InputError, match="resolution"):
         ARM.plot_spaces("e", resolution=1)
-    with pytest.raises(InputError, match="pair"):
+    with pytest.raises(InputError, match="2 matplotlib axes"):
         ARM.plot_spaces("e", ax=3)
     m = kempe.Mechanism("polar", dim=2)
     m.revolute("t", m.ground, m.body("a"))

@@ -61,7 +61,8 @@ def test_what_cannot_be_drawn():
     line = m.build().workspace("cart", n=1000)
     for words, draw in {
         "piece of a line": line.plot, "slices": lambda: FLAT.plot(at=[0, 0]),
-        "inside the box": lambda: SPACE.plot([9, 9, 9]), "need three": lambda: SPACE.plot(ax=FLAT.plot()),
+        "inside the box": lambda: SPACE.plot([9, 9, 9]),
+        "must be 3 matplotlib axes": lambda: SPACE.plot(ax=FLAT.plot()),
     }.items():  # fmt: skip
         with pytest.raises(InputError, match=words):
             draw()

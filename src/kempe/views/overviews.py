@@ -90,6 +90,7 @@ def plot_tree(system: System, ax: Axes | None = None) -> Axes:
     span = np.ptp(at, axis=0)
     if ax is None:
         ax = page.new_figure(*np.clip(0.8 * span + (1.6, 1.4), (3.2, 2.4), (16.0, 14.0))).add_axes((0, 0, 1, 1))
+    ax = page.axes_given(ax)[0]
     for body, parent in enumerate(system.parent, 1):
         joint = joints[system.structure.parent_joints[body - 1]]
         ax.plot(*at[[parent, body]].T, color=style.INK, lw=1.3, zorder=style.BARS, gid=f"edge:{joint.name}")

@@ -117,8 +117,8 @@ def _workspace(system: System, options: PlotOptions) -> Any:
 def _side_by_side(drawing: Any, subjects: list[Subject]) -> tuple[Axes, ...]:
     """Axes in a row, one for each subject, with its title, all of the same scale."""
     own: Any = subjects[0].options.ax
-    if own is not None and np.size(own) != len(subjects):
-        raise InputError(f"ax are {np.size(own)} axes; side by side {len(subjects)} are needed")
+    if own is not None:
+        own = page.axes_given(own, len(subjects))
     if drawing.__name__.endswith("space"):
         figure = None if own is not None else page.new_figure(4.2 * len(subjects), 4.2)
         axes = own if figure is None else [
@@ -168,7 +168,7 @@ def plot_path(
     for name in chosen:
         if name not in known:
             raise UnknownNameError("coordinate", name, known, system.name)
-    ax = page.new_figure(7.0, 4.2).add_axes((0.085, 0.12, 0.72, 0.84)) if ax is None else ax
+    ax = page.new_figure(7.0, 4.2).add_axes((0.085, 0.12, 0.72, 0.84)) if ax is None else page.axes_given(ax)[0]
     unit = units(system)
     for k, name in enumerate(chosen):
         i = known.index(name)

@@ -58,7 +58,7 @@ def plot_spaces(
     if ax is None:
         figure = page.new_figure(11.8, 5.0)
         ax = figure.add_axes((0.06, 0.12, 0.36, 0.8)), figure.add_axes((0.49, 0.12, 0.36, 0.8))
-    left, right = _pair(ax)
+    left, right = page.axes_given(ax, 2)
     grid = _grid(system, int(resolution))
     p = system.fk(grid, name)[..., :2, 3]
     _shade_task_space(system, name, right, p, targets, int(resolution))
@@ -112,19 +112,6 @@ def _grid(system: System, n: int) -> Array:
     """Configurations (n, n, 2) over the limits, or full turns."""
     low, high = sampling_box(system)
     return np.stack(np.meshgrid(*(np.linspace(low[i], high[i], n) for i in range(2)), indexing="ij"), axis=-1)
-
-
-def _pair(ax: Any) -> tuple[Any, Any]:
-    try:
-        left, right = ax
-    except (TypeError, ValueError):
-        raise InputError("ax must be a pair of axes: of the configuration space and of the task space") from None
-    if not all(hasattr(x, "contourf") for x in (left, right)):
-        raise InputError("ax must be a pair of matplotlib axes")
-    return left, right
-
-
-# ---- drawing
 
 
 def _shade_task_space(system: System, name: str, ax: Any, p: Array, targets: Array, n: int) -> None:

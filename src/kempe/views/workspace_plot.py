@@ -1,4 +1,4 @@
-"""Pictures of workspaces with matplotlib: how often each cell was reached, in the plane or on slices.
+"""Pictures of what is reached, with matplotlib: counts of cells, exact regions in the plane, fractions reached.
 
 Importing it needs the extra [view]. Errors: `MissingExtraError` without matplotlib.
 """
@@ -9,15 +9,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.colors import LogNorm
+from matplotlib.patches import PathPatch
 
 from kempe.calls import numbers
-from kempe.errors import InputError
+from kempe.errors import InputError, UnsupportedError
 from kempe.spatial import Array
-from kempe.views.drawing import page, style
+from kempe.views.drawing import page, shapes, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from kempe.analysis.spaces.planar.planar_workspace import PlanarWorkspace
+    from kempe.analysis.spaces.reach.base_placement import BasePlacement
+    from kempe.analysis.spaces.reach.capability import CapabilityMap
     from kempe.analysis.spaces.workspace.workspace import Workspace
 
 COLOURS = "cividis_r"
@@ -41,7 +45,7 @@ def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
     if d == 2:
         if at is not None:
             raise InputError("at is for slices of a workspace in space")
-        axes = page.new_figure(5.6, 4.6).add_subplot() if ax is None else ax
+        axes = page.new_figure(5.6, 4.6).add_subplot() if ax is None else page.axes_given(ax)[0]
         _slice(workspace, axes, counts, 0, 1, counts.max(initial=1))
         _bar(axes, [axes])
         return axes
@@ -54,9 +58,7 @@ def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
         figure.set_layout_engine("constrained")
         axes = figure.subplots(1, 3)
     else:
-        axes = np.ravel(ax)
-        if len(axes) != 3:
-            raise InputError(f"ax are {len(axes)} axes; three slices need three")
+        axes = page.axes_given(ax, 3)
     layers = [np.take(counts, place[cut], axis=cut) for *_, cut in PAIRS]
     most = max(int(layer.max(initial=1)) for layer in layers)
     for one, layer, (right, up, cut) in zip(axes, layers, PAIRS, strict=True):
@@ -94,3 +96,62 @@ def _bar(first: Axes, axes: list[Any]) -> None:
     bar = first.figure.colorbar(first.images[0], ax=axes, shrink=0.85)
     bar.set_label("samples in a cell", size=style.FONT, color=style.INK)
     bar.ax.tick_params(labelsize=style.FONT - 1)
+
+
+def plot_planar(workspace: PlanarWorkspace, ax: Axes | None = None) -> Axes:
+    """Matplotlib axes with the regions, darker where there are more solutions, and the boundary."""
+    ax = page.new_figure().add_subplot() if ax is None else page.axes_given(ax)[0]
+    for region in workspace.regions:
+        shade = 0.8 if region.solutions in (None, 1) else 0.6
+        label = "reached" if region.solutions is None else f"{region.solutions} solution{'s' * (region.solutions > 1)}"
+        ax.add_patch(
+            PathPatch(shapes.region_outline(region), facecolor=(0.9 * shade, shade, 1.0), edgecolor="none", label=label)
+        )
+    for piece in workspace.boundary:
+        p = shapes.piece_points(piece)
+        ax.plot(np.real(p), np.imag(p), color="0.15", linewidth=1.2)
+    ax.set_aspect("equal")
+    ax.set_xlabel("x [m]")
+    ax.set_ylabel("y [m]")
+    ax.set_title(f"{workspace.frame}: {workspace.area:.4g} m²")
+    if workspace.regions:
+        ax.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0), frameon=False)
+    return ax
+
+
+def _picture(ax: Axes | None, x: Array, y: Array, values: Array, labels: tuple[str, str]) -> Axes:
+    ax = page.new_figure().add_subplot() if ax is None else page.axes_given(ax)[0]
+    drawn = ax.pcolormesh(x, y, values.T, vmin=0.0, vmax=1.0, cmap="viridis", shading="nearest")
+    ax.figure.colorbar(drawn, ax=ax, label="fraction reached")
+    ax.set_xlabel(labels[0])
+    ax.set_ylabel(labels[1])
+    return ax
+
+
+def plot_placement(found: BasePlacement, ax: Axes | None = None) -> Axes:
+    """Matplotlib axes with the fraction over the first two axes, the others where they are at the best place."""
+    names = list(found.axes)
+    if len(names) < 2:
+        raise UnsupportedError(f"a map over {names[0]!r} alone has no picture: plot its fraction")
+    index = np.unravel_index(found.order[0], found.fraction.shape)
+    units = [f"{n} [{'rad' if n == 'yaw' else 'm'}]" for n in names]
+    x, y = (found.axes[n] for n in names[:2])
+    ax = _picture(ax, x, y, found.fraction[(slice(None), slice(None), *index[2:])], (units[0], units[1]))
+    ax.plot(x[index[0]], y[index[1]], "o", color="white", markeredgecolor="black", label="best place")
+    ax.legend(loc="upper right")
+    if names[:2] == ["x", "y"]:
+        ax.set_aspect("equal")
+    return ax
+
+
+def plot_capability(found: CapabilityMap, ax: Axes | None = None, height: float | None = None) -> Axes:
+    """Matplotlib axes with the fraction over x and y, at the layer of cells nearest to a height (the middle)."""
+    values, title = found.fraction, found.frame
+    if len(found.axes) == 3:
+        z = found.axes[2]
+        k = len(z) // 2 if height is None else int(np.argmin(np.abs(z - height)))
+        values, title = values[..., k], f"{title}, z = {z[k]:.3g} m"
+    ax = _picture(ax, found.axes[0], found.axes[1], values, ("x [m]", "y [m]"))
+    ax.set_aspect("equal")
+    ax.set_title(title)
+    return ax

@@ -243,8 +243,8 @@ def _not_found(limits: bool, place: bool, turn: bool) -> str:
 
 def _rounded(metres: float, radians: float, one: bool) -> str:
     """The tolerances that accept a target that was rounded; with `one` a single number for both."""
-    value = f"{max(metres, radians):g}" if one else f"({metres:g}, {radians:g})"
-    return f"a target that was rounded needs a larger tolerance: tolerance={value} accepts it"
+    enough = f"tolerance={max(metres, radians):g}" if one else f"tolerance=({metres:g}, {radians:g})"
+    return f"a target that was rounded needs a larger tolerance: {enough} accepts it"
 
 
 def _tried(held: Sequence[tuple[str, float]], values: int, starts: int) -> str:

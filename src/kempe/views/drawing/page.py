@@ -6,19 +6,18 @@ import math
 import sys
 import warnings
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from kempe.errors import InputError
 from kempe.spatial import Array
 from kempe.views.drawing import labels, shapes, style
 from kempe.views.drawing.planar import Sheet
 from kempe.views.drawing.style import FAINT, FONT, INK, PAPER
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 WIDTH, HEIGHT = (3.2, 7.0), (2.4, 6.6)
 """Least and largest size of a drawing in inches."""
@@ -42,6 +41,16 @@ def _in_notebook() -> bool:
     """Whether this is the kernel of a notebook."""
     shell = sys.modules.get("IPython")
     return shell is not None and hasattr(shell.get_ipython(), "kernel")
+
+
+def axes_given(ax: Any, count: int = 1) -> tuple[Axes, ...]:
+    """The `count` matplotlib axes that a caller gave to draw on; `InputError` for anything else."""
+    given = tuple(np.ravel(np.array(ax, dtype=object)))
+    if len(given) != count or not all(isinstance(one, Axes) for one in given):
+        need = "matplotlib axes" if count == 1 else f"{count} matplotlib axes"
+        got = f"{len(given)} axes" if all(isinstance(one, Axes) for one in given) else type(ax).__name__
+        raise InputError(f"ax must be {need}, not {got}")
+    return given
 
 
 def bare_figure(width: float = 6.4, height: float = 4.8) -> Figure:

@@ -25,7 +25,7 @@ def picture(
 
     Without `ax` the figure is made by `make`.
     """
-    if ax is not None and hasattr(ax, "get_zlim"):
+    if ax is not None and hasattr(page.axes_given(ax)[0], "get_zlim"):
         raise InputError("ax is in space; a planar system needs plain axes")
     radius = subject.radius or planar.pin_radius(subject.scene)
     if ax is None:  # the extent of the drawing decides the shape of the figure
@@ -126,13 +126,10 @@ def _titles(sheet: Sheet, subject: Subject) -> None:
 
 def _workspace(sheet: Sheet, workspace: Any) -> None:
     """Draw what a frame reaches, darker where there are more ways, and its boundary."""
-    from kempe.analysis.spaces.planar.planar_plot import drawn as points_of
-    from kempe.analysis.spaces.planar.planar_plot import outline
-
     for k, region in enumerate(workspace.regions):
         shade = style.mix(style.FAINT, style.PAPER, 0.55 if region.solutions in (None, 1) else 0.25)
-        sheet.patch(outline(region), f"workspace:{k}", style.GHOSTS - 0.5, fc=shade, ec="none")
+        sheet.patch(shapes.region_outline(region), f"workspace:{k}", style.GHOSTS - 0.5, fc=shade, ec="none")
     for k, piece in enumerate(workspace.boundary):
-        z = points_of(piece)
+        z = shapes.piece_points(piece)
         p = np.column_stack([np.real(z), np.imag(z)])
         sheet.line(p, f"workspace:boundary{k}", style.GHOSTS, color=style.GROUND, lw=1.1)

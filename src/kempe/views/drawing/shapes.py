@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from matplotlib.path import Path
 
 from kempe.spatial import Array
 from kempe.views.drawing.style import GROUND_HALF, GROUND_HEIGHT, HATCH
+
+if TYPE_CHECKING:
+    from kempe.analysis.spaces.planar.planar_workspace import SolutionRegion
+    from kempe.analysis.spaces.planar.plane_curves import PlanePiece
+
+FINE = 0.02
+"""Angle between the points by which an arc is drawn."""
 
 
 def hull(points: Array) -> Array:
@@ -109,3 +118,18 @@ def arrow_head(tip: Array, direction: Array, head: float) -> Path:
     side = np.array([-along[1], along[0]])
     base = tip - head * along
     return polygon(np.array([tip, base + 0.42 * head * side, base - 0.42 * head * side]))
+
+
+def region_outline(region: SolutionRegion) -> Path:
+    """The closed curves round a region, as one path."""
+    corners, codes = [], []
+    for loop in region.loops:
+        p = np.concatenate([piece_points(piece) for piece in loop])
+        corners.append(np.column_stack([np.real(p), np.imag(p)]))
+        codes += [Path.MOVETO, *[Path.LINETO] * (len(p) - 2), Path.CLOSEPOLY]
+    return Path(np.concatenate(corners), codes)
+
+
+def piece_points(piece: PlanePiece) -> Array:
+    """Points (k,) along a piece, close enough for a picture."""
+    return piece.at(np.linspace(0.0, 1.0, max(2, int(abs(piece.sweep) / FINE) + 2)))

@@ -63,7 +63,7 @@ def picture(
     own = ax is None
     if own:
         ax = make().add_axes((0.0, 0.0, 1.0, 1.0), projection="3d")
-    elif not hasattr(ax, "get_zlim"):
+    elif not hasattr(page.axes_given(ax)[0], "get_zlim"):
         raise InputError("ax is flat; a system in space needs axes with projection='3d'")
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 

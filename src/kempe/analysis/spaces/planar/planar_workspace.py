@@ -134,9 +134,9 @@ class PlanarWorkspace(Report):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Matplotlib axes with the regions, darker where there are more solutions, and the boundary."""
-        from kempe.analysis.spaces.planar.planar_plot import plot
+        from kempe.views.workspace_plot import plot_planar
 
-        return plot(self, ax)
+        return plot_planar(self, ax)
 
     @property
     def status(self) -> str:

@@ -88,7 +88,7 @@ class BasePlacement(Report):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Matplotlib axes with the fraction over the first two axes, the others where they are at the best place."""
-        from kempe.analysis.spaces.reach.reach_plots import plot_placement
+        from kempe.views.workspace_plot import plot_placement
 
         return plot_placement(self, ax)
 

@@ -78,7 +78,7 @@ class CapabilityMap(Report):
 
     def plot(self, ax: Axes | None = None, height: float | None = None) -> Axes:
         """Matplotlib axes with the fraction over x and y, at the layer of cells nearest to a height (the middle)."""
-        from kempe.analysis.spaces.reach.reach_plots import plot_capability
+        from kempe.views.workspace_plot import plot_capability
 
         return plot_capability(self, ax, height)
 
