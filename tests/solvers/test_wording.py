@@ -14,6 +14,7 @@ from kempe.solvers.common import wording
 from kempe.solvers.common.proofs import Evidence, evidence, lengths, outside_limits
 
 SOLVERS = Path(kempe.__file__).parent / "solvers"
+ARM = kempe.load("puma560")
 KINDS = {**wording.PROOFS, **wording.FOUND_OUT}
 
 
@@ -37,6 +38,8 @@ def test_each_kind_of_evidence_is_found_out_somewhere_and_has_a_sentence():
     ("lengths", {"place": 0.5, "turned": 0.75, "task": "t"}, "'t' is outside the workspace by at least 0.5 m, with "
      "this orientation by at least 0.75 m, by the lengths of the links"),
     ("lengths", {"plane": 2.0}, "outside the plane of the system by 2 m"),
+    ("lengths", {"place": 873.5, "times": 2000.0}, "outside the workspace by at least 873.5 m, by the lengths of the "
+     "links; lengths are metres: are these millimetres?"),
     ("outside", {"count": 1}, "the only configuration that reaches it is outside"),
     ("contradiction", {"how": "turns", "off": 0.25, "first": "a", "second": "b"},
      "contradictory: 'a' and 'b': they turn one body to orientations 0.25 rad apart"),
@@ -65,7 +68,17 @@ def test_a_sentence_says_the_figures(kind, figures, said):
 def test_a_figure_that_is_not_there_is_an_attribute_that_is_missing():
     with pytest.raises(AttributeError, match="place"):
         evidence("outside", count=2).place  # noqa: B018
-    assert lengths() is None and lengths(plane=1e-9) is not None
+    assert lengths(ARM) is None and lengths(ARM, plane=1e-9) is not None
+
+
+def test_targets_in_millimetres_are_suspected_and_those_a_little_too_far_are_not():
+    near, far = ARM.fk(ARM.mid + 0.2, "tool"), ARM.fk(ARM.mid + 0.2, "tool")
+    far[:3, 3] *= 1000.0
+    near[:3, 3] *= 4.0
+    for X, wrong in ((far, True), (near, False)):
+        said = [ARM.ik(X, "tool").status, ARM.ik_all(X, "tool").status, ARM.ik_path([X, X], "tool").status]
+        assert ["are these millimetres?" in x for x in said] == [wrong] * 3
+        assert all("outside the workspace" in x for x in said)
 
 
 def test_a_proof_within_evidence_makes_it_one():

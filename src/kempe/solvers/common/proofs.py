@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.model.tree.characteristic_length import characteristic_length
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -63,10 +64,18 @@ def evidence(kind: str, **figures: Any) -> Evidence:
     return Evidence(kind, figures)
 
 
-def lengths(place: float = 0.0, turned: float = 0.0, plane: float = 0.0, task: str = "") -> Evidence | None:
-    """Evidence that a target is out of reach by so many metres; None where all are zero."""
-    out = max(place, turned, plane) > 0.0
-    return evidence("lengths", place=place, turned=turned, plane=plane, task=task) if out else None
+def lengths(
+    system: System, place: float = 0.0, turned: float = 0.0, plane: float = 0.0, task: str = ""
+) -> Evidence | None:  # fmt: skip
+    """Evidence that a target is out of reach of a system by so many metres; None where all are zero.
+
+    Its figure `times` is the largest of them in typical lengths of a link.
+    """
+    far = max(place, turned, plane)
+    if not far > 0.0:
+        return None
+    times = far / characteristic_length(system)
+    return evidence("lengths", place=place, turned=turned, plane=plane, task=task, times=times)
 
 
 def outside_limits(system: System, q: Array, slack: float = 1e-9, turns: bool = True) -> list[str]:

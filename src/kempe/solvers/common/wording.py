@@ -37,6 +37,10 @@ def limits_of(names: Sequence[str], join: str = ", ") -> str:
     return f"the limit{'' if one else 's'} of {join.join(map(repr, names))}" if names else ""
 
 
+MILLIMETRES = 30.0
+"""Typical lengths of a link, beyond which a target is out of reach by its unit rather than by mistake."""
+
+
 # ---- what was found
 
 
@@ -115,14 +119,17 @@ def nearest(place: float | None, turn: float | None) -> str:
 # ---- evidence, by its kind
 
 
-def _lengths(place: float = 0.0, turned: float = 0.0, plane: float = 0.0, task: str = "") -> str:
+def _lengths(
+    place: float = 0.0, turned: float = 0.0, plane: float = 0.0, task: str = "", times: float = 0.0
+) -> str:  # fmt: skip
     """Out of reach of the links by at least so many metres: whatever the orientation, with it, or off the plane."""
     who = f"{task!r} is " if task else ""
+    units = "; lengths are metres: are these millimetres?" if times > MILLIMETRES else ""
     if plane > 0.0:
-        return f"{who}outside the plane of the system by {plane:.6g} m"
+        return f"{who}outside the plane of the system by {plane:.6g} m{units}"
     parts = [f" by at least {place:.6g} m"] if place > 0.0 else []
     parts += [f" with this orientation by at least {turned:.6g} m"] if turned > place else []
-    return f"{who}outside the workspace{','.join(parts)}, by the lengths of the links"
+    return f"{who}outside the workspace{','.join(parts)}, by the lengths of the links{units}"
 
 
 def _tilted(angle: float) -> str:

@@ -151,7 +151,7 @@ def _contradicting(problem: Demands) -> list[Evidence]:
 def _out_of_reach(problem: Demands, i: int) -> Evidence | None:
     """That lengths put a task out of reach, and how far."""
     place, turned = beyond(problem, problem.tasks[i], problem.goals[i]).reshape(-1, 2)[0].tolist()
-    return lengths(place, turned, task=problem.tasks[i].label)
+    return lengths(problem.system, place, turned, task=problem.tasks[i].label)
 
 
 def _alone(problem: Demands, q: Array, i: int, among: bool) -> Evidence:

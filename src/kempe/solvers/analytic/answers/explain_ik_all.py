@@ -177,9 +177,9 @@ def _reasons(solutions: Solutions, index: int) -> tuple[list[Any], bool]:
     if question.task not in TURNS:
         off = abs(float(target[0, 2, 3])) if system.dim == 2 else 0.0
         if off > tolerance:
-            return [lengths(plane=off)], True
+            return [lengths(system, plane=off)], True
         bounds = chain_of(system, question.frame).bounds
-        far = lengths(float(by_lengths(bounds, target, (tolerance, tolerance), False)[0, 0]))
+        far = lengths(system, float(by_lengths(bounds, target, (tolerance, tolerance), False)[0, 0]))
     wide = plan.lines.span.wide
     failed = None if wide or spare_joints(plan) or plan.method != "closed" else _without_root(solutions, index)
     if far or failed:
