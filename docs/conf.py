@@ -2,6 +2,7 @@
 
 import os
 import re
+import sys
 from pathlib import Path
 
 from kempe import __version__
@@ -69,6 +70,15 @@ def _plain(app, what, name, obj, options, lines):
     ]
 
 
+def _pictures(app):
+    """Draw the pictures of the gallery, which the repository does not keep."""
+    sys.path.insert(0, str(Path(__file__).parent))
+    from gallery_page import draw
+
+    draw()
+
+
 def setup(app):
-    """Connect the hook."""
+    """Connect the hooks."""
+    app.connect("builder-inited", _pictures)
     app.connect("autodoc-process-docstring", _plain)

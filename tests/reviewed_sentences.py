@@ -14,6 +14,13 @@ REVIEWED = {
     "says that it is no proof, or where one cannot be sure": {
         "docs/branches.md": ("The search ends when each mode has been found six times,",),
     },
+    "the summary of a model, whose claim the tests of the library hold": {
+        "docs/gallery.md": (
+            "The lecture's ball that cannot penetrate the ground",
+            "The lecture's car in the plane: 3 DoF, though it cannot move sideways",
+            "Two-link planar arm and a point p that it cannot reach",
+        ),
+    },
     "title of a paper": {
         "docs/structure.md": ("Iteration methods for finding all zeros of a polynomial simultaneously.",),
     },

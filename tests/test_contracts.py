@@ -202,13 +202,15 @@ CASES = {
         "UNDETERMINED"),
     "loop_jacobian of a batch": Case(
         "loop_jacobian", lambda: LINKAGE.loops.jacobian(CLOSED + np.zeros((2, 1)), [CRANK], [ROCKER]), ["SOLVED"] * 2),
+    "relative_motion": Case(
+        "relative_motion", lambda: LINKAGE.loops.relative_motion(CLOSED, *LINKAGE.body_names[:2]), "SOLVED"),
     "loop_jacobian of none": Case(
         "loop_jacobian", lambda: LINKAGE.loops.jacobian(np.zeros((0, 4)), [CRANK], [ROCKER]), []),
 }  # fmt: skip
 
 REPORTING = {"workspace", "mobility", "classify", "idealised", "independent", "closed_form", "ik_plan", "loop_jacobian",
-             "configuration_space", "components", "task_space", "singularities", "reach.poses", "reach.place",
-             "reach.capability", "reach.planar"}  # fmt: skip
+             "relative_motion", "configuration_space", "components", "task_space", "singularities", "reach.poses",
+             "reach.place", "reach.capability", "reach.planar"}  # fmt: skip
 REPORTS, ANSWERS = ([n for n, c in CASES.items() if (c.verb in REPORTING) == report] for report in (True, False))
 """Cases of the verbs that find something out about a system, and of those that give configurations."""
 NAMED = {

@@ -147,6 +147,7 @@ def usual(system: kempe.System, verb: str = "") -> dict[str, Any]:
         "poses": system.fk(q)[1:], "outputs": [other], "input": name, "output": other, "at": q,
         "joint": system.coordinate_names[-2], "toward": {name: 1.0}, "direction": np.ones(3), "fixed": {name: q[0]},
         "driver": name, "limits": {name: (-2.0, 2.0)}, "times": np.array([0.0, 1.0]), "base": q,
+        "body": tip, "to": system.body_names[0],
         "hold": {name: q[0]},
         "reference": np.array([0.0, 0.0, 1.0]), "axis": np.array([0.0, 0.0, 1.0]), "velocity": np.ones(system.nv),
         "box": {"x": (-0.1, 0.1)} if verb.startswith("place") else [(-1.0, 1.0)] * system.dim,
@@ -223,6 +224,7 @@ PLACES = [(n, p) for n, f in OF_SYSTEMS.items() for p in QS if takes(f, p) and n
 ARM_ONLY = {"self_motion", "arm_angle"}
 LOOP_ONLY = {"mechanical_advantage", "transmission_angle", "dead_points", "independent", "loop_jacobian"}
 ONE_Q = {
+    "relative_motion",
     "mobility",
     "self_motion",
     "ik_step",

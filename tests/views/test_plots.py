@@ -816,3 +816,8 @@ def test_options_are_written_out():
     assert names[:3] == ["self", "q", "path"] and set(names[3:]) == set(PlotOptions.__dataclass_fields__)
     with pytest.raises(UnsupportedError, match="planar"):
         kempe.load("puma560").plot(workspace="tool")
+
+
+def test_a_system_that_cannot_move_is_drawn():
+    rigid = kempe.load("joint_fixed")
+    assert rigid.plot(rigid.mid, labels=()).figure is not None

@@ -13,6 +13,7 @@ from kempe.model.compiled_system import FrameLike
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
+    from kempe.analysis.motion.relative_motion import RelativeMotion
     from kempe.analysis.motion.transmission import LoopJacobian
     from kempe.analysis.spaces.planar.planar_workspace import PlanarWorkspace
     from kempe.analysis.spaces.reach.base_placement import BasePlacement
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from kempe.analysis.spaces.reach.reached_poses import ReachStudy
     from kempe.budget import Budget
     from kempe.kinematics.closure_rows import SystemConstraint
+    from kempe.kinematics.symbolic_steps import ShortForm, SymbolicSteps
     from kempe.model.system import System
     from kempe.solvers.analytic.describe.describe import Recognised
     from kempe.solvers.analytic.redundant.sweep import Sweep
@@ -43,11 +45,41 @@ class Namespace:
 class Symbolic(Namespace):
     """Models of a system as formulas."""
 
-    def fk(self, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0) -> Any:
-        """The forward model in symbols (sympy Matrix 4x4); see `kempe.kinematics.symbolic.symbolic_fk`."""
+    @explained
+    def fk(
+        self, frame: FrameLike, *, relative_to: FrameLike | None = None, symbols: Mapping[str, Any] | None = None,
+        snap: float = 0.0,
+    ) -> Any:  # fmt: skip
+        """The forward model in symbols (sympy Matrix 4x4), in the ground frame or in another one.
+
+        See `kempe.kinematics.symbolic.symbolic_fk`.
+        """
         from kempe.kinematics.symbolic import symbolic_fk
 
-        return symbolic_fk(self.system, frame, symbols=symbols, snap=snap)
+        return symbolic_fk(self.system, frame, relative_to=relative_to, symbols=symbols, snap=snap)
+
+    @explained
+    def steps(
+        self, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
+    ) -> SymbolicSteps:  # fmt: skip
+        """The matrices whose product is the forward model; see `kempe.kinematics.symbolic_steps.symbolic_steps`."""
+        from kempe.kinematics.symbolic_steps import symbolic_steps
+
+        return symbolic_steps(self.system, frame, symbols=symbols, snap=snap)
+
+    @explained
+    def jacobian(self, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0) -> Any:
+        """The Jacobian in symbols (sympy Matrix 6 x nv); see `kempe.kinematics.symbolic_steps.symbolic_jacobian`."""
+        from kempe.kinematics.symbolic_steps import symbolic_jacobian
+
+        return symbolic_jacobian(self.system, frame, symbols=symbols, snap=snap)
+
+    @explained
+    def short(self, formula: Any) -> ShortForm:
+        """A formula with c12 for cos(q1 + q2), and the legend; see `kempe.kinematics.symbolic_steps.short_form`."""
+        from kempe.kinematics.symbolic_steps import short_form
+
+        return short_form(self.system, formula)
 
 
 @dataclass(frozen=True, repr=False)
@@ -153,6 +185,18 @@ class Loops(Namespace):
         from kempe.analysis.motion.transmission import mechanical_advantage
 
         return mechanical_advantage(self.system, q, input, output, direction, still, tolerance=tolerance)
+
+    @explained
+    def relative_motion(
+        self, q: ArrayLike, body: FrameLike, to: FrameLike, *, tolerance: float | str | None = None
+    ) -> RelativeMotion:  # fmt: skip
+        """How a body can move relative to another one here: its DoF, twists and their words.
+
+        See `kempe.analysis.motion.relative_motion`.
+        """
+        from kempe.analysis.motion.relative_motion import relative_motion
+
+        return relative_motion(self.system, q, body, to, tolerance=tolerance)
 
     @explained
     def transmission_angle(self, q: Any, joint: str, coupler: str | None = None, output: str | None = None) -> Any:

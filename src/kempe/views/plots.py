@@ -6,6 +6,7 @@ the extra [view]. Errors: `MissingExtraError` without matplotlib.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
@@ -203,7 +204,8 @@ def _configurations(system: System, q: Any, way: Array | None) -> tuple[Array, t
         q = system.q(q)
     elif isinstance(getattr(q, "q", None), np.ndarray):
         q = q.q
-    found = np.reshape(as_q(system, q), (-1, system.nq))
+    given = as_q(system, q)
+    found = given.reshape(math.prod(given.shape[:-1]), system.nq)
     good = np.isfinite(found).all(axis=1)
     if not good.all() and (np.ndim(q) == 1 or not good.any()):
         raise InputError("q holds numbers that are not finite: there is nothing to draw")

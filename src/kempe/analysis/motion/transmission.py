@@ -127,7 +127,7 @@ def loop_jacobian(
     rank, nullity, code = (np.zeros(lead, dtype=np.int64) for _ in range(3))
     margin = np.zeros(lead)
     for i in np.ndindex(lead):
-        free = _allowed(closure, q[i])
+        free = allowed(closure, q[i])
         motion = free * closure.unit[:, None]
         out = np.vstack([
             motion[[angle_or_slide(system, n)]] if kind == "joint" else system.jacobian(q[i], n, in_frame) @ motion
@@ -173,7 +173,7 @@ def _output(system: System, name: str) -> tuple[str, str]:
     return ("joint", name) if coordinate else ("frame", name)
 
 
-def _allowed(closure: Closure, q: Array) -> Array:
+def allowed(closure: Closure, q: Array) -> Array:
     """Orthonormal basis (nv, k) of the velocities, without unit, that all constraints allow at a closed q."""
     F, J = closure.both(q)
     gap = float(np.abs(F).max(initial=0.0))
@@ -211,7 +211,7 @@ def mechanical_advantage(
         raise InputError(f"direction is {direction!r}; it must be three numbers, not all zero")
     out = np.full(q.shape[:-1], np.nan)
     for k in np.ndindex(out.shape):
-        motion = _allowed(closure, q[k]) * closure.unit[:, None]
+        motion = allowed(closure, q[k]) * closure.unit[:, None]
         if others:
             _, s, Vt = np.linalg.svd(motion[others])
             motion = motion @ Vt[int(np.sum(s > RANK)) :].T

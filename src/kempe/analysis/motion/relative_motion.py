@@ -1,0 +1,131 @@
+"""How one body can move relative to another at a configuration, to first order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kempe.analysis.continuation.continuation import Closure
+from kempe.analysis.motion.transmission import allowed
+from kempe.calls import explained
+from kempe.errors import InputError, UnsupportedError
+from kempe.kinematics.common.result import Report
+from kempe.kinematics.configuration import as_q
+from kempe.model.tree.characteristic_length import characteristic_length
+from kempe.solvers.assembly.ideal import said, tolerant
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import FrameLike, System
+    from kempe.solvers.assembly.ideal import Idealised
+
+ZERO = 1e-9
+"""Velocities below this part of the largest, and singular values likewise, are zero."""
+
+
+@dataclass(frozen=True, eq=False)
+class RelativeMotion(Report):
+    """The motions of `body` relative to `to` that all constraints allow at a configuration, to first order."""
+
+    body: str
+    to: str
+    dof: int
+    """Their dimension."""
+    slides: int
+    """Dimension of those among them that do not turn."""
+    twists: Array
+    """A basis (6, dof), orthonormal in radians and typical lengths, rows [linear; angular] in axes of `to`.
+
+    The linear part is the velocity of the origin of `body`.
+    """
+    origin: Array
+    """The origin (3,) of `body` in the frame `to`."""
+    within: Idealised | None = field(default=None, repr=False)
+    """The nearest mechanism that closes exactly, whose motions these are; None: the given one's."""
+
+    @property
+    def status(self) -> str:
+        """The DoF in words; of a single one also the axis, in the frame `to`."""
+        head = f"{self.dof} DoF of {self.body} relative to {self.to}"
+        more = f", {self.slides} of them by sliding alone" if self.dof else ""
+        return head + (f": {self._single()}" if self.dof == 1 else more) + said(self.within)
+
+    def _headline(self) -> str:
+        return self.status
+
+    def _data(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in ("body", "to", "dof", "slides", "twists", "origin")}
+
+    def _single(self) -> str:
+        v, w = self.twists[:3, 0], self.twists[3:, 0]
+        if self.slides:
+            return f"a slide along {_direction(v)}"
+        speed = float(np.linalg.norm(w))
+        pitch = float(v @ w) / speed**2
+        through = self.origin + np.cross(w, v) / speed**2
+        at = f"{_direction(w)} through ({', '.join(f'{_rounded(x):.4g}' for x in through)})"
+        if abs(pitch) * speed <= ZERO * float(np.linalg.norm(v)):
+            return f"a turn about {at}"
+        return f"a screw of {pitch:.4g} m a radian about {at}"
+
+
+@explained
+@tolerant("q")
+def relative_motion(
+    system: System, q: ArrayLike, body: FrameLike, to: FrameLike, *, tolerance: float | str | None = None
+) -> RelativeMotion:  # fmt: skip
+    """How a body or frame can move relative to another one at q (nq,), where the loops are closed.
+
+    It is the image of the velocities that all constraints allow under the difference of both Jacobians, in the frame
+    `to`. The answer is one of first order: at a singular posture some of it may be the beginning of no motion, of which
+    `mobility` tells. Errors: `InputError` for shapes and where q is not closed, `UnknownNameError`, `UnsupportedError`
+    for frames of particles.
+
+    >>> import kempe
+    >>> slider = kempe.load("slider")
+    >>> print(relative_motion(slider, slider.neutral, "B5", "B0"))
+    1 DoF of B5 relative to B0: a slide along x
+    """
+    found = as_q(system, q)
+    if found.shape != (system.nq,):
+        raise InputError(f"q has shape {found.shape}; it must be one configuration ({system.nq},)")
+    names = [system.structure.frame_name(x) for x in (body, to)]
+    for name in names:
+        frame = system.mechanism.frames.get(name)
+        if system.mechanism.bodies[frame.body if frame else name].particle:
+            raise UnsupportedError(f"{name!r} is on a particle, which has no orientation")
+    closure = Closure(system)
+    rates = closure.unit[:, None] * allowed(closure, found)
+    moved, base = (system.jacobian(found, name) @ rates for name in names)
+    X, Y = system.fk(found, names[0]), system.fk(found, names[1])
+    back, arm = Y[:3, :3].T, X[:3, 3] - Y[:3, 3]
+    linear = moved[:3] - base[:3] - np.cross(base[3:], arm, axis=0)
+    size = characteristic_length(system)
+    scaled = np.concatenate([back @ linear / size, back @ (moved[3:] - base[3:])])
+    basis = _range(scaled)
+    twists = basis * np.repeat([size, 1.0], 3)[:, None]
+    turning = _range(basis[3:]).shape[1]
+    return RelativeMotion(names[0], names[1], basis.shape[1], basis.shape[1] - turning, twists, back @ arm)
+
+
+def _range(columns: Array) -> Array:
+    """Orthonormal basis (m, r) of what columns (m, n) span."""
+    U, s, _ = np.linalg.svd(columns, full_matrices=False)
+    return U[:, s > ZERO * max(1.0, float(s.max(initial=0.0)))]
+
+
+def _rounded(x: float) -> float:
+    return 0.0 if abs(x) < ZERO else x
+
+
+def _direction(v: Array) -> str:
+    """The name of an axis, or the unit vector, with its largest entry positive."""
+    v = v / np.linalg.norm(v)
+    k = int(np.argmax(np.abs(v)))
+    if np.delete(np.abs(v), k).max() < 1e-6:
+        return "xyz"[k]
+    v = v * np.sign(v[k])
+    return f"({', '.join(f'{_rounded(x):.4g}' for x in v)})"

@@ -1,0 +1,173 @@
+"""The forward geometric model in symbols, step by step: the pose of each body in the body before it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from kempe import spatial
+from kempe.calls import explained
+from kempe.errors import UnsupportedError
+from kempe.kinematics.symbolic import SymbolLeaves, oriented_way, symbolic_fk
+from kempe.kinematics.symbolic_turns import pose_of, sympy, unwrapped
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import FrameLike, System
+
+
+@dataclass(frozen=True, eq=False)
+class SymbolicSteps:
+    """The way from the ground to a frame: `T[i]` is the pose of `names[i + 1]` in `names[i]`, a sympy Matrix (4, 4)."""
+
+    system: System
+    names: tuple[str, ...]
+    T: tuple[Any, ...]
+    merged: Any
+    """Their product as `symbolic.fk` gives it: the angles of parallel joints are summed."""
+
+    @property
+    def R(self) -> tuple[Any, ...]:
+        """Orientation (3, 3) of each step."""
+        return tuple(T[:3, :3] for T in self.T)
+
+    @property
+    def p(self) -> tuple[Any, ...]:
+        """Position (3, 1) of each step."""
+        return tuple(T[:3, 3] for T in self.T)
+
+    @property
+    def products(self) -> tuple[Any, ...]:
+        """Pose in the ground frame after each step, multiplied out and not simplified."""
+        out = [sympy.eye(4)]
+        for T in self.T:
+            out.append(out[-1] * T)
+        return tuple(out[1:])
+
+    def numbers(self, q: Any) -> Array:
+        """The same matrices at configurations (..., nq) as numbers (..., n, 4, 4), from `fk`."""
+        X = self.system.fk(q, list(self.names))
+        return spatial.inverse(X[..., :-1, :, :]) @ X[..., 1:, :, :]
+
+    def latex(self) -> str:
+        """The product of the matrices in LaTeX, with the names of both frames at the left of each T."""
+        ways = list(zip(self.names[:-1], self.names[1:], strict=True))
+        product = r" \, ".join(_left(a, b) for a, b in ways)
+        lines = [f"{_left(self.names[0], self.names[-1])} &= {product}"]
+        lines += [f"{_left(a, b)} &= {sympy.latex(T)}" for (a, b), T in zip(ways, self.T, strict=True)]
+        return "\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}"
+
+    def _repr_latex_(self) -> str:
+        return f"$\\displaystyle {self.latex()}$"
+
+    def __str__(self) -> str:
+        lines = []
+        for a, b, T in zip(self.names[:-1], self.names[1:], self.T, strict=True):
+            lines.append(f"{b} in {a}: p = {tuple(T[:3, 3])}, R = {T[:3, :3].tolist()}")
+        return "\n".join(lines)
+
+
+@explained
+def symbolic_steps(
+    system: System, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
+) -> SymbolicSteps:
+    """The matrices whose product is the forward model of a body or frame, one for each joint on the way.
+
+    A frame that is not a body adds a last matrix, of its place on the body. `symbols`, `snap` and errors are those of
+    `kempe.kinematics.symbolic.symbolic_fk`; besides, `UnsupportedError` for a frame of a particle, which has no
+    orientation.
+
+    >>> from kempe import Mechanism
+    >>> arm = Mechanism("arm", dim=2)
+    >>> l1 = arm.parameter("l1", 0.5)
+    >>> _ = arm.revolute("q1", arm.ground, arm.body("upper"))
+    >>> _ = arm.revolute("q2", "upper", arm.body("lower"), at=(l1, 0))
+    >>> symbolic_steps(arm.build(), "lower").p[1].T
+    Matrix([[l1, 0, 0]])
+    """
+    merged = symbolic_fk(system, frame, symbols=symbols, snap=snap)
+    leaves = SymbolLeaves(system, symbols or {}, snap)
+    parts = oriented_way(system, frame, leaves)
+    names = (system.structure.topology.bodies[0], *(name for name, _ in parts))
+    return SymbolicSteps(system, names, tuple(pose_of(steps, leaves) for _, steps in parts), merged)
+
+
+def _left(upper: str, lower: str) -> str:
+    """T with the names of its two frames at its left."""
+    a, b = (name.replace("_", r"\_") for name in (upper, lower))
+    return rf"{{}}^{{\mathrm{{{a}}}}}_{{\mathrm{{{b}}}}}T"
+
+
+@explained
+def symbolic_jacobian(
+    system: System, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
+) -> Any:
+    """Jacobian of a body or frame in symbols: a sympy Matrix (6, nv), rows [linear; angular] in axes of the ground.
+
+    A joint that turns about a has the column [a x (p - c); a], with a point c of its axis; one that slides along a has
+    [a; 0] (Siciliano, Sciavicco, Villani, Oriolo 2009, section 3.1). Multiplied with velocities it gives what
+    `system.jacobian` gives in numbers. `symbols`, `snap` and errors are those of `symbolic_steps`; besides,
+    `UnsupportedError` where a ball with a quaternion moves the frame.
+    """
+    leaves, given = SymbolLeaves(system, {}, snap), SymbolLeaves(system, symbols or {}, snap).given
+    parts = oriented_way(system, frame, leaves)
+    steps = unwrapped(step for _, motions in parts for step in motions)
+    names = system.structure.velocity_names
+    end: Any = pose_of(steps, leaves)[:3, 3]
+    J = sympy.zeros(6, len(names))
+    for k, step in enumerate(steps):
+        moved = [i for i, n in enumerate(names) if sympy.Matrix([step.amount or 0]).has(sympy.Symbol(n))]
+        if step.kind == "rotation" and step.amount.has(*map(sympy.Symbol, system.coordinate_names)):
+            raise UnsupportedError(f"{step.subject} turns by a quaternion; see joint type 'spherical' with angles=True")
+        if step.kind not in ("turn", "slide") or not moved:
+            continue
+        here: Any = pose_of(steps[:k], leaves)
+        a = here[:3, :3] * step.axis
+        column = [*a.cross(end - here[:3, 3]), *a] if step.kind == "turn" else [*a, 0, 0, 0]
+        for i in moved:
+            J[:, i] += sympy.Matrix(column) * step.amount.diff(sympy.Symbol(names[i]))
+    return J.applyfunc(sympy.expand).xreplace({sympy.Symbol(n): x for n, x in given.items()})
+
+
+class ShortForm(NamedTuple):
+    """A formula in which c1 stands for cos(q1) and s12 for sin(q1 + q2), and what each of them stands for."""
+
+    formula: Any
+    legend: dict[Any, Any]
+
+
+@explained
+def short_form(system: System, formula: Any) -> ShortForm:
+    """A formula with short names for sines and cosines of sums of coordinates: l1 c1 + l2 c12, and the legend.
+
+    A coordinate is named by the digits at the end of its name, or after an underscore by its name. Functions of
+    anything else, and names that the formula has already, stay as they are.
+
+    >>> import kempe
+    >>> arm = kempe.load("two_link")
+    >>> short_form(arm, arm.symbolic.fk("e")[0, 3]).formula
+    c1*l1 + c12*l2
+    """
+    formula = sympy.sympify(formula)
+    legend: dict[Any, Any] = {}
+    for found in sorted(formula.atoms(sympy.sin, sympy.cos), key=str):
+        label = _label(system, found.args[0])
+        symbol = sympy.Symbol(f"{'c' if found.func == sympy.cos else 's'}{label}")
+        if label and symbol not in formula.free_symbols:
+            legend[symbol] = found
+    return ShortForm(formula.xreplace({found: symbol for symbol, found in legend.items()}), legend)
+
+
+def _label(system: System, angle: Any) -> str:
+    """Short name of a sum of coordinates, each with the sign plus or minus; '' for other expressions."""
+    numbers = {sympy.Symbol(n): i for i, n in enumerate(system.coordinate_names)}
+    terms: list[Any] = [term.as_coeff_Mul() for term in sympy.Add.make_args(sympy.expand(angle))]
+    if not all(sign in (1, -1) and symbol in numbers for sign, symbol in terms):
+        return ""
+    out = ""
+    for sign, symbol in sorted(terms, key=lambda term: (-int(term[0]), numbers[term[1]])):
+        digits = re.search(r"\d+$", symbol.name)
+        out += ("-" if sign < 0 else "") + (digits[0] if digits else f"_{symbol.name}")
+    return out

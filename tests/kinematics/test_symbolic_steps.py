@@ -1,0 +1,134 @@
+"""Formulas step by step, relative, as a Jacobian, in short: those of the lecture, and the numbers of `fk`."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import kempe
+from kempe import Mechanism, spatial
+from kempe.errors import InputError, UnknownNameError, UnsupportedError
+
+sympy = pytest.importorskip("sympy")
+from kempe.kinematics.symbolic_steps import short_form  # noqa: E402
+
+ARM = kempe.load("two_link")
+SYSTEMS = ["two_link", "seven_bodies", "puma560", "ur5", "panda", "four_bar", "four_links", "joint_helical",
+           "joint_universal", "joint_cylindrical", "seven_bodies_loop"]  # fmt: skip
+
+
+def numbers(system, formula, q):
+    """The formula as numbers at q."""
+    values = {**system.structure.parameters, **dict(zip(system.coordinate_names, q, strict=True))}
+    return np.array(formula.subs(values).evalf(), dtype=float)
+
+
+def ends(system):
+    """The last frame and a body half way to it."""
+    return system.frame_names[-1], system.body_names[(len(system.body_names) + 1) // 2]
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_steps_multiply_to_the_forward_model(name):
+    system = kempe.load(name)
+    q, frame = system.random(3), ends(system)[0]
+    steps = system.symbolic.steps(frame)
+    pairs = list(zip(steps.names[:-1], steps.names[1:], strict=True))
+    assert len(steps.T) == len(pairs) == len(steps.R) == len(steps.p)
+    for (a, b), T, R, p, X in zip(pairs, steps.T, steps.R, steps.p, steps.numbers(q), strict=True):
+        A, B = system.fk(q, a) if a != steps.names[0] else np.eye(4), system.fk(q, b)
+        assert np.allclose(numbers(system, T, q), spatial.inverse(A) @ B, atol=1e-12) and np.allclose(
+            X, spatial.inverse(A) @ B, atol=1e-12
+        )
+        assert T[:3, :3] == R and T[:3, 3] == p
+    for b, product in zip(steps.names[1:], steps.products, strict=True):
+        assert np.allclose(numbers(system, product, q), system.fk(q, b), atol=1e-12)
+    assert steps.merged == system.symbolic.fk(frame)
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_one_frame_in_another_and_the_jacobian(name):
+    system = kempe.load(name)
+    q, (frame, body) = system.random(4), ends(system)
+    for a, b in ((frame, body), (body, frame), (frame, frame)):
+        relative = numbers(system, system.symbolic.fk(a, relative_to=b), q)
+        assert np.allclose(relative, spatial.inverse(system.fk(q, b)) @ system.fk(q, a), atol=1e-12)
+    J = system.symbolic.jacobian(frame)
+    assert J.shape == (6, system.nv)
+    assert np.allclose(numbers(system, J, q), system.jacobian(q, frame), atol=1e-12)
+
+
+def test_the_lectures_arm_to_the_letter():
+    """The slide: 0p_e = 0R1 (1p_2 + 1R2 2p_e), with frames in the joints."""
+    steps = ARM.symbolic.steps("e")
+    q1, q2, l1, l2 = sympy.symbols("q1 q2 l1 l2")
+    assert steps.names == ("ground", "B1", "B2", "e")
+    assert [list(p) for p in steps.p] == [[0, 0, 0], [l1, 0, 0], [l2, 0, 0]]
+    assert steps.R[0] == sympy.Matrix(
+        [[sympy.cos(q1), -sympy.sin(q1), 0], [sympy.sin(q1), sympy.cos(q1), 0], [0, 0, 1]]
+    )
+    by_hand = steps.R[0] * (steps.p[1] + steps.R[1] * steps.p[2])
+    assert sympy.simplify(by_hand - steps.merged[:3, 3]) == sympy.zeros(3, 1)
+    c1, s1, c12, s12 = sympy.symbols("c1 s1 c12 s12")
+    formula, legend = ARM.symbolic.short(steps.merged[:2, 3])
+    assert formula == sympy.Matrix([l1 * c1 + l2 * c12, l1 * s1 + l2 * s12])
+    assert legend[c12] == sympy.cos(q1 + q2) and legend[s1] == sympy.sin(q1) and len(legend) == 4
+    J, _ = ARM.symbolic.short(ARM.symbolic.jacobian("e"))
+    assert J[:2, :] == sympy.Matrix([[-l1 * s1 - l2 * s12, -l2 * s12], [l1 * c1 + l2 * c12, l2 * c12]])
+    assert list(J[5, :]) == [1, 1]
+    det = sympy.trigsimp(ARM.symbolic.jacobian("e")[:2, :].det())
+    assert sympy.simplify(det - l1 * l2 * sympy.sin(q2)) == 0  # singular where the arm is straight or folded
+
+
+def test_latex_says_both_frames_at_the_left():
+    steps = ARM.symbolic.steps("e")
+    assert r"{}^{\mathrm{ground}}_{\mathrm{B1}}T" in steps.latex() and steps._repr_latex_().startswith("$")
+    assert "B2 in B1: p = (l1, 0, 0)" in str(steps)
+
+
+@pytest.mark.parametrize("formula, said", [
+    ("cos(q2 - q1)", "c1-2"), ("sin(q1) + sin(q2)", "s1 + s2"), ("cos(2*q1)", "cos(2*q1)"), ("cos(l1)", "cos(l1)"),
+    ("cos(q1 + 1)", "cos(q1 + 1)"), ("c1 + cos(q1)", "c1 + cos(q1)"),
+])  # fmt: skip
+def test_short_names(formula, said):
+    short, legend = short_form(ARM, sympy.sympify(formula))
+    assert str(short) == said
+    assert sympy.simplify(short.xreplace(legend) - sympy.sympify(formula)) == 0
+
+
+def test_names_without_digits_stay_readable():
+    m = Mechanism("arm", dim=2)
+    m.revolute("shoulder", m.ground, m.body("upper"))
+    m.revolute("elbow", "upper", m.body("lower"), at=(0.5, 0))
+    m.frame("tip", "lower", at=(0.25, 0))
+    system = m.build()
+    assert (
+        str(system.symbolic.short(system.symbolic.fk("tip")[0, 3]).formula) == "0.5*c_shoulder + 0.25*c_shoulder_elbow"
+    )
+
+
+def test_values_in_place_of_symbols():
+    J = ARM.symbolic.jacobian("e", symbols={"l1": 2, "l2": 1, "q1": 0})
+    q2 = sympy.Symbol("q2")
+    assert J[:2, :] == sympy.Matrix([[-sympy.sin(q2), -sympy.sin(q2)], [2 + sympy.cos(q2), sympy.cos(q2)]])
+    assert ARM.symbolic.steps("e", symbols={"l1": 2}).p[1][0] == 2
+
+
+def test_what_has_no_formula_is_said():
+    ball = kempe.load("joint_spherical")
+    with pytest.raises(UnsupportedError, match="quaternion"):
+        ball.symbolic.jacobian(ball.body_names[-1])
+    m = Mechanism("particle")
+    m.free("J", m.ground, m.particle("P"))
+    for ask in (m.build().symbolic.steps, m.build().symbolic.jacobian):
+        with pytest.raises(UnsupportedError, match="particle"):
+            ask("P")
+    with pytest.raises(UnsupportedError, match="particle"):
+        m.build().symbolic.fk("P", relative_to="ground")
+    for ask in (ARM.symbolic.steps, ARM.symbolic.jacobian):
+        with pytest.raises(UnknownNameError, match="nowhere"):
+            ask("nowhere")
+        with pytest.raises(UnknownNameError, match="l9"):
+            ask("e", symbols={"l9": 1})
+        with pytest.raises(InputError, match="snap"):
+            ask("e", snap=3.0)
