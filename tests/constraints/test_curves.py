@@ -11,6 +11,7 @@ from scipy.optimize import minimize_scalar
 
 import kempe
 from kempe import constraints as c
+from kempe.constraints.curves import spline, table_of
 from kempe.constraints.tape import Tape
 from kempe.description.toml.toml import read_toml
 from kempe.description.toml.toml_writer import write_toml
@@ -224,3 +225,28 @@ def test_points_of_another_dimension():
         crank_and_arm(c.OnCurve("tip", RING, closed=True))
     with pytest.raises(InputError, match="closed of OnCurve of 'tip' is 'yes'"):
         c.OnCurve("tip", RING, "yes")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("size", [1e-10, 1.0, 1e6])
+def test_a_sharp_curve_is_split_into_gentle_pieces_that_join(size):
+    """Through the corners of a zigzag round a square: of any size, through all points, without gaps or kinks."""
+    points = size * np.array([[0, 0, 0], [1, 0, 0], [0.9, 1, 0], [0.1, 0.1, 0], [0, 1, 0]], dtype=float)
+    pieces = spline(tuple(map(tuple, points)), True, "the curve")
+    assert len(pieces) > len(points)
+    starts, ends = pieces[..., 0], pieces.sum(axis=-1)
+    speeds = pieces[..., 1], (pieces * np.arange(4)).sum(axis=-1)
+    assert np.allclose(ends, np.roll(starts, -1, axis=0), atol=1e-12 * size)
+    there = np.linalg.norm(points[:, None] - starts, axis=-1).min(axis=1)
+    assert there.max() < 1e-12 * size
+    along = [v / np.linalg.norm(v, axis=1, keepdims=True) for v in speeds]
+    assert np.allclose(along[1], np.roll(along[0], -1, axis=0), atol=1e-9)
+
+
+def test_the_radius_of_a_piece_is_that_of_its_control_points():
+    """Bernstein's form of a cubic, by the conversion of monomials that textbooks print (Farin 2002, chapter 5)."""
+    pieces = np.random.default_rng(3).normal(size=(5, 3, 4))
+    rows = np.array(table_of(pieces, True)[1:]).reshape(5, 13)
+    to_bernstein = np.array([[1, 0, 0, 0], [1, 1 / 3, 0, 0], [1, 2 / 3, 1 / 3, 0], [1, 1, 1, 1]])
+    control = pieces @ to_bernstein.T
+    radius = np.linalg.norm(control[..., 1:] - control[..., :1], axis=1).max(axis=-1)
+    assert np.allclose(rows[:, 12], radius) and np.array_equal(rows[:, :12], pieces.reshape(5, 12))

@@ -12,7 +12,7 @@ from hypothesis import given, reject
 from hypothesis import strategies as st
 
 from kempe.constraints.recording import NotRecorded, probe, record
-from kempe.constraints.tape import NAMES, Tape
+from kempe.constraints.tape import NAMES, Tape, is_plain
 from kempe.constraints.text import from_text
 from kempe.errors import InputError, KempeError, UnknownNameError
 from kempe.values import FUNCTIONS, OF_TWO
@@ -333,3 +333,11 @@ def test_long_texts_are_refused_where_shared_parts_multiply():
     assert isinstance(tape, Tape) and tape.size < 200
     with pytest.raises(InputError, match="more than 20000 characters"):
         tape.texts()
+
+
+@pytest.mark.parametrize(("name", "plain"), [
+    ("q1", True), ("arm.q1", True), ("arm.if", False), ("if", False), ("if.q1", False), ("1q", False), ("sin", False),
+    ("a b", False), ("", False),
+])  # fmt: skip
+def test_names_that_stand_in_text_as_they_are(name, plain):
+    assert is_plain(name) is plain

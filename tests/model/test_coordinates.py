@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kempe import Mechanism
-from kempe.errors import DescriptionError
+from kempe.errors import DescriptionError, KempeError
 from kempe.joints import P, Q, R, joint_type
 from kempe.kernels.compiled import table_sweep
 from kempe.kinematics.closure_errors import coordinate_value
@@ -196,3 +196,15 @@ def test_limits_that_touch_through_a_gear_are_accepted(ratio, driver, driven, dr
     limits = geared(driver, driven, ratio, driven_first).structure.limits
     np.testing.assert_allclose(limits, [[0.3, 0.3]], rtol=1e-15)
     assert limits[0, 0] <= limits[0, 1]
+
+
+@pytest.mark.parametrize(("value", "good"), [(0.5, True), (1.0, True), (0.7, True), (0.49, False), (1.01, False)])
+def test_a_joint_is_locked_inside_its_limits_and_at_them(value, good):
+    m = Mechanism("arm", dim=2)
+    m.revolute("J", m.ground, m.body("B"), limits=(0.5, 1.0))
+    m.lock({"J": value})
+    if good:
+        assert m.build().nq == 0
+    else:
+        with pytest.raises(KempeError, match="outside"):
+            m.build()

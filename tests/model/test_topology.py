@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from kempe import Mechanism, System
 from kempe.errors import DescriptionError
 from kempe.joints import joint_type
+from kempe.model.tree.characteristic_length import origin_of
 from kempe.model.tree.topology import natural, spanning_tree
 
 
@@ -316,3 +317,22 @@ def test_work_grows_linearly(rungs):
     small, large = chain(250, rungs), chain(1000, 4 * rungs)
     assert steps(large.build) < 4.8 * steps(small.build)
     assert steps(lambda: chain(1000)) < 4.8 * steps(lambda: chain(250))
+
+
+def test_names_in_their_natural_order():
+    names = ["J10", "J2", "J1", "Ja", "J02", "J", "K1", "1", "10", "2"]
+    assert sorted(names, key=natural) == ["1", "2", "10", "J", "J1", "J02", "J2", "J10", "Ja", "K1"]
+
+
+@pytest.mark.parametrize("away", [0.0, 3.0, 1e6])
+def test_loops_are_measured_from_where_they_are(away):
+    """A mechanism far from the ground's origin loses no digits, and one near by is measured from there."""
+    m = Mechanism("four-bar", dim=2)
+    m.revolute("A", m.ground, m.body("a"), at=(away, 0))
+    m.revolute("B", "a", m.body("b"), at=(0.1, 0))
+    m.revolute("C", "b", m.body("c"), at=(0.4, 0))
+    m.revolute("D", m.ground, "c", at=(away + 0.35, 0), child_at=(0.3, 0))
+    system = m.build()
+    origin = origin_of(system)
+    assert np.allclose(origin, [away, 0, 0] if away == 1e6 else 0.0, atol=1.0)
+    assert away == 3.0 or system.mobility().dof == 1

@@ -7,9 +7,12 @@ import math
 import analytic_oracle as oracle
 import arms
 import numpy as np
+import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from ik_all_checks import SAME, ask, assert_sound, nearest, rows, same_sets
+
+import kempe
 
 RIGHT = st.sampled_from([0.0, math.pi / 2, -math.pi / 2, math.pi])
 ANGLE = st.one_of(RIGHT, RIGHT, st.floats(-3.1, 3.1).map(lambda x: round(x, 3)))
@@ -141,3 +144,17 @@ def test_targets_written_with_seven_digits(seed, name):
     assume(arm.model.condition(arm.model.theta(q)) > 0.02)
     X = arm.model.fk(q).astype(np.float32).astype(float)
     assert nearest(arm, arm.system.ik_all(X, arm.frame).q, arm.model.theta(q)) < 2e-4
+
+
+def test_turns_at_both_ends_of_a_range_of_one_turn_are_solutions():
+    arm = kempe.load("two_link").with_limits({"q1": (0.3, 0.3 + 2 * np.pi), "q2": (0.0, 3.0)})
+    found = arm.ik_all(arm.fk([0.3, 0.4], "e")[:2, 3], "e")
+    assert np.allclose(sorted(found.q[:, 0]), [0.3, 0.3 + 2 * np.pi]) and np.allclose(found.q[:, 1], 0.4)
+
+
+@pytest.mark.parametrize("name", ["puma560", "ur5", "crx10ia", "gen3_lite", "jaco2"])
+def test_targets_that_are_no_numbers_are_said_by_each_method(name):
+    arm = kempe.load(name)
+    frame = arm.frame_names[-1]
+    X = np.stack([arm.fk(arm.mid, frame), np.full((4, 4), np.nan)])
+    assert arm.ik_all(X, frame).code[1] == kempe.Status.BAD_INPUT

@@ -457,3 +457,10 @@ def test_intervals():
     assert union([(3.0, 4.0), (-PI, -3.0)], True) == ((3.0, 4.0),)
     assert union([(0.0, 1.0), (0.5, 2.0), (3.0, 4.0)], False) == ((0.0, 2.0), (3.0, 4.0))
     assert union([(-1.0, 3.5), (3.0, 6.0)], True) == ((-PI, PI),)
+
+
+def test_arcs_between_angles():
+    assert arcs([]) == [(-np.pi, np.pi)]
+    assert arcs([0.5]) == [(0.5, 0.5 + 2 * np.pi)]
+    assert np.allclose(arcs([0.5, 2 * np.pi + 0.5, -1.0]), [(-1.0, 0.5), (0.5, 2 * np.pi - 1.0)])
+    assert len(arcs([np.pi, -np.pi])) == 1
