@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from kempe.kinematics.symbolic_steps import ShortForm, SymbolicSteps
     from kempe.model.system import System
     from kempe.solvers.analytic.describe.describe import Recognised
+    from kempe.solvers.analytic.describe.symbolic_ik import InverseFormulas
     from kempe.solvers.analytic.redundant.sweep import Sweep
     from kempe.solvers.assembly.assembler import Assembler
     from kempe.solvers.dyads.dyads import Incomplete, Plan
@@ -73,6 +74,16 @@ class Symbolic(Namespace):
         from kempe.kinematics.symbolic_steps import symbolic_jacobian
 
         return symbolic_jacobian(self.system, frame, symbols=symbols, snap=snap)
+
+    @explained
+    def ik(self, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None) -> InverseFormulas:
+        """The inverse model of a planar two-link arm as formulas.
+
+        See `kempe.solvers.analytic.describe.symbolic_ik.symbolic_ik`.
+        """
+        from kempe.solvers.analytic.describe.symbolic_ik import symbolic_ik
+
+        return symbolic_ik(self.system, frame, symbols=symbols)
 
     @explained
     def short(self, formula: Any) -> ShortForm:
