@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from kempe import spatial
 from kempe.calls import explained
-from kempe.errors import UnsupportedError
+from kempe.errors import InputError, UnsupportedError, shown
 from kempe.kinematics.symbolic import SymbolLeaves, oriented_way, symbolic_fk
 from kempe.kinematics.symbolic_turns import pose_of, sympy, unwrapped
 from kempe.spatial import Array
@@ -143,14 +143,19 @@ def short_form(system: System, formula: Any) -> ShortForm:
     """A formula with short names for sines and cosines of sums of coordinates: l1 c1 + l2 c12, and the legend.
 
     A coordinate is named by the digits at the end of its name, or after an underscore by its name. Functions of
-    anything else, and names that the formula has already, stay as they are.
+    anything else, and names that the formula has already, stay as they are. Errors: `InputError` for what is none.
 
     >>> import kempe
     >>> arm = kempe.load("two_link")
     >>> short_form(arm, arm.symbolic.fk("e")[0, 3]).formula
     c1*l1 + c12*l2
     """
-    formula = sympy.sympify(formula)
+    try:
+        formula = sympy.sympify(formula, strict=True)  # text would be evaluated
+    except sympy.SympifyError:
+        raise InputError(f"formula is {shown(formula)}; it must be an expression or a matrix of sympy") from None
+    if not isinstance(formula, (sympy.Basic, sympy.MatrixBase)):
+        raise InputError(f"formula is {shown(formula)}; it must be an expression or a matrix of sympy")
     legend: dict[Any, Any] = {}
     for found in sorted(formula.atoms(sympy.sin, sympy.cos), key=str):
         label = _label(system, found.args[0])

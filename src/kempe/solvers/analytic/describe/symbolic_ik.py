@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.calls import explained
-from kempe.errors import InputError, UnsupportedError
+from kempe.calls import explained, numbers
+from kempe.errors import InputError, UnsupportedError, shown
 from kempe.kinematics.symbolic import symbolic_fk
 from kempe.kinematics.symbolic_turns import sympy
+from kempe.reals import is_whole
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -41,11 +42,9 @@ class InverseFormulas:
 
     def __call__(self, p: ArrayLike, sign: int) -> Array:
         """The two coordinates (..., 2) in radians for positions p (..., 2) in metres; nan where p is out of reach."""
-        at = np.asarray(p, dtype=float)
-        if at.shape[-1:] != (2,):
-            raise InputError(f"p has shape {at.shape}; it must be (..., 2)")
-        if sign not in (-1, 1):
-            raise InputError(f"sign is {sign!r}; it must be -1 (elbow up) or 1 (elbow down)")
+        at = numbers(p, "p", 2)
+        if not is_whole(sign) or sign not in (-1, 1):
+            raise InputError(f"sign is {shown(sign)}; it must be -1 (elbow up) or 1 (elbow down)")
         known: dict[Any, Any] = {sympy.Symbol(n): v for n, v in self.system.structure.parameters.items()}
         unknown = sorted(map(str, self._lengths() - set(known)))
         if unknown:
