@@ -57,7 +57,7 @@ def test_a_singular_value_above_rounding_makes_the_answer_probable(kind, hunt):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [parallel_rods, two_balls_of_hinges])
 def test_a_singular_value_above_rounding_makes_many_answers_probable(kind, hunt):
-    check_doubt(hunt, kind, 200)
+    check_doubt(hunt, kind, 80)
 
 
 # ---- count, rank and truth
