@@ -138,3 +138,27 @@ def test_what_has_no_formula_is_said():
 def test_what_is_no_formula_is_refused(wrong):
     with pytest.raises(InputError, match="must be an expression or a matrix of sympy"):
         ARM.symbolic.short(wrong)
+
+
+@pytest.mark.parametrize("names, said", [
+    (("q12", "q1", "q2"), "c_q12 + c_q12_q1 + c_q12_q1_q2"), (("left1", "right1"), "c_left1 + c_left1_right1"),
+    (("q1", "q2"), "c1 + c12"), (("q1", "swing"), "c1 + c1_swing"), (("a", "b", "a_b"), "c_a + c_a_b + c_a_b_a_b"),
+])  # fmt: skip
+def test_short_names_tell_angles_apart(names, said):
+    """Two angles have no short name in common: numbers put into the legend give the formula back."""
+    m = Mechanism("arm", dim=2)
+    body = m.ground
+    for i, name in enumerate(names):
+        m.revolute(name, body, m.body(f"B{i}"), at=(0.0 if i == 0 else 1.0, 0))
+        body = f"B{i}"
+    m.frame("e", body, at=(1.0, 0))
+    system = m.build()
+    formula = system.symbolic.fk("e")[0, 3]
+    short, legend = system.symbolic.short(formula)
+    assert str(short) == said and short.xreplace(legend) == formula
+    angles = sum(system.symbolic.fk(f"B{i}")[0, 0] for i in range(len(names)))
+    more = angles + sum(sympy.sin(sympy.Symbol(name)) for name in names)
+    short, legend = system.symbolic.short(more)
+    assert short.xreplace(legend) == more and len({a.args[0] for a in legend.values()}) == len(
+        {str(c)[1:] for c in legend}
+    )

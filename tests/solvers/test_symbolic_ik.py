@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+
 import numpy as np
 import pytest
 
@@ -72,3 +74,21 @@ def test_other_chains_are_refused():
         ARM.symbolic.ik("e")([0.6, 0.3, 0.0], 1)
     with pytest.raises(InputError, match="k"):
         ARM.symbolic.ik("e", symbols={"l1": sympy.Symbol("k")})([0.6, 0.3], 1)
+
+
+@pytest.mark.parametrize("names", [("a.b", "a_b"), ("q 1", "2nd"), ("lambda", "numpy"), ("first", "second")])
+def test_code_has_names_of_its_own_for_all_that_it_computes(names):
+    m = Mechanism("arm", dim=2)
+    m.revolute(names[0], m.ground, m.body("A"))
+    m.revolute(names[1], "A", m.body("B"), at=(m.parameter("l1", 0.5), 0))
+    m.frame("tip", "B", at=(0.4, 0))
+    function = ast.parse(m.build().symbolic.ik("tip").code()).body[-1]
+    assert isinstance(function, ast.FunctionDef)
+    *lines, last = function.body
+    made = [line.targets[0].id for line in lines]
+    known = [argument.arg for argument in function.args.args] + made
+    assert len(set(known)) == len(known) == 4 + 7 and "numpy" not in known
+    assert [x.id for x in last.value.elts] == made[-2:]
+    for i, line in enumerate(lines):  # what is computed before, and the arguments
+        used = {x.id for x in ast.walk(line.value) if isinstance(x, ast.Name)} - {"numpy"}
+        assert used <= {*known[: 4 + i]}

@@ -6,7 +6,7 @@ The chain is walked as a product of turns and slides, see `kempe.kinematics.symb
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -64,11 +64,15 @@ def symbolic_fk(
     name = system.structure.frame_name(frame)
     leaves = SymbolLeaves(system, symbols or {}, snap)
     out: Any = pose_of(_between(system, name, relative_to, leaves), leaves)
-    on = system.structure.frames[name].body if name in system.structure.frames else name
-    if system.mechanism.bodies[on].particle:
+    if system.structure.table.at[name][2]:
         out[:3, :3] = sympy.eye(3)  # a particle has no orientation
     out.snapped = tuple(dict.fromkeys(leaves.snapped))
     return out
+
+
+def aligned(lines: Iterable[str]) -> str:
+    """Formulas in LaTeX, one below the other at their `&`."""
+    return "\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}"
 
 
 # ---- the way from the ground to the frame, as turns, slides and constant rotations
@@ -89,9 +93,8 @@ def _between(system: System, name: str, base: FrameLike | None, leaves: SymbolLe
 def oriented_way(system: System, frame: FrameLike, leaves: SymbolLeaves) -> list[tuple[str, list[SymbolicStep]]]:
     """The way to a frame that has an orientation, see `_way_to`; `UnsupportedError` for particles."""
     name = system.structure.frame_name(frame)
-    on = system.structure.frames[name].body if name in system.structure.frames else name
-    if system.mechanism.bodies[on].particle:
-        raise UnsupportedError(f"{on!r} is a particle and has no orientation; symbolic.fk gives its position")
+    if system.structure.table.at[name][2]:
+        raise UnsupportedError(f"{name!r} is a particle and has no orientation; symbolic.fk gives its position")
     return _way_to(system, name, leaves)
 
 

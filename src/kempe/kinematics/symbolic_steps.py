@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from kempe import spatial
 from kempe.calls import explained
 from kempe.errors import InputError, UnsupportedError, shown
-from kempe.kinematics.symbolic import SymbolLeaves, oriented_way, symbolic_fk
+from kempe.kinematics.symbolic import SymbolLeaves, aligned, oriented_way, symbolic_fk
 from kempe.kinematics.symbolic_turns import pose_of, sympy, unwrapped
 from kempe.spatial import Array
 
@@ -57,7 +57,7 @@ class SymbolicSteps:
         product = r" \, ".join(_left(a, b) for a, b in ways)
         lines = [f"{_left(self.names[0], self.names[-1])} &= {product}"]
         lines += [f"{_left(a, b)} &= {sympy.latex(T)}" for (a, b), T in zip(ways, self.T, strict=True)]
-        return "\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}"
+        return aligned(lines)
 
     def _repr_latex_(self) -> str:
         return f"$\\displaystyle {self.latex()}$"
@@ -118,16 +118,15 @@ def symbolic_jacobian(
     end: Any = pose_of(steps, leaves)[:3, 3]
     J = sympy.zeros(6, len(names))
     for k, step in enumerate(steps):
-        moved = [i for i, n in enumerate(names) if sympy.Matrix([step.amount or 0]).has(sympy.Symbol(n))]
         if step.kind == "rotation" and step.amount.has(*map(sympy.Symbol, system.coordinate_names)):
             raise UnsupportedError(f"{step.subject} turns by a quaternion; see joint type 'spherical' with angles=True")
-        if step.kind not in ("turn", "slide") or not moved:
-            continue
-        here: Any = pose_of(steps[:k], leaves)
-        a = here[:3, :3] * step.axis
-        column = [*a.cross(end - here[:3, 3]), *a] if step.kind == "turn" else [*a, 0, 0, 0]
-        for i in moved:
-            J[:, i] += sympy.Matrix(column) * step.amount.diff(sympy.Symbol(names[i]))
+        moves = step.kind in ("turn", "slide")
+        rates = [sympy.diff(step.amount, sympy.Symbol(name)) for name in names] if moves else []
+        if any(rates):
+            here: Any = pose_of(steps[:k], leaves)
+            a = here[:3, :3] * step.axis
+            column = [*a.cross(end - here[:3, 3]), *a] if step.kind == "turn" else [*a, 0, 0, 0]
+            J += sympy.Matrix(column) * sympy.Matrix([rates])
     return J.applyfunc(sympy.expand).xreplace({sympy.Symbol(n): x for n, x in given.items()})
 
 
@@ -142,8 +141,9 @@ class ShortForm(NamedTuple):
 def short_form(system: System, formula: Any) -> ShortForm:
     """A formula with short names for sines and cosines of sums of coordinates: l1 c1 + l2 c12, and the legend.
 
-    A coordinate is named by the digits at the end of its name, or after an underscore by its name. Functions of
-    anything else, and names that the formula has already, stay as they are. Errors: `InputError` for what is none.
+    A coordinate is named by the digit at the end of its name, where that tells it from the others, else after an
+    underscore by its name. Functions of anything else, and those whose short name the formula has already or another
+    angle has taken, stay as they are. Errors: `InputError` for what is no formula.
 
     >>> import kempe
     >>> arm = kempe.load("two_link")
@@ -157,22 +157,31 @@ def short_form(system: System, formula: Any) -> ShortForm:
     if not isinstance(formula, (sympy.Basic, sympy.MatrixBase)):
         raise InputError(f"formula is {shown(formula)}; it must be an expression or a matrix of sympy")
     legend: dict[Any, Any] = {}
+    words, angles = _words(system), dict[str, Any]()
     for found in sorted(formula.atoms(sympy.sin, sympy.cos), key=str):
-        label = _label(system, found.args[0])
+        angle = found.args[0]
+        label = _label(words, angle)
         symbol = sympy.Symbol(f"{'c' if found.func == sympy.cos else 's'}{label}")
-        if label and symbol not in formula.free_symbols:
+        if label and angles.setdefault(label, angle) == angle and symbol not in formula.free_symbols:
             legend[symbol] = found
     return ShortForm(formula.xreplace({found: symbol for symbol, found in legend.items()}), legend)
 
 
-def _label(system: System, angle: Any) -> str:
+def _words(system: System) -> dict[Any, str]:
+    """Short names of the coordinates, in their order: digits where no two are the same and none has two of them."""
+    names = system.coordinate_names
+    ends = [re.search(r"\d+$", name) for name in names]
+    digits = [end[0] for end in ends if end]
+    short = len(set(digits)) == len(digits) and all(len(d) == 1 for d in digits)
+    return {sympy.Symbol(n): end[0] if end and short else f"_{n}" for n, end in zip(names, ends, strict=True)}
+
+
+def _label(words: Mapping[Any, str], angle: Any) -> str:
     """Short name of a sum of coordinates, each with the sign plus or minus; '' for other expressions."""
-    numbers = {sympy.Symbol(n): i for i, n in enumerate(system.coordinate_names)}
-    terms: list[Any] = [term.as_coeff_Mul() for term in sympy.Add.make_args(sympy.expand(angle))]
-    if not all(sign in (1, -1) and symbol in numbers for sign, symbol in terms):
+    terms = {symbol: sign for sign, symbol in (x.as_coeff_Mul() for x in sympy.Add.make_args(sympy.expand(angle)))}
+    if not all(sign in (1, -1) and symbol in words for symbol, sign in terms.items()):
         return ""
-    out = ""
-    for sign, symbol in sorted(terms, key=lambda term: (-int(term[0]), numbers[term[1]])):
-        digits = re.search(r"\d+$", symbol.name)
-        out += ("-" if sign < 0 else "") + (digits[0] if digits else f"_{symbol.name}")
-    return out
+    return "".join(
+        [word for symbol, word in words.items() if terms.get(symbol) == 1]
+        + [f"-{word}" for symbol, word in words.items() if terms.get(symbol) == -1]
+    )

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.analysis.first_order.constraint_graph import ConstraintGraph, Edge, rows_of, structure
+from kempe.analysis.first_order.null_space import column_space
 from kempe.description.parts import Declared
 from kempe.spatial import Array
 from kempe.words import counted
@@ -196,7 +197,7 @@ def loop_counts(system: System, at: Screws | None) -> tuple[LoopCount, ...]:
 def group_of(twists: Array) -> tuple[int, int]:
     """Dimension of the smallest group of motions that contains these screws (6, n), and of its turns."""
     basis = group_basis(twists, SAME)
-    return basis.shape[1], _span(basis[3:], SAME).shape[1]
+    return basis.shape[1], column_space(basis[3:], SAME, SAME).shape[1]
 
 
 def group_basis(twists: Array, same: float) -> Array:
@@ -204,11 +205,11 @@ def group_basis(twists: Array, same: float) -> Array:
 
     The span is completed by Lie brackets until it no longer grows by more than `same`.
     """
-    basis = _span(twists, same)
+    basis = column_space(twists, same, same)
     while True:
         if basis.shape[1] in (0, 1, 6):
             return basis
-        grown = _span(np.hstack([basis, _brackets(basis)]), same)
+        grown = column_space(np.hstack([basis, _brackets(basis)]), same, same)
         if grown.shape[1] == basis.shape[1]:
             return basis
         basis = grown
@@ -223,7 +224,7 @@ def fills_group(twists: Array, same: float, clear: float) -> bool:
         return False
     if d in (1, 6):
         return True
-    return basis.shape[1] == _span(np.hstack([basis, _brackets(basis)]), same).shape[1]
+    return basis.shape[1] == column_space(np.hstack([basis, _brackets(basis)]), same, same).shape[1]
 
 
 def _brackets(basis: Array) -> Array:
@@ -235,10 +236,3 @@ def _brackets(basis: Array) -> Array:
         out[x] = a[y + 3] * b[z] - a[z + 3] * b[y] + a[y] * b[z + 3] - a[z] * b[y + 3]
         out[x + 3] = a[y + 3] * b[z + 3] - a[z + 3] * b[y + 3]
     return out
-
-
-def _span(columns: Array, same: float) -> Array:
-    if not columns.size:
-        return columns[:, :0]
-    U, s, _ = np.linalg.svd(columns, full_matrices=False)
-    return U[:, s > same * max(s[0], same)]

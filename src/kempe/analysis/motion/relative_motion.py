@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.analysis.continuation.continuation import Closure
+from kempe.analysis.first_order.null_space import column_space
 from kempe.analysis.motion.transmission import allowed
 from kempe.calls import explained
 from kempe.errors import InputError, UnsupportedError
@@ -94,8 +95,7 @@ def relative_motion(
         raise InputError(f"q has shape {found.shape}; it must be one configuration ({system.nq},)")
     names = [system.structure.frame_name(x) for x in (body, to)]
     for name in names:
-        frame = system.mechanism.frames.get(name)
-        if system.mechanism.bodies[frame.body if frame else name].particle:
+        if system.structure.table.at[name][2]:
             raise UnsupportedError(f"{name!r} is on a particle, which has no orientation")
     closure = Closure(system)
     rates = closure.unit[:, None] * allowed(closure, found)
@@ -105,16 +105,10 @@ def relative_motion(
     linear = moved[:3] - base[:3] - np.cross(base[3:], arm, axis=0)
     size = characteristic_length(system)
     scaled = np.concatenate([back @ linear / size, back @ (moved[3:] - base[3:])])
-    basis = _range(scaled)
+    basis = column_space(scaled, ZERO, 1.0)
     twists = basis * np.repeat([size, 1.0], 3)[:, None]
-    turning = _range(basis[3:]).shape[1]
+    turning = column_space(basis[3:], ZERO, 1.0).shape[1]
     return RelativeMotion(names[0], names[1], basis.shape[1], basis.shape[1] - turning, twists, back @ arm)
-
-
-def _range(columns: Array) -> Array:
-    """Orthonormal basis (m, r) of what columns (m, n) span."""
-    U, s, _ = np.linalg.svd(columns, full_matrices=False)
-    return U[:, s > ZERO * max(1.0, float(s.max(initial=0.0)))]
 
 
 def _rounded(x: float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import keyword
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from kempe.calls import explained, numbers
 from kempe.errors import InputError, UnsupportedError, shown
-from kempe.kinematics.symbolic import symbolic_fk
+from kempe.kinematics.symbolic import aligned, symbolic_fk
 from kempe.kinematics.symbolic_turns import sympy
 from kempe.reals import is_whole
 from kempe.spatial import Array
@@ -58,16 +59,20 @@ class InverseFormulas:
     def latex(self) -> str:
         """The formulas in LaTeX, one line each."""
         lines = [f"{sympy.latex(step.symbol)} &= {sympy.latex(step.formula)}" for step in self.steps]
-        return "\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}"
+        return aligned(lines)
 
     def code(self) -> str:
-        """A Python function of the formulas, which needs numpy alone."""
+        """A Python function of the formulas, which needs numpy alone; names that Python does not allow are changed."""
         from sympy.printing.numpy import NumPyPrinter
 
-        arguments = ", ".join([*map(str, self.target), "sign", *sorted(map(str, self._lengths()))])
+        given = [*self.target, sympy.Symbol("sign"), *sorted(self._lengths(), key=str)]
+        words: dict[Any, Any] = {}
+        for symbol in [*given, *(step.symbol for step in self.steps)]:
+            words[symbol] = sympy.Symbol(_variable(str(symbol), {str(word) for word in words.values()}))
+        arguments = ", ".join(str(words[symbol]) for symbol in given)
         printed = NumPyPrinter().doprint
-        lines = [f"    {_variable(step.symbol)} = {printed(step.formula)}" for step in self.steps]
-        last = f"    return {', '.join(map(_variable, self.coordinates))}"
+        lines = [f"    {words[step.symbol]} = {printed(step.formula.xreplace(words))}" for step in self.steps]
+        last = f"    return {', '.join(str(words[sympy.Symbol(name)]) for name in self.coordinates)}"
         return "\n".join(["import numpy", "", "", f"def inverse({arguments}):", *lines, last]) + "\n"
 
     def _lengths(self) -> set[Any]:
@@ -115,8 +120,12 @@ def symbolic_ik(system: System, frame: FrameLike, *, symbols: Mapping[str, Any] 
     return InverseFormulas(system, _steps(own, base, (l1, l2), (one, two)), (own[0], own[1]), (moving[0], moving[1]))
 
 
-def _variable(name: Any) -> str:
-    return re.sub(r"\W", "_", str(name))
+def _variable(name: str, taken: set[str]) -> str:
+    """The name as Python takes it, with underscores in front of keywords, digits, and names that are taken."""
+    word = re.sub(r"\W", "_", name)
+    while not word.isidentifier() or keyword.iskeyword(word) or word in {*taken, "numpy"}:
+        word = f"_{word}"
+    return word
 
 
 def _links(position: Any, one: Any, two: Any) -> tuple[Any, Any, Any]:
