@@ -38,6 +38,7 @@ __all__ = [
     "loops_of",
     "must_be_explicit",
     "pack",
+    "plane_normal",
 ]
 Places = dict[str, tuple[int, int]]
 """For each coordinate by name its place in q, and in the velocities."""
@@ -152,14 +153,14 @@ def _ties(
 
 def _flat(end: tuple, of: tuple, table: Table) -> tuple:
     """The end turned so that x is what was z of `of`, and z the plane's normal: a slide of the plane is along z."""
-    z = _normal(of, table)
+    z = plane_normal(of, table)
     x = np.array([0.0, 0.0, 1.0])
     C = np.eye(4)
     C[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
     return end[0], end[1] @ C, end[2]
 
 
-def _normal(end: tuple, table: Table) -> np.ndarray:
+def plane_normal(end: tuple, table: Table) -> np.ndarray:
     """The normal of the plane of a planar system, in axes of a frame: the same in all configurations."""
     z, way, row = np.array([0.0, 0.0, 1.0]), [end[1]], end[0]
     while row >= 0:

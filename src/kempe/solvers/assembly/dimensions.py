@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kempe.joints import Fixed
-from kempe.kinematics.closure_rows import evaluate, scales
+from kempe.kinematics.closure_rows import evaluate, full, scales
 from kempe.kinematics.common.gauss_newton import gauss_newton
+from kempe.model.closures.packed_loops import PackedLoops, loops_of, plane_normal
 from kempe.model.tree.characteristic_length import characteristic_length
 from kempe.model.tree.own_tree import own_tree
-from kempe.placement import Placement
+from kempe.placement import Placement, place
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -26,8 +29,14 @@ ENOUGH = 6
 """Configurations at which a motion must be followed at least, for it to be one."""
 REGULAR = 1e-2
 """Smallest singular value, relative to the largest, of configurations at which dimensions are fitted."""
-DIFFERENCE = 1e-5
-"""Step of the central differences by dimensions; the error is about 1e-10, which only slows the method."""
+ADDED = "change "
+"""How names begin of the bodies and joints that are added to a mechanism where its dimensions change."""
+IN_SPACE = ("x", "y", "z", "rz", "ry", "rx")
+"""Translations and rotations, one after the other, by which a placement changes."""
+IN_PLANE = (("y", "z", "rx"), ("z", "x", "ry"), ("x", "y", "rz"))
+"""The same for a placement of which x, y or z is the normal of the plane."""
+TO_Z = {"rx": place(quat_wxyz=(0.5, 0.5, 0.5, 0.5)), "ry": place(quat_wxyz=(0.5, -0.5, -0.5, -0.5))}
+"""Rotations to axes of which the third is the normal, by the motion about it."""
 ROUNDS, DAMPING = 24, (3.0, 0.3, 30.0)
 """Steps of a fit at most, and its dampings as multiples of what is open, one after the other until one ends."""
 LEAST, LITTLE, SOON, LATE = 1e-6, 1e-8, 12, 1e-9
@@ -48,43 +57,95 @@ ZERO = 1e-9
 class Dimensions:
     """The placements of all joints and constraints of a system, and small changes `p` of these dimensions.
 
-    `p` (size,) are translations and rotations by `motions`, in characteristic lengths and radians, after each placement
-    of `places`: (table, name, side). `unit` (size,) are metres or radians of one unit.
+    `p` (size,) are translations and rotations by the motions of `places`, in characteristic lengths and radians, after
+    each placement (table, name, side); in the plane those that stay in it. `unit` (size,) are metres or radians of one
+    unit.
     """
 
     def __init__(self, system: System):
         self.system = own_tree(system)
         m = self.mechanism = self.system.mechanism
         self.length = characteristic_length(self.system)
-        self.motions = ("x", "y", "rz") if m.dim == 2 else ("x", "y", "z", "rz", "ry", "rx")
         joints = [("joints", j.name) for j in m.joints.values() if not isinstance(j.type, Fixed)]
         declared = [("constraints", c.name) for c in m.constraints.values() if c.parent]
-        self.places = [(*part, side) for part in joints + declared for side in ("X_PF", "X_CM")]
-        self.unit = np.tile([self.length if len(x) == 1 else 1.0 for x in self.motions], len(self.places))
+        every = [(*part, side) for part in joints + declared for side in ("X_PF", "X_CM")]
+        places = [place for place in every if not m.bodies[self.body(*place)].particle]  # which is its only point
+        self.places = {place: self._motions(*place) if m.dim == 2 else IN_SPACE for place in places}
+        of = (x for motions in self.places.values() for x in motions)
+        self.unit = np.array([self.length if len(x) == 1 else 1.0 for x in of])
         self.size = len(self.unit)
 
-    def steps(self, p: Array) -> dict[tuple[str, str, str], Array]:
-        """What is done (k,) after each placement that changes, in metres and radians."""
-        each = (p * self.unit).reshape(len(self.places), len(self.motions))
-        return {place: d for place, d in zip(self.places, each, strict=True) if d.any()}
+    def body(self, table: str, name: str, side: str) -> str:
+        """The body that a placement is on."""
+        part = getattr(self.mechanism, table)[name]
+        return part.parent if side == "X_PF" else part.child
+
+    def _motions(self, table: str, name: str, side: str) -> tuple[str, ...]:
+        """Two translations and the rotation along axes of a placement that stay in the plane."""
+        X = getattr(getattr(self.mechanism, table)[name], side).evaluate(self.mechanism.parameters)
+        bodies = self.system.structure.table
+        normal = X[:3, :3].T @ plane_normal(bodies.at[self.body(table, name, side)], bodies)
+        return IN_PLANE[int(np.argmax(np.abs(normal)))]
+
+    def steps(self, p: Array) -> dict[tuple[str, str, str], tuple[tuple[str, tuple[float]], ...]]:
+        """The steps that follow each placement that changes, in metres and radians."""
+        each = (p * self.unit).reshape(len(self.places), 3 * (self.mechanism.dim - 1))
+        return {
+            place: tuple((motion, (float(x),)) for motion, x in zip(motions, d, strict=True) if x)
+            for (place, motions), d in zip(self.places.items(), each, strict=True)
+            if d.any()
+        }
 
     def changed(self, p: Array, system: System | None = None) -> System:
         """The system with these changes, over its own tree or over that of `system`."""
         system = system or self.system
         m = system.mechanism
-        for (table, name, side), d in self.steps(p).items():
+        for (table, name, side), more in self.steps(p).items():
             parts = getattr(m, table)
-            more = tuple((motion, (float(x),)) for motion, x in zip(self.motions, d, strict=True) if x)
             parts[name] = replace(parts[name], **{side: Placement(getattr(parts[name], side).steps + more)})
         return type(system)(m, system.structure.topology)
 
+    @cached_property
+    def _freed(self) -> tuple[PackedLoops, System, np.ndarray, np.ndarray, np.ndarray]:
+        """The packed loops of the mechanism with a joint at each place, whose coordinates are the changes, and it.
+
+        Indices say where the coordinates of the mechanism, those of the changes, and the equations are in it.
+        """
+        m, given = self.system.mechanism, self.system.structure
+        for name, joint in m.joints.items():
+            m.joints[name] = replace(joint, cut=name in given.closures)
+        added: list[str] = []
+        for k, ((table, name, side), motions) in enumerate(self.places.items()):
+            parts, end, here = getattr(m, table), "parent" if side == "X_PF" else "child", m.body(f"{ADDED}{k}")
+            turned = TO_Z.get(motions[-1], Placement()) if m.dim == 2 else Placement()
+            joint = m.free(here.name, self.body(table, name, side), here, angles=True)
+            m.joints[joint.name] = replace(joint, X_PF=getattr(parts[name], side) @ turned)
+            parts[name] = replace(parts[name], **{end: here.name, side: turned.inverse()})
+            added += [f"{joint.name}.{motion}" for motion in (IN_PLANE[2] if m.dim == 2 else IN_SPACE)]
+        system = type(self.system)(m)
+        own = np.array([system.coordinate_names.index(name) for name in self.system.coordinate_names], dtype=int)
+        loops = loops_of(system, frozenset(system.structure.closures))
+        first = system.structure.coordinates.first
+        rows = {row: i for i, row in enumerate(_numbered(loops.names))}
+        order = np.array([rows[row] for row in _numbered(full(self.system, True).names)], dtype=int)
+        return loops, system, own, np.array([first[name] for name in added], dtype=int).reshape(-1, 2).T, order
+
     def derivative(self, p: Array, q: Array) -> Array:
         """Derivatives (N, m, size) of the m loop equations, at configurations q (N, nq), with respect to p (size,)."""
-        out = []
-        for e in DIFFERENCE * np.eye(self.size):
-            above, below = (evaluate(self.changed(p + s * e), q, False, True)[0] for s in (1.0, -1.0))
-            out.append((above - below) / (2.0 * DIFFERENCE))
-        return np.stack(out, axis=-1)
+        loops, system, own, (iq, iv), order = self._freed
+        x = np.empty((len(q), system.nq))
+        x[:, own], x[:, iq] = q, p * self.unit
+        return evaluate(system, x, loops=loops)[1][:, order][..., iv]
+
+
+def _numbered(names: Iterable[tuple[str, str]]) -> list[tuple[str, str, int]]:
+    """The names of equations, numbered where one occurs several times."""
+    seen: Counter[tuple[str, str]] = Counter()
+    out = []
+    for name in names:
+        out.append((*name, seen[name]))
+        seen[name] += 1
+    return out
 
 
 class Valley:

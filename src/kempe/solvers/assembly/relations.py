@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe import spatial
 from kempe.joints import Fixed, Revolute
 from kempe.placement import Placement
 from kempe.spatial import Array
@@ -26,7 +25,8 @@ TURNS = ("rx", "ry", "rz")
 DIFFERENCE = 1e-6
 """Step of the central differences."""
 
-Values = Callable[[dict[tuple[str, str, str], Array]], Any]
+Place = tuple[str, str, str]
+Values = Callable[[dict[Place, Array]], Any]
 
 
 class Relations:
@@ -36,8 +36,11 @@ class Relations:
         self.shape, self.near = shape, near
         m = shape.mechanism
         self.given = {
-            (table, name, side): getattr(getattr(m, table)[name], side).evaluate(m.parameters)
-            for table, name, side in shape.places
+            (table, part.name, side): getattr(part, side).evaluate(m.parameters)
+            for table, parts in (("joints", m.joints), ("constraints", m.constraints))
+            for part in parts.values()
+            if part.parent
+            for side in ("X_PF", "X_CM")
         }
         bodies: dict[str, list[tuple[str, str, str]]] = {}
         for j in m.joints.values():
@@ -92,15 +95,37 @@ class Relations:
         """Values (k,) of all relations at the changes p, and their derivative (k, size)."""
         if not self.rows:
             return np.zeros(0), np.zeros((0, self.shape.size))
-        columns = [(self._values(p + e) - self._values(p - e)) / (2.0 * DIFFERENCE)
-                   for e in DIFFERENCE * np.eye(self.shape.size)]  # fmt: skip
-        return self._values(p), np.stack(columns, axis=-1)
+        poses = self.given | {place: self.given[place] @ _pose(d) for place, d in self.shape.steps(p).items()}
+        read = [_Read(poses) for _ in self.rows]
+        values = [np.atleast_1d(row(at)) for row, at in zip(self.rows, read, strict=True)]
+        ends = np.cumsum([0, *map(len, values)])
+        out = np.zeros((ends[-1], self.shape.size))
+        of = [place for place, motions in self.shape.places.items() for _ in motions]
+        for k, place in enumerate(of):
+            e = np.zeros(self.shape.size)
+            e[k] = DIFFERENCE
+            users = [i for i, at in enumerate(read) if place in at.used]
+            if not users:
+                continue
+            above, below = (
+                poses | {place: self.given[place] @ _pose(self.shape.steps(p + s * e).get(place, ()))}
+                for s in (1.0, -1.0)
+            )
+            for i in users:
+                out[ends[i] : ends[i + 1], k] = (self.rows[i](above) - self.rows[i](below)) / (2.0 * DIFFERENCE)
+        return np.concatenate(values), out
 
-    def _values(self, p: Array) -> Array:
-        poses = dict(self.given)
-        for place, d in self.shape.steps(p).items():
-            poses[place] = poses[place] @ _pose(d)
-        return np.concatenate([np.atleast_1d(row(poses)) for row in self.rows])
+
+class _Read(dict[Place, Array]):
+    """Poses by their places, and those that were used."""
+
+    def __init__(self, poses: dict[Place, Array]):
+        super().__init__(poses)
+        self.used: set[Place] = set()
+
+    def __getitem__(self, place: Place) -> Array:
+        self.used.add(place)
+        return super().__getitem__(place)
 
 
 def snapped(system: System, most: float) -> System | None:
@@ -126,10 +151,9 @@ def _simple(x: Value, most: float) -> Value:
     return nice if abs(nice - x) <= most else x
 
 
-def _pose(d: Array) -> Array:
-    """The pose of slides and turns in the order of `Shape.motions`."""
-    x, y, z, yaw, pitch, roll = d if len(d) == 6 else (d[0], d[1], 0.0, d[2], 0.0, 0.0)
-    return spatial.pose_from_xyz_rpy([x, y, z, roll, pitch, yaw])
+def _pose(steps: tuple[Any, ...]) -> Array:
+    """The pose of slides and turns, one after the other."""
+    return Placement(steps).evaluate({})
 
 
 def _parallel(a: tuple, b: tuple) -> Values:
