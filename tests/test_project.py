@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text())
+PROJECT = SETTINGS["project"]
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 FORMS = sorted((ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml"))
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text()
@@ -51,6 +52,24 @@ def test_hooks_are_the_checks_of_the_guide():
     entries = re.findall(r"entry: (.+)$", (ROOT / ".pre-commit-config.yaml").read_text(), re.M)
     assert entries == ["ruff check", "ruff format", "pyright"]
     assert all(entry in CONTRIBUTING for entry in entries)
+
+
+NOT_STRICT = {
+    "src/kempe/kernels": "Numba compiles it, and tells nothing of types",
+    "src/kempe/views": "methods of Matplotlib and trimesh have keyword arguments without types",
+    "src/kempe/tasks.py": "its names are those of a table",
+    "benchmarks/kempe_bench": "it calls libraries without types",
+}
+"""Where pyright checks less than strictly, and why."""
+
+
+def test_types_are_checked_strictly_everywhere_else():
+    settings = SETTINGS["tool"]["pyright"]
+    assert settings["typeCheckingMode"] == "strict" and settings["include"] == ["src", "benchmarks/kempe_bench"]
+    roots = {e["root"] for e in settings["executionEnvironments"] if any(key.startswith("report") for key in e)}
+    modules = (p for folder in settings["include"] for p in (ROOT / folder).rglob("*.py"))
+    own = {p.relative_to(ROOT).as_posix() for p in modules if re.search(r"^# pyright:", p.read_text(), re.M)}
+    assert roots | own == NOT_STRICT.keys()
 
 
 RUFF = Path(sys.executable).with_name("ruff")

@@ -8,14 +8,14 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
 from pathlib import Path
 from types import FunctionType
-from typing import Any, TypeVar
+from typing import Any, TypeGuard, TypeVar
 
 import numpy as np
 
 from kempe.errors import CallError, InputError, KempeError, UnknownNameError, shown
-from kempe.reals import is_whole, reals
+from kempe.reals import is_array, is_whole, reals
 
-Function = TypeVar("Function", bound=Callable)
+Function = TypeVar("Function", bound=Callable[..., Any])
 Class = TypeVar("Class", bound=type)
 
 FOREIGN = (TypeError, ValueError, LookupError, AttributeError, ArithmeticError)
@@ -51,7 +51,7 @@ def explained(function: Function) -> Function:
     return call  # type: ignore[return-value]
 
 
-def _renamed(function: Callable, args: tuple[Any, ...], options: Mapping[str, Any]) -> Any:
+def _renamed(function: Callable[..., Any], args: tuple[Any, ...], options: Mapping[str, Any]) -> Any:
     from kempe.former import renamed  # only here: most calls succeed
 
     return renamed(function, args, options)
@@ -86,7 +86,7 @@ def explained_making(cls: Class) -> Class:
     return cls
 
 
-def blame(function: Callable, args: tuple[Any, ...], options: Mapping[str, Any], error: Exception) -> None:
+def blame(function: Callable[..., Any], args: tuple[Any, ...], options: Mapping[str, Any], error: Exception) -> None:
     """Raise what is wrong with the arguments of a call that failed; nothing where they are of the right kinds."""
     from inspect import Parameter, signature  # only here: most calls succeed
 
@@ -114,7 +114,7 @@ def wrong_kind(name: str, annotation: object, value: object) -> str:
     """What an argument must be, by its annotation or its name, where its value is none of that; else nothing."""
     if name in CONFIGURATIONS:
         annotation = "Mapping[str, Any] | ArrayLike | None" + (" | str" if name == "start" else "")
-    said = []
+    said: list[str] = []
     for part in re.split(r" \| (?![^\[]*\])", str(annotation)):  # not within brackets
         kind = KINDS.get(part) or KINDS.get(part.partition("[")[0])
         if kind is None or kind[0](value):
@@ -136,10 +136,12 @@ def _is_whole(x: object) -> bool:
 
 
 def _is_number(x: object) -> bool:
-    return isinstance(x, (int, float, np.number)) and not isinstance(x, (bool, np.complexfloating)) and is_numbers(x)
+    given: Any = x
+    real = isinstance(x, (int, float, np.number)) and not isinstance(x, (bool, np.complexfloating))
+    return real and is_numbers(given)
 
 
-def is_list(x: object) -> bool:
+def is_list(x: object) -> TypeGuard[Iterable[Any]]:
     """Whether it can be gone through, and is no text."""
     try:
         return iter(x) is not None and not isinstance(x, (str, bytes))  # type: ignore[call-overload]
@@ -173,7 +175,7 @@ KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "Progress": (callable, "a function"),
     "Mapping": (lambda x: isinstance(x, Mapping), "a dict by name"),
     "ArrayLike": (is_numbers, "an array of real numbers"),
-    "Array": (lambda x: isinstance(x, np.ndarray) and is_numbers(x), "an array of real numbers"),
+    "Array": (lambda x: is_array(x) and is_numbers(x), "an array of real numbers"),
     "FrameLike": (_is_place, "the name of a body or frame"),
     "BodyLike": (_is_place, "the name of a body"),
     "Frame": (_is_place, "the name of a frame"),
@@ -203,7 +205,7 @@ def listed(names: object, what: str) -> tuple[str, ...]:
     if isinstance(names, str):
         return (names,)
     try:
-        out = tuple(names)  # type: ignore[arg-type]
+        out: tuple[Any, ...] = tuple(names)  # type: ignore[arg-type]
     except TypeError:
         out = (None,)
     if not all(isinstance(name, str) for name in out):
@@ -241,20 +243,22 @@ def generator(rng: Any) -> np.random.Generator:
 # ---- switches and places
 
 
-def flag(x: object, what: str) -> bool:
+def flag(x: Any, what: str) -> bool:
     """A switch. Errors: `InputError` for anything but True and False."""
+    truth: Any = x
     if isinstance(x, (bool, np.bool_)):
-        return bool(x)
+        return bool(truth)
     raise InputError(f"{what} is {shown(x)}; it must be True or False")
 
 
 def place_in(index: Any, shape: tuple[int, ...]) -> tuple[int, ...]:
     """The place of one answer in a batch of this shape, by whole numbers from 0. Errors: `InputError`."""
-    at = index if isinstance(index, tuple) else (index,)
+    places: Any = index
+    at: tuple[Any, ...] = places if isinstance(index, tuple) else (index,)
     if len(at) == len(shape) and all(_is_whole(i) and 0 <= i < n for i, n in zip(at, shape, strict=True)):
         return tuple(int(i) for i in at)
     needed = f"{len(shape)} whole numbers, from 0 and below {shape}" if shape else "(), for there is one answer"
-    raise InputError(f"index is {shown(index)}; it must be {needed}")
+    raise InputError(f"index is {shown(places)}; it must be {needed}")
 
 
 # ---- answers, shown
@@ -267,10 +271,11 @@ def brief(self: Any) -> str:
 
 
 def _brief(x: Any) -> str:
-    if isinstance(x, np.ndarray):
+    given: Any = x
+    if is_array(x):
         return f"array {x.shape}" if x.size > FEW else " ".join(repr(x).split())
     if isinstance(x, dict):
-        return f"{{{', '.join(f'{k!r}: {_brief(v)}' for k, v in x.items())}}}"
-    if isinstance(x, tuple) and len(x) > FEW:
-        return f"({', '.join(map(_brief, x[:2]))}, ... {len(x)} in all)"
-    return repr(x)
+        return f"{{{', '.join(f'{k!r}: {_brief(v)}' for k, v in given.items())}}}"
+    if isinstance(x, tuple) and len(given) > FEW:
+        return f"({', '.join(map(_brief, given[:2]))}, ... {len(given)} in all)"
+    return repr(given)

@@ -81,7 +81,7 @@ CHANGES: dict[tuple[str, str], Change] = {
 
 
 def renamed(
-    function: Callable, args: tuple[Any, ...], options: Mapping[str, Any]
+    function: Callable[..., Any], args: tuple[Any, ...], options: Mapping[str, Any]
 ) -> tuple[dict[str, Any], Callable[[Any], Any]] | None:
     """The arguments of a call in which some have their former names, and what is then done with the answer.
 
@@ -99,7 +99,9 @@ def renamed(
         bound = signature(function).bind_partial(*args, **{n: x for n, x in options.items() if n not in former})
     except TypeError:
         return None
-    arguments, said, spent, expected = bound.arguments, {}, {}, False
+    arguments, expected = bound.arguments, False
+    said: dict[str, str] = {}
+    spent: dict[str, Any] = {}
     known = {f.name for f in fields(Budget)}
     for name, value in former.items():
         own = next((c for (old, new), c in CHANGES.items() if old == name and new in parameters), None)

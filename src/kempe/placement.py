@@ -14,6 +14,7 @@ from kempe import spatial
 from kempe.calls import explained
 from kempe.calls import numbers as numbers_of
 from kempe.errors import InputError
+from kempe.reals import is_array, is_sequence
 from kempe.rigid import arrays, sound
 from kempe.values import Expression, Value, evaluate, negate, value, values
 
@@ -119,7 +120,8 @@ def _rotation(R: spatial.Array) -> spatial.Array:
 
 def _floats(x: object) -> bool:
     """Whether there are plain numbers, in a tuple or a list, or nothing."""
-    return x is None or ((type(x) is tuple or type(x) is list) and {float}.issuperset(map(type, x)))
+    entries: Any = x
+    return x is None or ((type(x) is tuple or type(x) is list) and {float}.issuperset(map(type, entries)))
 
 
 @lru_cache(4096)
@@ -136,9 +138,9 @@ def _plain(at: tuple[float, ...] | None, rpy: tuple[float, ...] | None, axis: tu
 
 def _is_pose(at: object) -> bool:
     """Whether `at` has four rows of numbers rather than 2 or 3 numbers."""
-    if isinstance(at, (list, tuple)):
+    if is_sequence(at):
         return len(at) == 4 and all(isinstance(row, (list, tuple, np.ndarray)) for row in at)
-    return isinstance(at, np.ndarray) and at.shape == (4, 4)
+    return is_array(at) and at.shape == (4, 4)
 
 
 def direction(axis: object) -> object:
@@ -259,9 +261,9 @@ def _inverse_step(motion: str, numbers: tuple[Value, ...]) -> Step:
 
 def steps_from_data(data: Iterable[object]) -> Placement:
     """Placement from ``[["z", "d1"], ["rx", 0.5], ["align", 0, 1, 0], ...]``. Errors: `InputError`."""
-    steps = []
+    steps: list[tuple[str, tuple[Value, ...]]] = []
     for item in data:
-        if not isinstance(item, (list, tuple)) or not item or not isinstance(item[0], str):
+        if not is_sequence(item) or not item or not isinstance(item[0], str):
             raise InputError(f"step {item!r} must be a list of a motion and its numbers, such as ['rx', 0.5]")
         numbers = tuple(value(x, item[0]) for x in item[1:])
         if item[0] == "matrix" and len(numbers) == 9 and not any(isinstance(x, Expression) for x in numbers):

@@ -89,6 +89,21 @@ def is_plain(given: Any) -> bool:
         map(type, given))  # fmt: skip
 
 
+def is_mapping(x: object) -> TypeGuard[Mapping[Any, Any]]:
+    """Whether it is a mapping."""
+    return isinstance(x, Mapping)
+
+
+def is_sequence(x: object) -> TypeGuard[list[Any] | tuple[Any, ...]]:
+    """Whether it is a list or a tuple."""
+    return isinstance(x, (list, tuple))
+
+
+def is_array(x: object) -> TypeGuard[NDArray[Any]]:
+    """Whether it is an array of numpy."""
+    return isinstance(x, np.ndarray)
+
+
 def named(given: Any) -> Mapping[str, Any] | None:
     """What is labelled by names, as a mapping from these; None for what has no names.
 
@@ -100,11 +115,12 @@ def named(given: Any) -> Mapping[str, Any] | None:
         return given
     if kind in PLAIN or kind is list or kind is str:
         return None
-    if isinstance(given, Mapping):
+    if is_mapping(given):
         return given
+    whole: Any = given
     if isinstance(given, tuple):
-        names = getattr(given, "_fields", None)
-        return None if names is None else dict(zip(names, given, strict=True))
+        names: Any = getattr(whole, "_fields", None)
+        return None if names is None else dict(zip(names, whole, strict=True))
     names = _labels(given)
     if names is None or names == list(range(len(names))):
         return None
@@ -115,7 +131,7 @@ def named(given: Any) -> Mapping[str, Any] | None:
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError(f"the {kind} has {twice!r} twice")
     table = getattr(given, "ndim", 1) != 1 or isinstance(given, np.ndarray) or hasattr(given, "columns")
-    return {name: np.asarray(given[name]) if table else given[name] for name in names}
+    return {name: np.asarray(whole[name]) if table else whole[name] for name in names}
 
 
 def rows_of(given: Any) -> list[Any] | None:
@@ -161,18 +177,20 @@ def _trouble(x: Any) -> str:
     """Why a value is not accepted as numbers although numpy could convert it; '' where it is accepted."""
     if isinstance(x, np.ma.MaskedArray):
         return "is a masked array, whose mask would be lost"
+    kind: str = type(x).__name__
     if isinstance(x, Mapping):
-        return f"is {type(x).__name__}"
-    labels = _labels(x) if not isinstance(x, tuple) else list(getattr(x, "_fields", ()))
+        return f"is {kind}"
+    whole: Any = x
+    labels = list(getattr(whole, "_fields", ())) if isinstance(x, tuple) else _labels(whole)
     if labels and any(isinstance(label, str) for label in labels):
-        return f"is a {type(x).__name__} with names, which have no meaning here"
-    if labels and hasattr(x, "columns") and labels != list(range(len(labels))):
-        return f"is a {type(x).__name__} whose columns are {shown(labels)}, which have no meaning here"
-    if not isinstance(x, (np.generic, str, bytes)):
-        unit = next((u for u in (getattr(x, name, None) for name in ("unit", "units")) if u is not None), None)
+        return f"is a {kind} with names, which have no meaning here"
+    if labels and hasattr(whole, "columns") and labels != list(range(len(labels))):
+        return f"is a {kind} whose columns are {shown(labels)}, which have no meaning here"
+    if not isinstance(whole, (np.generic, str, bytes)):
+        unit = next((u for u in (getattr(whole, name, None) for name in ("unit", "units")) if u is not None), None)
         if unit is not None and not callable(unit):
             return f"has the unit {str(unit)!r}, which would be lost"
-        coords: Any = getattr(x, "coords", None)
-        if getattr(x, "dims", None) and coords is not None and len(coords):
-            return f"is a {type(x).__name__} with labels, which have no meaning here"
+        coords: Any = getattr(whole, "coords", None)
+        if getattr(whole, "dims", None) and coords is not None and len(coords):
+            return f"is a {kind} with labels, which have no meaning here"
     return ""

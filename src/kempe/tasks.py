@@ -1,3 +1,4 @@
+# pyright: reportUnsupportedDunderAll=false
 """What a configuration can be requested: the kinds of `kempe.constraints`, under the name that roboticists look for.
 
 ``from kempe import tasks``, and `System.ik` takes any of them. See `kempe.constraints.Constraint` for `weight`,

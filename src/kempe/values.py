@@ -13,7 +13,7 @@ from kempe.calls import is_list
 from kempe.errors import InputError, UnknownNameError, shown
 from kempe.reals import is_real
 
-FUNCTIONS: dict[str, Callable] = {
+FUNCTIONS: dict[str, Callable[..., Any]] = {
     "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
     "atan2": np.arctan2, "sqrt": np.sqrt, "hypot": np.hypot, "exp": np.exp, "log": np.log,
     "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh, "asinh": np.arcsinh, "acosh": np.arccosh, "atanh": np.arctanh,
@@ -28,11 +28,11 @@ LENGTH_LIMIT = 1000
 DEPTH_LIMIT = 300
 """Operations inside each other in an expression; a sum of n terms counts n."""
 
-_BINARY: dict[type, Callable] = {
+_BINARY: dict[type, Callable[[Any, Any], Any]] = {
     ast.Add: lambda a, b: a + b, ast.Sub: lambda a, b: a - b, ast.Mult: lambda a, b: a * b,
     ast.Div: lambda a, b: a / b, ast.Pow: lambda a, b: a**b,
 }  # fmt: skip
-_UNARY: dict[type, Callable] = {ast.USub: lambda a: -a, ast.UAdd: lambda a: a}
+_UNARY: dict[type, Callable[[Any], Any]] = {ast.USub: lambda a: -a, ast.UAdd: lambda a: a}
 
 
 class Expression:
@@ -59,7 +59,9 @@ class Expression:
         with np.errstate(all="ignore"):
             return self.fold({**parameters, **CONSTANTS}, FUNCTIONS, float)
 
-    def fold(self, names: Mapping[str, Any], functions: Mapping[str, Callable], number: Callable) -> Any:
+    def fold(
+        self, names: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]], number: Callable[..., Any]
+    ) -> Any:
         """Value in any algebra: `names` and `functions` give the leaves, `number` turns constants into it."""
         return _fold(self._tree.body, names, functions, number)
 
@@ -133,16 +135,17 @@ def value(x: object, what: str = "value") -> Value:
     return number
 
 
-def values(xs: object, count: int | tuple[int, ...], what: str) -> tuple[Value, ...]:
+def values(xs: Any, count: int | tuple[int, ...], what: str) -> tuple[Value, ...]:
     """A tuple of `Value` with one of the allowed lengths. Errors: `InputError`."""
     counts = (count,) if isinstance(count, int) else count
+    given = xs
     if type(xs) is tuple or type(xs) is list:
-        kinds = set(map(type, xs))
-        if len(kinds) == 1 and float in kinds and len(xs) in counts and math.isfinite(sum(xs)):
-            return tuple(xs)
-    if not is_list(xs):
-        raise InputError(f"{what} is {shown(xs)}; it must have {' or '.join(map(str, counts))} numbers")
-    items = tuple(xs)  # type: ignore[arg-type]
+        kinds: set[type] = set(map(type, given))
+        if len(kinds) == 1 and float in kinds and len(given) in counts and math.isfinite(sum(given)):
+            return tuple(given)
+    if not is_list(given):
+        raise InputError(f"{what} is {shown(given)}; it must have {' or '.join(map(str, counts))} numbers")
+    items: tuple[Any, ...] = tuple(given)
     if len(items) not in counts:
         s = "s" if len(items) != 1 else ""
         raise InputError(f"{what} has {len(items)} number{s}; it must have {' or '.join(map(str, counts))}")
@@ -205,7 +208,9 @@ def _check(node: ast.AST, text: str, depth: int) -> None:
         raise InputError(f"{text!r} is not an expression of numbers, parameters, + - * / ** and functions")
 
 
-def _fold(node: Any, names: Mapping[str, Any], functions: Mapping[str, Callable], number: Callable) -> Any:
+def _fold(
+    node: Any, names: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]], number: Callable[..., Any]
+) -> Any:
     if isinstance(node, ast.BinOp):
         left = _fold(node.left, names, functions, number)
         right = _fold(node.right, names, functions, number)

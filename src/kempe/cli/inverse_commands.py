@@ -105,8 +105,8 @@ def ik(
     if all:
         _all(system, X, frame, task, axis, hold, start, tolerance, deg, out, plot, json)
         return
-    wanted = {"tolerance": rows.tolerance(tolerance or "1e-6"), "budget": Budget(rng=rng),
-              "task": _task_argument(task, axis)}  # fmt: skip
+    wanted: dict[str, Any] = {"tolerance": rows.tolerance(tolerance or "1e-6"), "budget": Budget(rng=rng),
+                              "task": _task_argument(task, axis)}  # fmt: skip
     _answer(system, len(X) if X.ndim > 2 else None, SLICE, lambda i, j: system.ik(
         X[i:j] if X.ndim > 2 else X, frame, start=_part(start, i, j), **wanted), deg, out, plot, json)  # fmt: skip
 

@@ -263,7 +263,7 @@ def trace(
     if points is not None:
         with slices.progress(sys.stderr, points, "points") as said:
             shown = _resampled(path, points, Budget(time_limit=time_limit, progress=said))
-    written = []
+    written: list[Path] = []
     if out is not None and (path or path.interrupted or path.late):
         loop_report.write_path(out, shown, deg, branches)
         written.append(out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -66,7 +67,7 @@ def spaces(
         found["task_space"] = system.task_space(frame, task="position" if position_only else "pose")
     if sample is not None:
         found["sample"] = space.sample(sample, rng, budget=budget)
-    written = []
+    written: list[Path] = []
     if plot is not None:
         save_picture(system.plot_spaces(frame or "")[0], plot)
         written.append(plot)

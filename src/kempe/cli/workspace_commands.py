@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -37,6 +39,11 @@ def _picture(path: Path | None) -> None:
             raise InputError(f"{path}: a picture ends with {', '.join(PICTURES)}")
         writable(path)
         import kempe.views.workspace_plot  # noqa: F401, without matplotlib it ends here
+
+
+def _done(said: Callable[..., None], done: int, *_: float) -> None:
+    """Say how many samples are done, of what a workspace says of its progress."""
+    said(done)
 
 
 def _numbers(text: str, what: str) -> list[float]:
@@ -84,7 +91,7 @@ def workspace(
     if ends is not None and len(ends) % 2:
         raise InputError(f"--box has {len(ends)} numbers; it needs two for each axis")
     with slices.progress(sys.stderr, int(n) if n and 1 <= n < 2**62 else None, "samples") as said:
-        tell = None if said is None else lambda done, *_: said(done)
+        tell = None if said is None else partial(_done, said)
         answer = system.workspace(
             frame, n=n, cells=along[0] if along is not None and len(along) == 1 else along,
             box=None if ends is None else np.reshape(ends, (-1, 2)), client=scheduler, path=out,

@@ -20,6 +20,7 @@ from kempe.calls import explained_making
 from kempe.constraints.reading import pair, positive
 from kempe.errors import INSTEAD, InputError
 from kempe.placement import Placement
+from kempe.reals import is_array, is_mapping, is_sequence
 from kempe.spatial import Array
 from kempe.values import Expression
 
@@ -320,11 +321,11 @@ def content(constraint: Constraint) -> tuple[Any, ...]:
     """Kind and fields of a constraint as nested tuples, which can be compared and hashed."""
 
     def plain(x: Any) -> Any:
-        if isinstance(x, np.ndarray):
+        if is_array(x):
             return x.shape, tuple(x.ravel().tolist())
-        if isinstance(x, (list, tuple)):
+        if is_sequence(x):
             return tuple(map(plain, x))
-        return tuple((k, plain(v)) for k, v in x.items()) if isinstance(x, Mapping) else x
+        return tuple((k, plain(v)) for k, v in x.items()) if is_mapping(x) else x
 
     own = (f.name for f in fields(constraint) if f.init and f.type != PARAMETERS)
     return constraint.kind, *((name, plain(getattr(constraint, name))) for name in own)
@@ -361,11 +362,11 @@ def expressions_in(x: Any) -> list[Expression]:
     """The expressions in a number, or in lists of numbers."""
     if isinstance(x, Expression):
         return [x]
-    return [e for item in x for e in expressions_in(item)] if isinstance(x, (list, tuple)) else []
+    return [e for item in x for e in expressions_in(item)] if is_sequence(x) else []
 
 
 def _evaluated(x: Any, parameters: Mapping[str, float]) -> Any:
-    if isinstance(x, (list, tuple)):
+    if is_sequence(x):
         return [_evaluated(item, parameters) for item in x]
     return x.evaluate(parameters) if isinstance(x, Expression) else x
 
@@ -374,7 +375,7 @@ def plainly(x: Any) -> str:
     """A name, a number or a list of them, as text for a sentence."""
     if isinstance(x, (np.ndarray, list, tuple, np.generic)):
         x = np.asarray(x, dtype=object).tolist()
-    if isinstance(x, list):
+    if is_sequence(x):
         return f"({', '.join(map(plainly, x))})"
     return f"{x:g}" if isinstance(x, (int, float)) else getattr(x, "__name__", None) or str(x)
 

@@ -59,7 +59,7 @@ class Builder:
         op, left, _ = self._nodes[place - len(self.inputs)]
         return self._numbers[left] if op == L.NUMBER else None
 
-    def _folded(self, function: Callable, *places: int) -> int | None:
+    def _folded(self, function: Callable[..., Any], *places: int) -> int | None:
         """The place of a function of numbers; None unless all are."""
         found = [self._constant(place) for place in places]
         if any(x is None for x in found):
@@ -211,7 +211,7 @@ class Builder:
         """The place of the derivative of y = f(x)."""
         one, unary, binary, square = self.number(1.0), self.unary, self.binary, self._square
         apart = lambda: binary(L.MUL, binary(L.SUB, one, x), binary(L.ADD, one, x))  # noqa: E731
-        root = lambda z: binary(L.DIV, one, unary(L.SQRT, z))  # noqa: E731
+        root: Callable[[int], int] = lambda z: binary(L.DIV, one, unary(L.SQRT, z))  # noqa: E731
         made: dict[int, Callable[[], int]] = {
             L.EXP: lambda: y,
             L.LOG: lambda: binary(L.DIV, one, x),
@@ -294,7 +294,7 @@ def substituted(tape: Tape, sources: Mapping[str, tuple[str | None, float, float
         return tape
     follows = [sources.get(n, (n, 1.0, 0.0)) for n in tape.inputs]
     builder = Builder(dict.fromkeys(source for source, _, _ in follows if source is not None))
-    leaves = []
+    leaves: list[int] = []
     for source, multiplier, offset in follows:
         place = builder.number(offset)
         if source is not None:
@@ -307,10 +307,12 @@ def substituted(tape: Tape, sources: Mapping[str, tuple[str | None, float, float
 def on_pieces(build: Builder, pieces: np.ndarray, s: int, p: Sequence[int]) -> tuple[list[int], list[int], int]:
     """Places of a builder of tapes: of what leads from the point c(s) to p, of c'(s), and of c'.c' - (p - c).c''."""
     b = build.binary
-    entry = lambda column: build.entry(s, column.tolist())  # noqa: E731
+    entry: Callable[[np.ndarray], int] = lambda column: build.entry(s, column.tolist())  # noqa: E731
     u = b(L.SUB, s, entry(np.arange(len(pieces), dtype=float)))
     two, three = build.number(2.0), build.number(3.0)
-    off, first, second = [], [], []
+    off: list[int] = []
+    first: list[int] = []
+    second: list[int] = []
     for i in range(3):
         k = [entry(pieces[:, i, j]) for j in range(4)]
         slope = b(L.ADD, k[2], b(L.MUL, u, k[3]))

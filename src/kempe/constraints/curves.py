@@ -52,7 +52,7 @@ class OnCurve(Measured):
         given = reals(self.points, what := f"points of {self.label}")
         if given.ndim != 2 or given.shape[1] not in (2, 3) or not np.isfinite(given).all():
             raise InputError(f"{what} have the shape {given.shape}; they must be (n, 2) or (n, 3), and finite")
-        object.__setattr__(self, "points", tuple(map(tuple, given.tolist())))
+        object.__setattr__(self, "points", tuple(tuple(p) for p in given.tolist()))
         across(self.points, self.closed, given.shape[1], what)
 
     def check(self, dim: int) -> None:

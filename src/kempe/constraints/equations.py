@@ -10,7 +10,7 @@ import pickle
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
 
@@ -19,8 +19,9 @@ from kempe.constraints.base import Bounded, Constraint, Names, Op, Row, kind
 from kempe.constraints.builder import renamed
 from kempe.constraints.reading import LARGEST
 from kempe.constraints.tape import RATE, TIME, Tape, quoted
-from kempe.constraints.text import from_text, read
+from kempe.constraints.text import from_text, is_texts, read
 from kempe.errors import InputError, UnknownNameError, shown
+from kempe.reals import is_sequence
 from kempe.values import Expression
 
 Written: TypeAlias = Any
@@ -36,7 +37,7 @@ class Call:
     It reads `inputs`, which are the coordinates and parameters `of` here.
     """
 
-    function: Callable
+    function: Callable[..., Any]
     inputs: tuple[str, ...]
     of: tuple[str, ...]
     time: bool
@@ -83,12 +84,13 @@ def words_of(texts: tuple[str, ...]) -> tuple[str, ...]:
 
 def as_text(x: Any, what: str) -> str:
     """An expression as text; numbers are allowed. Errors: `InputError`."""
+    given: Any = x
     if isinstance(x, Expression):
         return x.text
     if isinstance(x, (int, float, np.integer, np.floating)) and not isinstance(x, bool):
         whole_and_huge = isinstance(x, int) and abs(x) > LARGEST  # perhaps no float at all
-        if whole_and_huge or abs(number := float(x)) > LARGEST:
-            raise InputError(f"{what} is {shown(x)}; its size must be at most {LARGEST:g}")
+        if whole_and_huge or abs(number := float(given)) > LARGEST:
+            raise InputError(f"{what} is {shown(given)}; its size must be at most {LARGEST:g}")
         return str(int(number)) if number.is_integer() and abs(number) < 1e15 else repr(number)
     if not isinstance(x, str):
         raise InputError(f"{what} is {shown(x)}; it must be text, a number, or a function of named coordinates")
@@ -99,10 +101,14 @@ class _WrittenKind(Constraint):
     """Base of constraints whose equations the user writes, over coordinates `of` and parameters."""
 
     needs: ClassVar[str] = "a number or a list of numbers"
+    if TYPE_CHECKING:  # fields of the kinds, each with its default
+        of: Names
+        time: bool
+        parameters: Parameters
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "of", self._names(self.of))  # type: ignore[attr-defined]
-        object.__setattr__(self, "time", flag(self.time, f"time of {self.what}"))  # type: ignore[attr-defined]
+        object.__setattr__(self, "of", self._names(self.of))
+        object.__setattr__(self, "time", flag(self.time, f"time of {self.what}"))
 
     @property
     def what(self) -> str:
@@ -112,7 +118,7 @@ class _WrittenKind(Constraint):
     @property
     def about(self) -> str:
         """The coordinates that the equations read, as text."""
-        return ", ".join(self.of or self.words)  # type: ignore[attr-defined]
+        return ", ".join(self.of or self.words)
 
     def _names(self, given: Any) -> tuple[str, ...]:
         names = listed(given, f"of of {self.what}")
@@ -121,17 +127,17 @@ class _WrittenKind(Constraint):
             raise InputError(f"{self.what} names the coordinate {twice[0]!r} twice")
         return names
 
-    def _recorded(self, function: Callable, shape_of: Callable[[tuple[int, ...]], None]) -> tuple[Any, tuple[int, ...]]:
+    def _recorded(self, function: Callable[..., Any], shape_of: Callable[[tuple[int, ...]], None]) -> tuple[Any, Any]:
         """The texts of a function, or the tape where they would be too long, or a `Call`; and its shape."""
         from kempe.constraints.recording import NotRecorded, probe, record
 
-        of, time = self.of, self.time  # type: ignore[attr-defined]
+        of, time = self.of, self.time
         if not of:
             raise InputError(f"{self.what} is given a function; name the coordinates that it reads: of=(...)")
         try:
             tape, shape = record(function, of, time=time, what=self.what)
         except NotRecorded as error:
-            inputs = [*of, TIME] if time else of
+            inputs: Collection[str] = [*of, TIME] if time else of
             shape_of(shape := probe(function, inputs, time, self.what))
             reason = str(error).removeprefix(f"{self.what} cannot be recorded: ")
             return Call(function, of, of, time, int(np.prod(shape)), reason, self.what), shape
@@ -143,7 +149,7 @@ class _WrittenKind(Constraint):
 
     def _tape_of(self, written: Any) -> Tape:
         """The tape of texts, over coordinates, the time and parameters. Errors: `InputError`, `UnknownNameError`."""
-        of, time, known = self.of, self.time, self.parameters  # type: ignore[attr-defined]
+        of, time, known = self.of, self.time, self.parameters
         if isinstance(written, Tape):
             return written
         clock = (TIME,) if time else ()
@@ -151,7 +157,7 @@ class _WrittenKind(Constraint):
             raise InputError(f"{self.what} has a coordinate {TIME!r} besides the time, which is called so")
         words = [w for w in words_of(written) if w not in clock]
         parameters = tuple(words if known is None else known)
-        names = of or tuple(w for w in words if known is None or w not in known)
+        names: tuple[str, ...] = of or tuple(w for w in words if known is None or w not in known)
         try:
             return from_text(written, (*names, *clock), tuple(p for p in parameters if p not in names))
         except UnknownNameError as error:
@@ -160,7 +166,7 @@ class _WrittenKind(Constraint):
 
     def knowing(self, parameters: Collection[str]) -> Constraint:
         """The same constraint where all names that are no parameters are coordinates, listed in `of`."""
-        names = self.of or tuple(w for w in self.words if w != TIME or not self.time)  # type: ignore[attr-defined]
+        names = self.of or tuple(w for w in self.words if w != TIME or not self.time)
         return replace(self, of=tuple(n for n in names if n not in parameters))  # type: ignore[attr-defined]
 
     @property
@@ -173,20 +179,22 @@ class _Valued(_WrittenKind, Bounded):
     """Base of constraints on values of an expression; bounds are for all n values alike, or (..., n)."""
 
     sense: ClassVar[dict[str, Any]] = {}
+    if TYPE_CHECKING:
+        expression: Written
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        written = self.expression  # type: ignore[attr-defined]
+        written: Any = self.expression
         if callable(written) and not isinstance(written, (Call, Tape)):
             written, _ = self._recorded(written, self._fits)
-        elif isinstance(written, (list, tuple)):
+        elif is_sequence(written):
             written = tuple(as_text(x, self.what) for x in written)
             self._fits((len(written),))
         elif not isinstance(written, (Call, Tape)):
             written = (as_text(written, self.what),)
-        alone = written[0] if isinstance(written, tuple) and len(written) == 1 else written
-        object.__setattr__(self, "expression", alone)
-        for text in written if isinstance(written, tuple) and (self.sense or self.bounded) else ():
+        texts: tuple[str, ...] = written if is_texts(written) else ()
+        object.__setattr__(self, "expression", texts[0] if len(texts) == 1 else written)
+        for text in texts if self.sense or self.bounded else ():
             if "=" in text:
                 what = "is within bounds" if self.bounded else "is not negative"
                 raise InputError(f"{self.what} is {text!r}: give what {what}, such as '1.2 - A'")
@@ -206,7 +214,7 @@ class _Valued(_WrittenKind, Bounded):
 
     @property
     def _texts(self) -> Any:
-        written = self.expression  # type: ignore[attr-defined]
+        written: Any = self.expression
         return (written,) if isinstance(written, str) else written
 
     @property
@@ -222,7 +230,7 @@ class _Valued(_WrittenKind, Bounded):
         if name != "expression":
             return super().in_words(name)
         written, tail = self._texts, " >= 0" if self.sense else " = 0"
-        texts = written if isinstance(written, tuple) else (f"f({', '.join(self.of)})",)  # type: ignore[attr-defined]
+        texts: tuple[str, ...] = written if is_texts(written) else (f"f({', '.join(self.of)})",)
         if self.bounded:
             return f"{', '.join(texts)} {'is' if len(texts) == 1 else 'are'} {self.bounds_in_words}"
         return ", ".join(t if "=" in t else t + tail for t in texts)
@@ -242,7 +250,7 @@ class _Valued(_WrittenKind, Bounded):
 
     def prefixed(self, prefix: str) -> Constraint:
         """The same constraint with a prefix before the names of its coordinates."""
-        written, new = self.expression, {n: prefix + n for n in self.of}  # type: ignore[attr-defined]
+        written, new = self.expression, {n: prefix + n for n in self.of}
         if isinstance(written, Call):
             written = replace(written, of=tuple(new.get(n, n) for n in written.of))
         elif isinstance(written, Tape):
@@ -314,21 +322,20 @@ class VelocityEquation(_WrittenKind):
         """Texts, or rows of texts."""
         if callable(written) and not isinstance(written, Expression):
             found, shape = self._recorded(written, fits)
-            if not isinstance(found, tuple):
+            if not is_texts(found):
                 why = found.reason if isinstance(found, Call) else "as text it is too long"
                 raise InputError(f"{self.what} cannot be recorded: {why}; rows of velocities need derivatives of "
                                  "their entries: write them as expressions")  # fmt: skip
             n = shape[-1] if len(shape) == 2 else 0
             return tuple(found[i : i + n] for i in range(0, len(found), n)) if n else found
-        if isinstance(written, np.ndarray):
-            written = written.tolist()
-        if not isinstance(written, (list, tuple)):
-            return (as_text(written, self.what),)
-        if any(isinstance(x, (list, tuple)) for x in written):
-            if len({len(x) if isinstance(x, (list, tuple)) else -1 for x in written}) > 1:
+        rows: Any = written.tolist() if isinstance(written, np.ndarray) else written
+        if not is_sequence(rows):
+            return (as_text(rows, self.what),)
+        if any(is_sequence(x) for x in rows):
+            if len({len(x) if is_sequence(x) else -1 for x in rows}) > 1:
                 raise InputError(f"{self.what} has rows of different lengths")
-            return tuple(tuple(as_text(x, self.what) for x in row) for row in written)
-        return tuple(as_text(x, self.what) for x in written)
+            return tuple(tuple(as_text(x, self.what) for x in row) for row in rows)
+        return tuple(as_text(x, self.what) for x in rows)
 
     def _fits(self, shape: tuple[int, ...]) -> None:
         """Refuse what is no matrix with a column for each coordinate."""
@@ -342,7 +349,7 @@ class VelocityEquation(_WrittenKind):
 
     def _row_texts(self) -> tuple[str, ...]:
         """Each row as an expression in velocities, A v - b."""
-        b = self.b if isinstance(self.b, tuple) else (self.b,) * len(self.matrix)
+        b = self.b if is_texts(self.b) else (self.b,) * len(self.matrix)
         rates = [quoted(n + RATE) for n in self.of]
         rows = [" + ".join(f"({a})*{v}" for a, v in zip(row, rates, strict=True)) for row in self.matrix]
         return tuple(row if y == "0" else f"{row} - ({y})" for row, y in zip(rows, b, strict=True))
@@ -350,7 +357,7 @@ class VelocityEquation(_WrittenKind):
     @property
     def words(self) -> tuple[str, ...]:
         """The names in its expressions, and its coordinates."""
-        b = self.b if isinstance(self.b, tuple) else (self.b,)
+        b = self.b if is_texts(self.b) else (self.b,)
         return tuple(dict.fromkeys([*self.of, *words_of((*(x for row in self.matrix for x in row), *b))]))
 
     def knowing(self, parameters: Collection[str]) -> Constraint:
@@ -387,6 +394,6 @@ class VelocityEquation(_WrittenKind):
             words = [w for w in words_of((text,)) if w not in self.of and w not in clock]
             return renamed(from_text((text,), (*self.of, *clock), tuple(words)), new).texts()[0]
 
-        b = tuple(map(moved, self.b)) if isinstance(self.b, tuple) else moved(self.b)
+        b: Written = tuple(map(moved, self.b)) if is_texts(self.b) else moved(self.b)
         matrix = tuple(tuple(map(moved, row)) for row in self.matrix)
         return replace(self, matrix=matrix, b=b, of=tuple(new.values()))

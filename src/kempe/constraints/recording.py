@@ -12,6 +12,7 @@ from kempe.constraints.builder import Builder
 from kempe.constraints.tape import TIME, Tape
 from kempe.errors import InputError, KempeError, UnknownNameError, shown
 from kempe.kernels.constraints import tape_layout as L
+from kempe.reals import is_array, is_sequence
 
 POINTS = 12
 """Points at which a recorded function is compared with its tape."""
@@ -33,17 +34,18 @@ class RecordedNumber:
     def __init__(self, builder: Builder, place: int):
         self._builder, self.place = builder, place
 
-    def _of(self, x: object) -> int | None:
+    def _of(self, x: Any) -> int | None:
         """The place of another operand."""
         if isinstance(x, RecordedNumber):
             if x._builder is not self._builder:
                 raise Branches("it keeps numbers of an earlier call")
             return x.place
-        if isinstance(x, np.ndarray) and x.ndim == 0:
+        if is_array(x) and x.ndim == 0:
             return self._of(x.item())
+        number: Any = x
         if isinstance(x, (bool, np.bool_)) or not isinstance(x, (int, float, np.integer, np.floating)):
             return None
-        return self._builder.number(float(x))
+        return self._builder.number(float(number))
 
     def _binary(self, op: int, left: object, right: object) -> Any:
         if isinstance(left, np.ndarray) or isinstance(right, np.ndarray):
@@ -143,11 +145,15 @@ class RecordedNumber:
     __floor__ = __ceil__ = __trunc__ = __round__
 
 
+def _method(op: int) -> Callable[[RecordedNumber, object], Any]:
+    return lambda x, other: x._binary(op, x, other)
+
+
 def _scaled(factor: float, op: int | None = None) -> Callable[[RecordedNumber], Any]:
     return lambda x: (x if op is None else x._unary(op)) * factor
 
 
-_UFUNCS_2 = {
+_UFUNCS_2: dict[np.ufunc, int] = {
     np.add: L.ADD, np.subtract: L.SUB, np.multiply: L.MUL, np.divide: L.DIV, np.power: L.POW, np.float_power: L.POW,
     np.arctan2: L.ATAN2, np.hypot: L.HYPOT,
 }  # fmt: skip
@@ -172,10 +178,10 @@ for _ufunc, _make in _UFUNCS.items():  # an array of objects calls the method of
     if not hasattr(RecordedNumber, _ufunc.__name__):
         setattr(RecordedNumber, _ufunc.__name__, _make)
 for _ufunc, _op in _UFUNCS_2.items():
-    setattr(RecordedNumber, _ufunc.__name__, lambda self, other, op=_op: self._binary(op, self, other))
+    setattr(RecordedNumber, _ufunc.__name__, _method(_op))
 
 
-class _Named(dict):
+class _Named(dict[Any, Any]):
     """The inputs of a function by name. Errors: `UnknownNameError` for a name that was not declared."""
 
     def __missing__(self, name: object) -> Any:
@@ -183,7 +189,7 @@ class _Named(dict):
 
 
 def record(
-    function: Callable, inputs: Collection[str], *, time: bool = False, what: str = "the function"
+    function: Callable[..., Any], inputs: Collection[str], *, time: bool = False, what: str = "the function"
 ) -> tuple[Tape, tuple[int, ...]]:
     """The tape of a Python function of named inputs, and the shape of what it returns; the tape has it row by row.
 
@@ -218,12 +224,12 @@ def record(
     return tape, shape
 
 
-def _once(function: Callable, names: list[str], time: bool) -> tuple[Tape, tuple[int, ...]]:
+def _once(function: Callable[..., Any], names: list[str], time: bool) -> tuple[Tape, tuple[int, ...]]:
     builder = Builder(names)
     recorded = _Named({name: RecordedNumber(builder, i) for i, name in enumerate(names)})
     found = function(recorded, recorded.pop(TIME)) if time else function(recorded)
     entries, shape = _entries(found)
-    places = []
+    places: list[int] = []
     for entry in entries:
         if isinstance(entry, RecordedNumber):
             if entry._builder is not builder:
@@ -234,11 +240,11 @@ def _once(function: Callable, names: list[str], time: bool) -> tuple[Tape, tuple
     return builder.finish(places), shape
 
 
-def _entries(found: object) -> tuple[list[Any], tuple[int, ...]]:
+def _entries(found: Any) -> tuple[list[Any], tuple[int, ...]]:
     """The numbers of what a function returned, row by row, and its shape. Errors: `InputError`."""
     if isinstance(found, np.ndarray):
         found = found.tolist()
-    if isinstance(found, (list, tuple)):
+    if is_sequence(found):
         parts = [_entries(part) for part in found]
         if not parts:
             raise InputError("it returns an empty list")
@@ -248,12 +254,15 @@ def _entries(found: object) -> tuple[list[Any], tuple[int, ...]]:
         return [x for entries, _ in parts for x in entries], (len(parts), *next(iter(shapes), ()))
     if isinstance(found, RecordedNumber):
         return [found], ()
+    number: Any = found
     if isinstance(found, (int, float, np.integer, np.floating)) and not isinstance(found, bool):
-        return [float(found)], ()
+        return [float(number)], ()
     raise InputError(f"it returns {shown(found)}; it must return a number, a list of numbers, or rows of numbers")
 
 
-def called(function: Callable, values: Mapping[str, float], time: bool, what: str) -> tuple[np.ndarray, tuple]:
+def called(
+    function: Callable[..., Any], values: Mapping[str, float], time: bool, what: str
+) -> tuple[np.ndarray, tuple[int, ...]]:
     """What a function returns for plain numbers, row by row, and its shape. Errors: `InputError` with the call."""
     given = _Named({name: np.float64(x) for name, x in values.items()})
     try:
@@ -285,13 +294,14 @@ def points(names: Collection[str]) -> list[dict[str, float]]:
     return [{name: float(rng.normal(0.0, spread[k % 4])) for name in names} for k in range(POINTS)]
 
 
-def probe(function: Callable, names: Collection[str], time: bool, what: str) -> tuple[int, ...]:
+def probe(function: Callable[..., Any], names: Collection[str], time: bool, what: str) -> tuple[int, ...]:
     """The shape of what a function returns for plain numbers.
 
     Errors: `InputError` with the call, where it fails or gives NaN wherever it is tried, and where it answers the same
     call in two ways.
     """
-    failures, found = [], []
+    failures: list[InputError] = []
+    found: list[tuple[np.bool_, tuple[Any, ...], dict[str, float]]] = []
     for values in points(names):
         try:
             entries, shape = called(function, values, time, what)
@@ -317,7 +327,9 @@ def probe(function: Callable, names: Collection[str], time: bool, what: str) -> 
     return found[0][1]
 
 
-def _compared(function: Callable, tape: Tape, shape: tuple, names: list[str], time: bool, what: str) -> None:
+def _compared(
+    function: Callable[..., Any], tape: Tape, shape: tuple[int, ...], names: list[str], time: bool, what: str
+) -> None:
     """Compare the tape with the function itself. Errors: `InputError` with the call where they differ."""
     for values in points(names):
         expected = tape.evaluate(values)

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.constraints import tape_layout as L
+from kempe.reals import is_sequence
 from kempe.values import CONSTANTS, FUNCTIONS
 
 Node = tuple[int, int, int]
@@ -40,12 +41,12 @@ WHOLE_POWERS = 64
 """Whole exponents up to this size become products, which are exact in every order of a series and at zero."""
 
 
-def entries(s: Any, table: NDArray) -> NDArray:
+def entries(s: Any, table: NDArray[Any]) -> NDArray[Any]:
     """The entries of a table at parameters."""
     return table[np.clip(np.floor(s), 0, len(table) - 1).astype(np.int64)]
 
 
-def nearest(way: Any, z: Any) -> NDArray:
+def nearest(way: Any, z: Any) -> NDArray[Any]:
     """The parameters of the points of a curve nearest to places: all critical points of all pieces that may be it.
 
     `way` has the table of the curve, and x and y.
@@ -59,7 +60,7 @@ def nearest(way: Any, z: Any) -> NDArray:
     return out
 
 
-def _nearest(rows: NDArray, endless: bool, p: NDArray) -> float:
+def _nearest(rows: NDArray[Any], endless: bool, p: NDArray[Any]) -> float:
     """The nearest of one place: roots of the derivative of the squared distance, polynomials of degree 5."""
     if not np.isfinite(p).all():
         return 0.0
@@ -82,12 +83,17 @@ def _nearest(rows: NDArray, endless: bool, p: NDArray) -> float:
     return found
 
 
-BINARY: dict[int, Callable] = {
+def at_place(way: Any, x: Any) -> tuple[Any, ...]:
+    """The table of a curve, or that with the first coordinate of a place, with one more coordinate."""
+    return (*way, x) if is_sequence(way) else (way, x)
+
+
+BINARY: dict[int, Callable[..., Any]] = {
     L.ADD: np.add, L.SUB: np.subtract, L.MUL: np.multiply, L.DIV: np.divide, L.POW: np.power,
     L.ATAN2: np.arctan2, L.HYPOT: np.hypot, L.LOOKUP: entries, L.NEAREST: nearest,
-    L.AT: lambda way, x: (*way, x) if isinstance(way, tuple) else (way, x),
+    L.AT: at_place,
 }  # fmt: skip
-UNARY: dict[int, Callable] = {
+UNARY: dict[int, Callable[..., Any]] = {
     L.NEG: np.negative, L.EXP: np.exp, L.LOG: np.log, L.SQRT: np.sqrt, L.SIN: np.sin, L.COS: np.cos, L.TAN: np.tan,
     L.ASIN: np.arcsin, L.ACOS: np.arccos, L.ATAN: np.arctan, L.SINH: np.sinh, L.COSH: np.cosh, L.TANH: np.tanh,
     L.ASINH: np.arcsinh, L.ACOSH: np.arccosh, L.ATANH: np.arctanh,

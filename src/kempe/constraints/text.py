@@ -14,6 +14,7 @@ import re
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any, TypeGuard
 
 from kempe.constraints.builder import Builder
 from kempe.constraints.tape import TEXT_LIMIT, Tape, is_plain, quoted
@@ -90,14 +91,14 @@ def _tape(texts: tuple[str, ...], names: tuple[str, ...], parameters: tuple[str,
             raise InputError(f"{name!r} is the name of a coordinate and of a parameter; rename one of them")
     builder = Builder([*names, *parameters], parameters)
     place = {name: TapePlace(builder, i) for i, name in enumerate([*names, *parameters])}
-    outputs = []
+    outputs: list[int] = []
     for text in texts:
         expression, meant = read(text)
         for word in expression.names:
             if meant.get(word, word) not in place:
                 raise UnknownNameError("name", meant.get(word, word), place, f"expression {text!r}:")
         leaves = {word: place[meant.get(word, word)] for word in expression.names}
-        number = lambda x: TapePlace(builder, builder.number(float(x)))  # noqa: E731
+        number: Callable[[float], TapePlace] = lambda x: TapePlace(builder, builder.number(float(x)))  # noqa: E731
         leaves |= {word: number(x) for word, x in CONSTANTS.items()}
         try:
             outputs.append(expression.fold(leaves, _functions(number), number).place)
@@ -107,16 +108,25 @@ def _tape(texts: tuple[str, ...], names: tuple[str, ...], parameters: tuple[str,
     return builder.finish(outputs)
 
 
-def _functions(number: Callable[[float], TapePlace]) -> dict[str, Callable]:
-    made: dict[str, Callable] = {name: _function(op, name in OF_TWO) for name, op in _OPERATIONS.items()}
+def _functions(number: Callable[[float], TapePlace]) -> dict[str, Callable[..., Any]]:
+    made: dict[str, Callable[..., Any]] = {name: _function(op, name in OF_TWO) for name, op in _OPERATIONS.items()}
     factors = {name: float(FUNCTIONS[name](1.0)) for name in ("radians", "degrees")}
-    return made | {name: (lambda x, f=f: x * number(f)) for name, f in factors.items()}
+    return made | {name: _times(number, f) for name, f in factors.items()}
+
+
+def _times(number: Callable[[float], TapePlace], factor: float) -> Callable[[TapePlace], TapePlace]:
+    return lambda x: x * number(factor)
 
 
 def _function(op: int, of_two: bool) -> Callable[..., TapePlace]:
-    if of_two:
-        return lambda x, y: x.apply(op, y)
-    return lambda x: x.apply(op)
+    one: Callable[[TapePlace], TapePlace] = lambda x: x.apply(op)  # noqa: E731
+    two: Callable[[TapePlace, TapePlace], TapePlace] = lambda x, y: x.apply(op, y)  # noqa: E731
+    return two if of_two else one
+
+
+def is_texts(x: object) -> TypeGuard[tuple[str, ...]]:
+    """Whether it is a tuple, as of several expressions."""
+    return isinstance(x, tuple)
 
 
 def read(text: str) -> tuple[Expression, dict[str, str]]:
@@ -128,7 +138,8 @@ def read(text: str) -> tuple[Expression, dict[str, str]]:
         raise InputError(f"{text!r} is no expression; it must be text")
     if len(text) > TEXT_LIMIT:
         raise InputError(f"expression of {len(text)} characters; at most {TEXT_LIMIT} are allowed")
-    sides, meant, at = [""], {}, 0
+    sides, at = [""], 0
+    meant: dict[str, str] = {}
     while at < len(text):
         match = _TOKENS.match(text, at)
         if match is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from functools import lru_cache
 from typing import Any, NoReturn
 
@@ -14,7 +14,7 @@ from kempe.description.parts import Body, Joint, Limits
 from kempe.errors import DescriptionError, Fault, InputError, UnknownNameError, Where, hint, shown
 from kempe.joints import TYPES, JointType, P, Product, Q, R
 from kempe.placement import Placement
-from kempe.reals import is_real
+from kempe.reals import is_mapping, is_real, is_sequence
 from kempe.values import Expression, value
 
 SAME_DIRECTION = 1e-12
@@ -43,13 +43,13 @@ def number(x: object, what: str) -> float:
 
 def numbers(given: object, what: str) -> dict[str, float]:
     """Finite numbers by coordinate name. Errors: `InputError`."""
-    if not isinstance(given, Mapping):
+    if not is_mapping(given):
         raise InputError(f"{what} is {given!r}; it must be a dict of numbers by coordinate name")
     return {str(k): number(v, f"{what}: {k!r}") for k, v in given.items()}
 
 
 def body(
-    given: str, particle: bool, mass: object, center: object, visuals: Iterable[str], where: Where | None
+    given: str, particle: bool, mass: object, center: Any, visuals: Iterable[str], where: Where | None
 ) -> Body:  # fmt: skip
     """A `Body` with its name, mass (kg, not negative) and centre of mass (2 or 3 lengths) checked."""
     subject = f"body {name(given, 'body')!r}"
@@ -57,10 +57,11 @@ def body(
         mass = number(mass, f"{subject}: mass")
         if mass < 0:
             refuse(subject, f"mass is {mass:g}", where, "it must not be negative")
+    coordinates: Any = center
     if center is not None:
         if isinstance(center, str) or not isinstance(center, Iterable):
             refuse(subject, f"center is {center!r}", where, "it must have 2 or 3 numbers")
-        lengths = [number(c, f"{subject}: center") for c in center]
+        lengths = [number(c, f"{subject}: center") for c in coordinates]
         if len(lengths) not in (2, 3):
             refuse(subject, f"center has {len(lengths)} numbers", where, "it must have 2 or 3")
         center = (*lengths, 0.0)[:3]
@@ -181,8 +182,8 @@ def limits(
     names = tuple(v for v in type_.velocities(dim, particle) if v in coordinates)
     out: dict[str, Limits] = {}
     for key, pair in _by_name(subject, "limits", given, names, where):
-        plain = pair.__class__ is np.ndarray and pair.ndim == 1 and pair.dtype != object  # type: ignore[attr-defined]
-        numbers: tuple[Any, ...] = tuple(pair) if plain or isinstance(pair, (list, tuple)) else ()  # type: ignore[arg-type]
+        plain = pair.__class__ is np.ndarray and pair.ndim == 1 and pair.dtype != object
+        numbers: tuple[Any, ...] = tuple(pair) if plain or is_sequence(pair) else ()
         if len(numbers) == 2:
             numbers = tuple(end if x is None else x for x, end in zip(numbers, (-math.inf, math.inf), strict=True))
         if len(numbers) != 2 or not all(is_real(x) for x in numbers):
@@ -210,10 +211,10 @@ def bounds(subject: str, what: str, given: object, names: tuple[str, ...], where
 
 def _by_name(
     subject: str, what: str, given: object, names: tuple[str, ...], where: Where | None
-) -> list[tuple[str, object]]:  # fmt: skip
+) -> list[tuple[str, Any]]:  # fmt: skip
     if given is None:
         return []
-    if not isinstance(given, Mapping):
+    if not is_mapping(given):
         if names != ("",):
             refuse(subject, f"{what} given as {given!r}", where,
                    f"this joint needs them by coordinate: {', '.join(names) or 'it has none'}")  # fmt: skip

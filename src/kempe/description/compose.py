@@ -63,7 +63,7 @@ def attach(
 
 def _refuse_clashes(host: Mechanism, guest: Mechanism, prefix: str) -> None:
     """Refuse names of the guest that the host has, too; bodies and frames share names, joints and constraints do."""
-    taken = []
+    taken: list[str] = []
     for one, other in (("bodies", "frames"), ("joints", "constraints"), ("postures", "postures")):
         here = {**getattr(host, one), **getattr(host, other)}
         mount = [f"{guest.ground.name}_mount"] if one == "joints" else []

@@ -26,6 +26,7 @@ from kempe.description import checks
 from kempe.description.parts import Body, Declared, Frame
 from kempe.errors import DescriptionError, InputError, UnknownNameError, Where, shown
 from kempe.placement import AXES, Placement
+from kempe.reals import is_sequence
 from kempe.values import Expression, value
 
 if TYPE_CHECKING:
@@ -159,12 +160,13 @@ def _checked(mechanism: Mechanism, x: Any, what: str, subject: str, where: Where
 
 def _read(x: Any, what: str) -> Any:
     """Numbers, lists of numbers or expressions as values."""
+    given: Any = x
     if isinstance(x, (np.ndarray, np.generic)):
-        x = x.tolist()
-    if isinstance(x, (list, tuple)):
-        items = tuple(_read(item, what) for item in x)
-        return x if all(a is b for a, b in zip(items, x, strict=True)) else items
-    return value(x, what) if isinstance(x, (str, Expression)) else x
+        given = given.tolist()
+    if is_sequence(given):
+        items = tuple(_read(item, what) for item in given)
+        return given if all(a is b for a, b in zip(items, given, strict=True)) else items
+    return value(given, what) if isinstance(given, (str, Expression)) else given
 
 
 def check(mechanism: Mechanism, made: Declared) -> None:

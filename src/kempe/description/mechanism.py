@@ -1,8 +1,5 @@
 """The builder: what the user says of a system, as a graph of bodies and joints. No kinematics here."""
 
-# What arguments are is looked at, whatever their annotations say: they come from people.
-# pyright: reportUnnecessaryIsInstance=false
-
 from __future__ import annotations
 
 import copy
@@ -287,7 +284,7 @@ class Mechanism(ConstraintMethods):
     def _repr_html_(self) -> str | None:
         """The system that it makes, in a notebook; None, for its text, where it makes none yet."""
         try:
-            return self.build()._repr_html_()  # pyright: ignore[reportPrivateUsage]
+            return self.build()._repr_html_()
         except KempeError:
             return None
 

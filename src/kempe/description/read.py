@@ -1,8 +1,5 @@
 """Any source -> Mechanism: finds out what a path or a text is, and calls its reader."""
 
-# What arguments are is looked at, whatever their annotations say: they come from people.
-# pyright: reportUnnecessaryIsInstance=false
-
 from __future__ import annotations
 
 import difflib

@@ -8,7 +8,7 @@ import os
 import re
 import stat
 from bisect import bisect_right
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Generator, Iterable
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
@@ -66,7 +66,7 @@ def no_file(path: str | Path) -> str:
 
 
 @contextmanager
-def collecting_later(count: int = MANY_BODIES) -> Iterator[None]:
+def collecting_later(count: int = MANY_BODIES) -> Generator[None, None, None]:
     """Put off the garbage collection of Python while `count` bodies are made.
 
     The bodies last, and each collection goes through all that exist: that takes a third of the time.
@@ -146,7 +146,7 @@ class Findings:
         return hint(name, [n for n in allowed if n != but])
 
     @contextmanager
-    def guard(self, subject: str = "", where: Where | None = None) -> Iterator[None]:
+    def guard(self, subject: str = "", where: Where | None = None) -> Generator[None, None, None]:
         """Record errors raised inside as problems of `subject` at `where`, and continue."""
         try:
             yield
@@ -171,9 +171,11 @@ def fail(message: str, where: Where, allowed: str = "", subject: str = "") -> De
 
 def folders_of(given: Any) -> tuple[Path, ...]:
     """Folders given as a list of paths, or a single path. Errors: `InputError`."""
-    paths = (given,) if isinstance(given, (str, Path)) or not isinstance(given, Iterable) else tuple(given)
+    entries: Any = given
+    single = isinstance(given, (str, Path)) or not isinstance(given, Iterable)
+    paths: tuple[Any, ...] = (entries,) if single else tuple(entries)
     if not all(isinstance(path, (str, Path)) for path in paths):
-        raise InputError(f"package_dirs is {shown(given)}; it must be a list of folders")
+        raise InputError(f"package_dirs is {shown(entries)}; it must be a list of folders")
     return tuple(expanded(path) for path in paths)
 
 

@@ -68,7 +68,7 @@ def _balls(system: System) -> dict[str, list[int]]:
     names = {n: i for i, n in enumerate(system.coordinate_names)}
     related = {f.source for f in system.structure.couplings.values()} | set(system.structure.couplings)
     related |= {n for r in system.structure.relations for n in (r.of, *r.sources)}
-    found = {}
+    found: dict[str, list[int]] = {}
     for joint in system.structure.joints.values():
         particle = system.mechanism.bodies[joint.child].particle
         own, steps = joint.type.layout(system.dim, particle)

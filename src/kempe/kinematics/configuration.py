@@ -130,7 +130,8 @@ def q_from_dict(system: System, coordinates: Mapping[str, Any] | str, base: Arra
         needed = "a dict by coordinate name, or the name of a posture"
         raise InputError(f"coordinates are {type(coordinates).__name__}; they must be {needed}")
     index = _places(system)
-    values, single = [], True
+    single = True
+    values: list[float | Array] = []
     for name, number in given.items():
         if name not in index:
             follower = system.structure.couplings.get(name)
@@ -147,15 +148,15 @@ def q_from_dict(system: System, coordinates: Mapping[str, Any] | str, base: Arra
         for name, x in zip(given, values, strict=True):
             q[..., index[name]] = x
         return q
-    values = [np.asarray(x) for x in values]
+    arrays: list[Array] = [np.asarray(x) for x in values]
     try:
-        lead = np.broadcast_shapes(start.shape[:-1], *(x.shape for x in values))
+        lead = np.broadcast_shapes(start.shape[:-1], *(x.shape for x in arrays))
     except ValueError:
-        shapes = ", ".join(f"{n!r} {x.shape}" for n, x in zip(given, values, strict=True))
+        shapes = ", ".join(f"{n!r} {x.shape}" for n, x in zip(given, arrays, strict=True))
         raise InputError(f"the values of the coordinates have shapes that do not fit together: {shapes}") from None
     q = np.empty((*lead, system.nq))
     q[:] = start
-    for name, x in zip(given, values, strict=True):
+    for name, x in zip(given, arrays, strict=True):
         q[..., index[name]] = x
     return q
 
@@ -208,12 +209,12 @@ def random(system: System, rng: np.random.Generator | int | None, shape: int | t
     except (MemoryError, ValueError):
         raise InputError(f"shape is {shape}; this memory does not hold so many configurations") from None
     low, high = sampling_box(system)
-    order = sorted(range(len(layout.vector_v)), key=lambda i: natural(names[layout.vector_v[i]]))
+    order = sorted(range(len(layout.vector_v)), key=lambda i: natural(names[int(layout.vector_v[i])]))
     for i in order:
         iv = layout.vector_v[i]
         u = rng.random(size=shape)
         q[..., layout.vector_q[i]] = np.clip((1.0 - u) * low[iv] + u * high[iv], low[iv], high[iv])
-    balls = sorted(range(len(layout.quaternion_v)), key=lambda i: natural(names[layout.quaternion_v[i]]))
+    balls = sorted(range(len(layout.quaternion_v)), key=lambda i: natural(names[int(layout.quaternion_v[i])]))
     layout.random_quaternions(q, rng, np.array(balls, dtype=np.int64))
     return q
 

@@ -32,14 +32,26 @@ class Form(NamedTuple):
     of: Callable[[Array], Array]
 
 
+def _pose(X: Array) -> Array:
+    return X
+
+
+def _rows(X: Array) -> Array:
+    return X[..., :3, :]
+
+
+def _position(X: Array) -> Array:
+    return X[..., :3, 3]
+
+
+def _position_quat_wxyz(X: Array) -> Array:
+    return np.concatenate([X[..., :3, 3], matrix_to_quat_wxyz(X[..., :3, :3])], axis=-1)
+
+
 FORMS = {
-    "pose": Form((4, 4), lambda X: X),
-    "3x4": Form((3, 4), lambda X: X[..., :3, :]),
-    "position": Form((3,), lambda X: X[..., :3, 3]),
-    "position_quat_wxyz": Form(
-        (7,), lambda X: np.concatenate([X[..., :3, 3], matrix_to_quat_wxyz(X[..., :3, :3])], axis=-1)
-    ),
-}
+    "pose": Form((4, 4), _pose), "3x4": Form((3, 4), _rows), "position": Form((3,), _position),
+    "position_quat_wxyz": Form((7,), _position_quat_wxyz),
+}  # fmt: skip
 """The forms by their names."""
 TYPES = ("float64", "float32")
 
@@ -64,23 +76,23 @@ def in_form(
     if kind.name not in TYPES:
         raise InputError(f"dtype is {shown(dtype)}; allowed: {', '.join(TYPES)}")
     q = as_q(system, q)
+    one: Any = frame
     several = frame is None or isinstance(frame, (list, tuple))
-    lead = q.shape[:-1] + ((len(system.body_names if frame is None else frame),) if several else ())
+    lead = q.shape[:-1] + ((len(system.body_names if frame is None else one),) if several else ())
     out = _taken(out, (*lead, *wanted.shape), kind)
     if q.ndim == 1:
-        out[...] = wanted.of(fk(system, q, frame))
+        out[...] = wanted.of(fk(system, q, one))
         return out
     flat = q.reshape(math.prod(q.shape[:-1]), system.nq)
     rows = out.reshape(len(flat), *out.shape[q.ndim - 1 :])
     if np.may_share_memory(q, out):
         flat = flat.copy()
     direct = form == "position" and not several
-    one: Any = frame
     table = chain_table(system, system.structure.frame_name(one)) if direct else None
 
     def work(start: int, stop: int) -> int:
         if table is None:
-            rows[start:stop] = wanted.of(fk(system, flat[start:stop], frame, threads=1))
+            rows[start:stop] = wanted.of(fk(system, flat[start:stop], one, threads=1))
             return 0
         whole = rows.dtype == np.float64
         points = rows[start:stop] if whole else np.empty((stop - start, 3))

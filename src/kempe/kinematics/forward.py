@@ -188,7 +188,7 @@ def _packed(system: System, frames: tuple[str, ...] | None) -> tuple[np.ndarray,
 
 @explained
 def fk(
-    system: System, q: Any, frame: FrameLike | list | tuple | None = None, out: Array | None = None,
+    system: System, q: Any, frame: FrameLike | list[Any] | tuple[Any, ...] | None = None, out: Array | None = None,
     threads: int | None = None, form: str | None = None, dtype: Any = None,
 ) -> Array:  # fmt: skip
     """Poses in the ground frame (the forward geometric model).

@@ -180,7 +180,11 @@ def _declared(system: System) -> tuple[list[str], list[str], list[tuple[float, f
     """Names, units, bounds and places of the declared rows between bounds, and the ties that they are among."""
     loops = loops_of(system, frozenset(system.structure.closures), one_sided=True)
     several = Counter(t.name for t in loops.ties if t.bounds for _ in t.rows)
-    names, units, bounds, chosen, at, every = [], [], [], [], 0, loops.units
+    at, every = 0, loops.units
+    names: list[str] = []
+    units: list[str] = []
+    bounds: list[tuple[float, float]] = []
+    chosen: list[int] = []
     for tie in loops.ties:
         for i, row in enumerate(tie.rows if tie.bounds else ()):
             names.append(tie.name if several[tie.name] == 1 else f"{tie.name} {row}")

@@ -24,17 +24,28 @@ from kempe.values import FUNCTIONS, Expression, Value
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
 
-_FUNCTIONS: dict[str, Callable] = {name: getattr(sympy, name) for name in FUNCTIONS if hasattr(sympy, name)} | {
-    "hypot": lambda x, y: sympy.sqrt(x**2 + y**2), "radians": lambda x: x * sympy.pi / 180,
-    "degrees": lambda x: x * 180 / sympy.pi,
-}  # fmt: skip
+
+def _hypot(x: Any, y: Any) -> Any:
+    return sympy.sqrt(x**2 + y**2)
+
+
+def _radians(x: Any) -> Any:
+    return x * sympy.pi / 180
+
+
+def _degrees(x: Any) -> Any:
+    return x * 180 / sympy.pi
+
+
+_FUNCTIONS: dict[str, Callable[..., Any]] = {name: getattr(sympy, name) for name in FUNCTIONS if hasattr(sympy, name)}
+_FUNCTIONS |= {"hypot": _hypot, "radians": _radians, "degrees": _degrees}
 
 
 @explained
 def symbolic_fk(
     system: System, frame: FrameLike, *, relative_to: FrameLike | None = None,
     symbols: Mapping[str, Any] | None = None, snap: float = 0.0,
-) -> sympy.Matrix:  # fmt: skip
+) -> Any:  # fmt: skip
     """Pose of a body or frame as a sympy Matrix (4, 4), in coordinates and named parameters.
 
     It is the pose in the ground frame, or in the frame `relative_to`, by the joints between the two.
@@ -111,7 +122,8 @@ def _way_to(system: System, name: str, leaves: SymbolLeaves) -> list[tuple[str, 
     """Each body on the way from the ground to a body or frame, with the motions from the body before it."""
     mechanism, tree = system.mechanism, system.structure.topology
     frame = mechanism.frames.get(name)
-    number, out = tree.bodies.index(frame.body if frame else name), []
+    number = tree.bodies.index(frame.body if frame else name)
+    out: list[tuple[str, list[SymbolicStep]]] = []
     while number:
         i = number - 1
         joint = mechanism.joints[tree.parent_joints[i]]
@@ -157,7 +169,7 @@ def _placement_steps(X: Placement, subject: str, leaves: SymbolLeaves) -> Iterat
             yield SymbolicStep("rotation", amount=leaves.constant(constant, subject), subject=subject)
 
 
-def _ball(quat_wxyz: list[Any]) -> sympy.Matrix:
+def _ball(quat_wxyz: list[Any]) -> Any:
     """Rotation of a quaternion of norm one (Euler and Rodrigues)."""
     w, x, y, z = quat_wxyz
     return sympy.Matrix([
@@ -177,7 +189,8 @@ class SymbolLeaves:
         if isinstance(snap, bool) or not isinstance(snap, (int, float)) or not 0.0 <= snap < math.pi / 4:
             raise InputError(f"snap is {snap!r}; it must be an angle in radians, from 0 to less than pi/4")
         mechanism = system.mechanism
-        self.snap, self.snapped, self.locks = float(snap), [], mechanism.locks
+        self.snap, self.locks = float(snap), mechanism.locks
+        self.snapped: list[str] = []
         allowed = (*system.coordinate_names, *mechanism.parameters)
         for name in symbols:
             if name not in allowed:
@@ -210,7 +223,7 @@ class SymbolLeaves:
         """A coordinate, or what it follows."""
         return self.coordinates[name]
 
-    def ball(self, names: list[str], subject: str) -> sympy.Matrix:
+    def ball(self, names: list[str], subject: str) -> Any:
         """Rotation of a quaternion coordinate, constant where that is locked."""
         if names[0] in self.locks:
             return self.constant(spatial.quat_wxyz_to_matrix([self.locks[n] for n in names]), subject)
@@ -240,7 +253,7 @@ class SymbolLeaves:
             return quarters
         return sympy.Float(angle)
 
-    def direction(self, axis: tuple[Any, ...], subject: str) -> sympy.Matrix:
+    def direction(self, axis: tuple[Any, ...], subject: str) -> Any:
         """Unit vector of an axis, exact where its entries are whole numbers or, after snapping, all but one zero."""
         unit = spatial.unit(axis)
         nearest = np.rint(unit)
@@ -254,7 +267,7 @@ class SymbolLeaves:
             return whole / sympy.sqrt(whole.dot(whole))
         return sympy.Matrix([_number(x) for x in unit.tolist()])
 
-    def constant(self, matrix: np.ndarray, subject: str) -> sympy.Matrix:
+    def constant(self, matrix: np.ndarray, subject: str) -> Any:
         """A constant rotation matrix: a signed permutation after snapping, if it is near enough to one."""
         nearest = np.rint(matrix)
         if self.snap and abs(np.linalg.det(nearest)) == 1.0 and not np.array_equal(nearest, matrix):
@@ -267,7 +280,8 @@ class SymbolLeaves:
 
 def _turning(system: System) -> set[str]:
     """Names of the coordinates that are angles."""
-    mechanism, out = system.mechanism, set()
+    mechanism = system.mechanism
+    out: set[str] = set()
     for joint in mechanism.joints.values():
         names = coordinate_names(mechanism, joint)
         primitives = joint.type.layout(mechanism.dim, mechanism.bodies[joint.child].particle)[1]

@@ -63,7 +63,7 @@ class SymbolicSteps:
         return f"$\\displaystyle {self.latex()}$"
 
     def __str__(self) -> str:
-        lines = []
+        lines: list[str] = []
         for a, b, T in zip(self.names[:-1], self.names[1:], self.T, strict=True):
             lines.append(f"{b} in {a}: p = {tuple(T[:3, 3])}, R = {T[:3, :3].tolist()}")
         return "\n".join(lines)

@@ -17,9 +17,12 @@ if TYPE_CHECKING:
     from kempe.kinematics.symbolic import SymbolLeaves
 
 try:
-    import sympy
+    import sympy as _sympy
 except ImportError:
     raise MissingExtraError("sympy", "symbolic") from None
+
+sympy: Any = _sympy
+"""The package without types, of which it has only some."""
 
 TURN_LIMIT = 100
 """Turns about different axes in one formula; it doubles in length with each, and nobody reads that."""
@@ -68,7 +71,7 @@ class _Turn:
             return self.axis is not None and bool(self.angle.is_number)
         return not self.matrix.free_symbols
 
-    def rotation(self) -> sympy.Matrix:
+    def rotation(self) -> Any:
         """Its matrix (3, 3)."""
         if self.matrix is not None or self.axis is None:
             return sympy.eye(3) if self.matrix is None else self.matrix
@@ -137,7 +140,7 @@ class TurnProduct:
         if len(self.turns) > TURN_LIMIT + 1:
             raise UnsupportedError(f"the formula has more than {TURN_LIMIT} turns of different axes; take a subchain")
 
-    def pose(self) -> tuple[sympy.Matrix, sympy.Matrix]:
+    def pose(self) -> tuple[Any, Any]:
         """Rotation (3, 3) and position (3, 1)."""
         rotation, position = self.corner, sympy.zeros(3, 1)
         for turn in reversed(self.turns):
@@ -165,7 +168,7 @@ def _is_corner(axis: Any) -> bool:
     return all(x in (-1, 0, 1) for x in axis)
 
 
-def pose_of(steps: Iterable[SymbolicStep], leaves: SymbolLeaves) -> sympy.Matrix:
+def pose_of(steps: Iterable[SymbolicStep], leaves: SymbolLeaves) -> Any:
     """The product of steps as a pose (4, 4)."""
     chain = TurnProduct()
     for step in unwrapped(steps):

@@ -84,7 +84,7 @@ def _untimed(of: Any, more: tuple[str, ...]) -> Constraint:
     return replace(of, expression=expression, of=(*of.of, *more), time=False)
 
 
-def _with_time(function: Callable) -> Callable:
+def _with_time(function: Callable[..., Any]) -> Callable[..., Any]:
     """The function with the time among its named inputs."""
 
     def called(x: Mapping[str, float]) -> Any:

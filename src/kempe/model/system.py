@@ -125,7 +125,7 @@ class System(Compiled, Pictured, FormerNames):
     # ---- where everything is
 
     def fk(
-        self, q: Any, frame: FrameLike | list | tuple | None = None, out: Array | None = None,
+        self, q: Any, frame: FrameLike | list[Any] | tuple[Any, ...] | None = None, out: Array | None = None,
         threads: int | None = None, form: str | None = None, dtype: Any = None,
     ) -> Array:  # fmt: skip
         """Poses in the ground frame: (..., 4, 4) of one frame, (..., k, 4, 4) of several or of all bodies (None).

@@ -111,7 +111,7 @@ def coordinates(system: System, degrees: bool = False) -> list[dict[str, Any]]:
     unit = units(system)
     limits = in_degrees(system.structure.limits.T, system.structure.velocity_names, unit, degrees)
     of = dict(zip(system.structure.velocity_names, limits.T.tolist(), strict=True))
-    out = []
+    out: list[dict[str, int | str | float | None]] = []
     for i, name in enumerate(system.coordinate_names):
         lower, upper = of.get(name, (-math.inf, math.inf))
         shown = "deg" if degrees and unit[name] == "rad" else unit[name]

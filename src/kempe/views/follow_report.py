@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Group, RenderableType
@@ -22,7 +22,7 @@ def path(answer: IkPath, degrees: bool = False) -> RenderableType:
     if answer.success.any():
         q = facts.in_degrees(answer.q, system.coordinate_names, facts.units(system), degrees)
         steps = np.abs(np.diff(q, axis=0))
-        lines = []
+        lines: list[tuple[Any, ...]] = []
         for i, c in enumerate(facts.coordinates(system, degrees)):
             most = np.nanmax(steps[:, i]) if np.isfinite(steps[:, i]).any() else 0.0
             values = (np.nanmin(q[:, i]), np.nanmax(q[:, i]), most)

@@ -125,7 +125,7 @@ def _batch(answer: Solutions, degrees: bool) -> RenderableType:
         text.append(f"\nand {report.rows_text(missed[report.REASON_LIMIT :])}", "red")
     heads = [f">{c['name']} [{c['unit']}]" for c in facts.coordinates(system, degrees)]
     q = _in_units(system, answer.q.reshape(*mask.shape, system.nq), degrees)
-    cells = []
+    cells: list[tuple[Any, str, *tuple[str, ...]]] = []
     for i, k in zip(*np.nonzero(mask), strict=True):
         values = (_number(x, h) for x, h in zip(q[i, k].tolist(), heads, strict=True))
         cells.append((i, "yes" if inside[i, k] else "no", *values))

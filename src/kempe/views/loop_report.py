@@ -60,7 +60,8 @@ def _by_topic(headline: str, topics: list[tuple[str, list[str]]], style: str) ->
 def report_facts(system: System, answer: Mobility | Classification, degrees: bool = False) -> dict[str, Any]:
     """Degrees of freedom, or what constraints are, as plain data."""
     data = answer.data()
-    for side in (data["one_sided"] or {"sides": []})["sides"] if degrees else ():
+    sides: list[dict[str, Any]] = data["one_sided"]["sides"] if data["one_sided"] and degrees else []
+    for side in sides:
         if side["unit"] == "rad":
             side |= {"unit": "deg", **{k: side[k] / facts.DEGREE for k in ("value", "bound", "slack")}}
     return {"system": data.pop("name"), "angle_unit": _angle(degrees), **data, "q": by_name(system, answer.q, degrees)}
@@ -78,7 +79,7 @@ def assembly(answer: Assembly, degrees: bool = False, given: Mapping[str, Any] |
     if np.ndim(answer.success):
         return _assemblies(answer, degrees)
     shown: list[RenderableType] = [Text(report.clean(answer.status), style=_style(answer)), ""]
-    lines = []
+    lines: list[tuple[Any, str, Any, str]] = []
     q = _shown(system, answer.q, degrees)
     sources = set(answer.assembler.sources)
     for c, x in zip(facts.coordinates(system, degrees), q.tolist(), strict=True):

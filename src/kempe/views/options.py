@@ -51,11 +51,12 @@ def data_in_options(data: Any) -> Any:
     """Data with its sentences as the command line says them; numbers, keys, and what is under `PLAIN` ones stay."""
     if isinstance(data, str):
         return in_options(data)
+    given: Any = data
     if isinstance(data, dict):
-        return {key: value if key in PLAIN else data_in_options(value) for key, value in data.items()}
-    if isinstance(data, list) and not (data and isinstance(data[0], (int, float, type(None)))):
-        return [data_in_options(value) for value in data]
-    return data
+        return {key: value if key in PLAIN else data_in_options(value) for key, value in given.items()}
+    if isinstance(data, list) and not (given and isinstance(given[0], (int, float, type(None)))):
+        return [data_in_options(value) for value in given]
+    return given
 
 
 def at_home(argument: str) -> str:

@@ -64,7 +64,8 @@ def _places(system: System) -> np.ndarray:
     at = np.zeros((len(below), 2))
     for body, parent in enumerate(system.parent, 1):  # parents come first
         at[body, 1] = at[parent, 1] - 1.0
-    order, waiting = [], [0]
+    waiting = [0]
+    order: list[int] = []
     while waiting:
         order.append(waiting.pop())
         waiting += reversed(below[order[-1]])
@@ -134,7 +135,7 @@ def _edge_text(ax: Axes, joint: Any, a: np.ndarray, b: np.ndarray, colour: str) 
 
 def joint_rows() -> list[dict[str, Any]]:
     """All joint types: name, letter, freedoms and constraints in space and in the plane, what they are made of."""
-    out = []
+    out: list[dict[str, str | int | None]] = []
     for name, kind in TYPES.items():
         joint = kind()
         plane = (joint.dof(2), joint.constraints(2)) if joint.planar else (None, None)
@@ -158,12 +159,13 @@ def plot_joints(names: Sequence[str] = ()) -> tuple[Axes, ...]:
 
     columns = min(3, len(shown))
     rows = -(-len(shown) // columns)
-    figure, axes = page.new_figure(3.4 * columns, 3.2 * rows), []
+    figure = page.new_figure(3.4 * columns, 3.2 * rows)
+    axes: list[Axes] = []
     for k, name in enumerate(shown):
-        ax = figure.add_subplot(rows, columns, k + 1, projection="3d")
+        ax: Any = figure.add_subplot(rows, columns, k + 1, projection="3d")
         system = kempe.load(f"joint_{name}")
         system.plot(motion=True, labels=False, ax=ax)
-        ax.set_box_aspect([np.ptp(x) for x in (ax.get_xlim(), ax.get_ylim(), ax.get_zlim())], zoom=1.25)  # type: ignore[arg-type]
+        ax.set_box_aspect([np.ptp(x) for x in (ax.get_xlim(), ax.get_ylim(), ax.get_zlim())], zoom=1.25)
         ax.set_axis_off()
         ax.set_title(f"{name}, {counted(TYPES[name]().dof(), 'freedom')}", size=style.FONT + 1, color=style.INK, y=0.97)
         axes.append(ax)

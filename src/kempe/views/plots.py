@@ -18,7 +18,7 @@ from kempe.kinematics.configuration import as_q, distance, has_loops, home_of, i
 from kempe.kinematics.forward import fk
 from kempe.kinematics.measure import judge
 from kempe.model.plot_options import PlotOptions
-from kempe.reals import reals
+from kempe.reals import is_sequence, reals
 from kempe.spatial import Array
 from kempe.views.drawing import page, style
 from kempe.views.drawing.scene import look
@@ -142,7 +142,8 @@ def names_of(system: System, frames: Any) -> list[str]:
     """Names of the frames that are given: a list, one, or None for all bodies and frames."""
     if frames is None:
         return list(system.frame_names)
-    return [system.structure.frame_name(f) for f in (frames if isinstance(frames, (list, tuple)) else [frames])]
+    several: list[Any] = list(frames) if is_sequence(frames) else [frames]
+    return [system.structure.frame_name(f) for f in several]
 
 
 def plot_path(
@@ -173,14 +174,15 @@ def plot_path(
     unit = units(system)
     for k, name in enumerate(chosen):
         i = known.index(name)
-        how = {"color": style.link_colour(k + 1), "lw": 1.7, "ls": "--" if unit[name] == "m" else "-"}
+        how: dict[str, Any] = {"color": style.link_colour(k + 1), "lw": 1.7, "ls": "--" if unit[name] == "m" else "-"}
         ax.plot(s, q[:, i], gid=f"coordinate:{name}", label=name, **how)
     index = [known.index(n) for n in chosen]
     for kind, colour, line in (("turning", style.GROUND, ":"), ("singular", style.OPEN, "-")):
         for k, event in enumerate(getattr(path, f"{kind}_points", ())):
             ax.axvline(event.s, color=colour, lw=0.8, ls=line, alpha=0.6, zorder=0.5, gid=f"{kind}:{k}")
             if kind == "singular":
-                ax.plot(np.full(len(index), event.s), np.asarray(event.q)[index], "o", mfc="none", mec=colour, ms=6,
+                values = np.asarray(event.q, dtype=float)[index]
+                ax.plot(np.full((len(index),), float(event.s)), values, "o", mfc="none", mec=colour, ms=6,
                         gid=f"{kind}:{k}:values")  # fmt: skip
     page.light_axes(ax)
     kinds = [text for u, text in (("rad", "angles [rad]"), ("m", "slides [m]")) if u in {unit[n] for n in chosen}]
@@ -243,11 +245,12 @@ def motion_of(system: System, path: Any) -> tuple[Array | None, tuple[str, ...]]
     """
     if path is None:
         return None, ()
+    way: Any = path
     configurations = as_q(system, path if isinstance(path, np.ndarray) else getattr(path, "q", path))
     if configurations.ndim != 2 or not np.isfinite(configurations).all(axis=1).any():
         raise InputError(f"path has shape {configurations.shape}; it must be (n, {system.nq}), not all of it NaN")
-    driver = getattr(path, "driver", None)
-    names = [driver] if isinstance(driver, str) else list(driver or ()) if isinstance(driver, (list, tuple)) else []
+    driver: Any = getattr(way, "driver", None)
+    names: list[Any] = [driver] if isinstance(driver, str) else list(driver) if is_sequence(driver) else []
     joints = {c: j for j in system.joint_names for c in system.structure.coordinates_of_joint(j)}
     return configurations, tuple(joints.get(n, n) for n in names if isinstance(n, str))
 

@@ -197,7 +197,7 @@ def _of_joint(joint: dict[str, Any], by_name: dict[str, dict[str, Any]]) -> tupl
         return ("follows" if joint["coordinates"] else ""), ""
     first, last = own[0]["index"], own[-1]["index"]
     where = str(first) if first == last else f"{first}..{last}"
-    parts = []
+    parts: list[str] = []
     for c in own:
         if c["lower"] is not None or c["upper"] is not None:
             label = f"{c['name'][len(joint['name']) + 1 :]} " if len(joint["coordinates"]) > 1 else ""
@@ -219,7 +219,7 @@ def _loops(data: dict[str, Any]) -> Table | None:
 
 
 def _constraints(data: dict[str, Any]) -> Table | None:
-    lines = []
+    lines: list[tuple[Any, str, str, Any]] = []
     for c in data["constraints"]:
         sided = ", one-sided" if c["one_sided"] else ""
         what = [f"{c['parent']} - {c['child']}"] if c["parent"] else []
@@ -311,7 +311,7 @@ def poses(system: System, frame: str | None, X: spatial.Array, degrees: bool = F
     return Group(title, "", _pose_table(labels, (">q", ">#", "body"), X.reshape(-1, 4, 4), degrees))
 
 
-def _pose_table(labels: Sequence[tuple], columns: tuple[str, ...], X: spatial.Array, degrees: bool) -> Table:
+def _pose_table(labels: Sequence[tuple[Any, ...]], columns: tuple[str, ...], X: spatial.Array, degrees: bool) -> Table:
     places = 4 if degrees else 6
     cells = [
         (*label, *(number(x) for x in r[:3]), *(number(x, places) for x in r[3:]))
@@ -331,7 +331,7 @@ def solution(system: System, answer: Answer, degrees: bool = False) -> Renderabl
     q = facts.in_degrees(answer.q, system.coordinate_names, facts.units(system), degrees)
     if np.ndim(answer.success):
         return Group(outcome(answer), *verdict(answer), "", _configurations(coordinates, q, answer))
-    lines = []
+    lines: list[tuple[Any, str, Any, str]] = []
     for c, x in zip(coordinates, q.tolist(), strict=True):
         limits = f"[{_bound(c['lower'], '-inf')}, {_bound(c['upper'], 'inf')}]"
         lines.append((c["name"], _value(x, c), c["unit"], "" if c["lower"] is c["upper"] is None else limits))

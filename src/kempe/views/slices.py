@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -85,7 +85,9 @@ def in_slices(
 
 
 @contextlib.contextmanager
-def progress(file: TextIO, count: int | None, what: str = "targets") -> Iterator[Callable[..., None] | None]:
+def progress(
+    file: TextIO, count: int | None, what: str = "targets"
+) -> Generator[Callable[..., None] | None, None, None]:
     """What long work calls with what is done, and perhaps an arc length; nothing where `file` is no terminal.
 
     A bar where it is known of how many, else a line that counts.

@@ -111,7 +111,8 @@ def _checked(system: System, frame: FrameLike) -> str:
 def _grid(system: System, n: int) -> Array:
     """Configurations (n, n, 2) over the limits, or full turns."""
     low, high = sampling_box(system)
-    return np.stack(np.meshgrid(*(np.linspace(low[i], high[i], n) for i in range(2)), indexing="ij"), axis=-1)
+    sides = [np.linspace(float(low[i]), float(high[i]), n) for i in range(2)]
+    return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1)
 
 
 def _shade_task_space(system: System, name: str, ax: Any, p: Array, targets: Array, n: int) -> None:
@@ -119,7 +120,7 @@ def _shade_task_space(system: System, name: str, ax: Any, p: Array, targets: Arr
     every = np.concatenate([p.reshape(-1, 2), targets])
     low, high = every.min(axis=0), every.max(axis=0)
     room = ROOM * max(float((high - low).max()), 1e-9)
-    x, y = (np.linspace(low[i] - room, high[i] + room, n) for i in range(2))
+    x, y = (np.linspace(float(low[i]) - room, float(high[i]) + room, n) for i in range(2))
     places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
     count = preimages(system, name, places)
     _shaded(ax, x, y, count)
@@ -226,9 +227,9 @@ def _finish(system: System, name: str, left: Any, right: Any) -> None:
     right.set_aspect("equal", adjustable="box")
     left.set_title("configuration space", size=style.FONT + 1, color=style.INK)
     right.set_title(f"task space: position of {name!r}", size=style.FONT + 1, color=style.INK)
-    seen = [np.asarray(mesh.get_array()) for ax in (left, right) for mesh in ax.collections
+    seen: list[np.ndarray] = [np.asarray(mesh.get_array()) for ax in (left, right) for mesh in ax.collections
             if mesh.get_gid() == "preimages"]  # fmt: skip
-    count = {k for k in range(4) if any(np.mean(x == k) > FEW for x in seen)}
+    count = {k for k in range(4) if any(float((x == k).mean()) > FEW for x in seen)}
     words = ("not reached", "reached in 1 way", "reached in 2 ways", "in more ways")
     entries: list[Any] = [Patch(fc=SHADES[k], ec=style.FAINT, label=words[k]) for k in sorted(count)]
     entries.append(Line2D([], [], color=style.OPEN, lw=1.6, label="singular"))

@@ -133,7 +133,7 @@ def plot_placement(found: BasePlacement, ax: Axes | None = None) -> Axes:
     names = list(found.axes)
     if len(names) < 2:
         raise UnsupportedError(f"a map over {names[0]!r} alone has no picture: plot its fraction")
-    index = np.unravel_index(found.order[0], found.fraction.shape)
+    index = np.unravel_index(int(found.order[0]), found.fraction.shape)
     units = [f"{n} [{'rad' if n == 'yaw' else 'm'}]" for n in names]
     x, y = (found.axes[n] for n in names[:2])
     ax = _picture(ax, x, y, found.fraction[(slice(None), slice(None), *index[2:])], (units[0], units[1]))

@@ -18,7 +18,7 @@ from kempe.joints import R
 from kempe.kinematics.configuration import as_q, home_of, random
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.tree.coordinates import coordinate_names
-from kempe.reals import is_real
+from kempe.reals import is_mapping, is_real
 from kempe.solvers.common.tracing import RANK, Node, node
 from kempe.spatial import Array
 
@@ -71,7 +71,7 @@ def angle_or_slide(system: System, name: str) -> int:
     if follower is not None:
         said = f"it follows {follower.source!r}" if follower.source else f"it is held at {follower.offset:g}"
         raise InputError(f"coordinate {name!r} is not part of q: {said}")
-    allowed = [names[i] for i in layout.vector_v]
+    allowed: list[str] = [names[int(i)] for i in layout.vector_v]
     raise UnknownNameError("angle or slide", name, allowed, system.name)
 
 
@@ -81,7 +81,7 @@ def start_of(system: System, start: Any, hold: Mapping[str, float]) -> Array:
         q = home_of(system)
     elif isinstance(start, str):
         q = system.q(start)
-    elif isinstance(start, Mapping):
+    elif is_mapping(start):
         q = system.q(start, home_of(system))
     else:
         q = as_q(system, start)
@@ -100,7 +100,7 @@ def begin(system: System, start: Any, hold: Mapping[str, float]) -> tuple[Closur
     held = [angle_or_slide(system, n) for n in hold]
     near = start_of(system, start, hold)
     equations = Closure(system, held, near)
-    known = {n: v for n, v in start.items() if n not in hold} if isinstance(start, Mapping) else {}
+    known: dict[str, Any] = {n: v for n, v in start.items() if n not in hold} if is_mapping(start) else {}
     fixed = Closure(system, held + [angle_or_slide(system, n) for n in known], near)
     q = None if known else close(fixed, near)  # what is known may be far: then on the branch that `assemble` finds
     if q is None:
@@ -118,7 +118,7 @@ def why_open(system: System, start: Any, hold: Mapping[str, float]) -> str:
     """The sentence for a motion that cannot begin: which loop is open at the start, by how much, and why."""
     from kempe.solvers.assembly.assembly import assemble
 
-    known = {**start, **hold} if isinstance(start, Mapping) else hold
+    known = {**start, **hold} if is_mapping(start) else hold
     answer = assemble(system, known=known, start=start_of(system, start, hold))
     return f"the loops do not close near the start{'' if answer.success else f': {answer.status}'}"
 

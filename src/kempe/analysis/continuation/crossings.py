@@ -98,7 +98,7 @@ def cone(equations: Closure, x: Array) -> Array:
 def _two(forms: Array) -> Array:
     """Common real zeros (k, 2) of quadratic forms (m, 2, 2)."""
     rows = np.stack([forms[:, 0, 0], 2.0 * forms[:, 0, 1], forms[:, 1, 1]], axis=1)
-    _, s, Vt = np.linalg.svd(rows)
+    Vt = np.linalg.svd(rows)[2]
     a, b, c = Vt[0]  # a u^2 + b u v + c v^2, the combination of the forms that is largest
     root = b * b - 4.0 * a * c
     if root < -1e-8:
@@ -112,7 +112,7 @@ def _two(forms: Array) -> Array:
 
 def _many(forms: Array, budget: TimeLimit) -> Array:
     """Common real zeros (k, d) of quadratic forms (m, d, d), by Newton's method from many starts on the sphere."""
-    d = forms.shape[1]
+    d: int = forms.shape[1]
     rng = np.random.default_rng(0)
     found: list[Array] = []
 

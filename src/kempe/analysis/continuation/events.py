@@ -122,7 +122,7 @@ def _ratio(x: Array, periods: Array) -> Array:
 
 def turns(nodes: list[Node], closed: bool, indices: list[int]) -> list[tuple[int, int, int]]:
     """Where velocities of coordinates change their sign: (node before, node after, coordinate), along the curve."""
-    out = []
+    out: list[tuple[int, int, int]] = []
     rates = np.array([n.t for n in nodes])
     count = len(nodes)
     for i in indices:

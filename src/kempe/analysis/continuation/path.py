@@ -221,7 +221,8 @@ class Path(Motion):
         spend = USUAL.of(budget)
         if not is_whole(n) or not 2 <= n <= MOST:
             raise InputError(f"n is {shown(n)}; it must be a whole number, at least 2 and at most {MOST}")
-        time, done, broken = TimeLimit(spend.time_limit), [], None
+        time, broken = TimeLimit(spend.time_limit), None
+        done: list[tuple[Array, Array]] = []
         time.put_in_order()  # there is nothing to do afterwards
         try:
             for i in range(0, int(n), SLICE):
@@ -235,7 +236,7 @@ class Path(Motion):
                     spend.progress(i + len(s), float(s[-1]))
         except BROKEN_OFF as error:
             broken = error
-        s = np.concatenate([[], *(part[0] for part in done)])
+        s = np.concatenate([np.zeros(0), *(part[0] for part in done)])
         q = np.concatenate([np.empty((0, self.system.nq)), *(part[1] for part in done)])
         if broken is None:
             return replace(self, q=q, s=s)

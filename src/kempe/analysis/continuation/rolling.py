@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
 from kempe.kinematics.common.gauss_newton import gauss_newton
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.velocity.velocity import rates
-from kempe.reals import is_real
+from kempe.reals import is_array, is_real
 from kempe.solvers.common.clock import BROKEN_OFF, TimeLimit
 from kempe.spatial import Array, quat_wxyz_multiply, unit
 
@@ -69,7 +69,7 @@ class Velocities:
         if not callable(u):
             return u
         x = u(t)
-        if not is_real(x) and not (isinstance(x, np.ndarray) and x.ndim == 0):
+        if not is_real(x) and not (is_array(x) and x.ndim == 0):
             raise InputError(f"input {name!r} at time {t:g} is {shown(x)}; it must be one number")
         if not math.isfinite(float(x)):
             raise InputError(f"input {name!r} at time {t:g} is {shown(x)}; it must be finite")
@@ -175,7 +175,7 @@ def roll(
     system: System, inputs: Mapping[str, Any], q: Array, times: Array, tolerance: float, budget: TimeLimit
 ) -> Rolled:  # fmt: skip
     """The motion from q (nq,) at the first of the `times` (n,). Errors: `InputError`, `UnsupportedError`."""
-    from scipy.integrate import DOP853
+    from scipy import integrate
 
     motion = Velocities(system, inputs)
     F = motion.closure.values(q)
@@ -193,13 +193,14 @@ def roll(
         raise UnsupportedError(f"{system.name}: {stop}") from None
     out_q, out_v, reason, broken = [q], [first], "", None
     k, end = 1, float(times[-1])
-    solver = DOP853(motion.slope, float(times[0]), q, end, rtol=max(tolerance, 3e-14), atol=tolerance,
-                    max_step=max((end - float(times[0])) / PARTS, 1e-300))  # fmt: skip
+    most = max((end - float(times[0])) / PARTS, 1e-300)
+    solver: Any = cast(Any, integrate).DOP853(motion.slope, float(times[0]), q, end, rtol=max(tolerance, 3e-14),
+                                              atol=tolerance, max_step=most)  # fmt: skip
     try:
         while solver.status == "running":
             budget.check()
-            said = solver.step()
-            if solver.status == "failed":
+            said: Any = solver.step()
+            if str(solver.status) == "failed":
                 raise RollingStop(f"at time {solver.t:.6g} the velocities change too fast: {said}")
             dense, last = solver.dense_output(), solver.t
             stop = _limit(system, dense, float(solver.t_old or 0.0), last)

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 NO_SERIES = "is a Python function that cannot be recorded, and has no Taylor series"
 
 
-class Column(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Column:
     """One velocity of a joint: its name, its index among the system's (-1: held), multiplier, whether it slides."""
 
     name: str
@@ -152,9 +153,10 @@ class Cluster:
         return found[short]
 
     def _sizes(self, s: ConstraintGraph, paths: list[np.ndarray]) -> LoopSizes:
-        most, joints, rods = 0.0, 1, []
+        most, joints = 0.0, 1
+        rods: list[int] = []
         for k, path in zip(self.loops, paths, strict=True):
-            moving = [c for i in path for c in s.edges[i].columns if c.index >= 0]
+            moving = [c for i in path for c in s.edges[int(i)].columns if c.index >= 0]
             own = len({c.index for c in moving}) == len(moving)
             sizes = [abs(c.multiplier) for c in moving]
             most = max(most, sum(x * x for x in sizes) if own else sum(sizes) ** 2)
@@ -217,9 +219,9 @@ def _structure(system: System) -> ConstraintGraph:
     stack = np.array([(e.X_PF, e.X_CM) for e in edges]).reshape(-1, 2, 4, 4)
     ends = np.array([(e.parent, e.child) for e in edges], dtype=np.int64).reshape(-1, 2)
     slides = np.zeros(system.nv, dtype=bool)
-    for name, iv, _, slide in (c for e in edges for c in e.columns):
-        if iv >= 0 and name == system.structure.velocity_names[iv]:
-            slides[iv] = slide
+    for column in (c for e in edges for c in e.columns):
+        if column.index >= 0 and column.name == system.structure.velocity_names[column.index]:
+            slides[column.index] = column.slides
     return ConstraintGraph(
         tuple(edges), tuple(loops), laws, clusters, ends[:, 0], ends[:, 1], stack[:, 0], stack[:, 1], slides
     )  # fmt: skip
@@ -231,11 +233,12 @@ def _edges(system: System) -> list[Edge]:
     in_q = {n: i for i, n in enumerate(system.coordinate_names)}
     in_v = {n: i for i, n in enumerate(system.structure.velocity_names)}
     followers = system.structure.couplings
-    out = []
+    out: list[Edge] = []
     for joint in m.joints.values():
         particle = m.bodies[joint.child].particle
         names, primitives = joint.type.layout(dim, particle)
-        values, columns = [], []
+        values: list[tuple[int, float, float]] = []
+        columns: list[Column] = []
         for name in names:
             f = followers.get(_full(joint.name, name))
             if f is None:
@@ -275,11 +278,12 @@ def _loops(system: System, edges: list[Edge]) -> list[Loop]:
     depth = [0] * len(parent)
     for body in _tree_order(parent):
         depth[body] = depth[parent[body]] + 1 if body else 0
-    out = []
+    out: list[Loop] = []
     closing = [index[n] for n in system.structure.closures] + [i for i, e in enumerate(edges) if not e.joint]
     for k in closing:
         a, b = edges[k].parent, edges[k].child
-        from_b, to_a = [], []
+        from_b: list[tuple[int, float]] = []
+        to_a: list[tuple[int, float]] = []
         while a != b:  # back along the tree from the child to the parent
             if depth[b] >= depth[a]:
                 from_b.append((up[b], 1.0 if edges[up[b]].parent == b else -1.0))
@@ -358,7 +362,7 @@ def _clusters(
     groups: dict[int, list[int]] = {}
     for k in range(len(supports)):
         groups.setdefault(find(system.nv + k), []).append(k)
-    out = []
+    out: list[Cluster] = []
     for members in groups.values():
         own = [k for k in members if k < len(loops)]
         velocities = sorted({i for k in members for i in supports[k]})

@@ -180,7 +180,7 @@ def _lecture_text(
 def loop_counts(system: System, at: Screws | None) -> tuple[LoopCount, ...]:
     """Count of each fundamental loop; with the screws `at` a closed configuration, by its group of motions."""
     s = structure(system)
-    out = []
+    out: list[LoopCount] = []
     for loop in s.loops:
         inside = [i for i, _ in loop.path]
         freedoms = len({c.index for i in inside for c in s.edges[i].columns if c.index >= 0})

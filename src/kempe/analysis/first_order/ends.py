@@ -99,7 +99,7 @@ def held(system: System, s: ConstraintGraph, at: Screws, driven: frozenset[int])
     if found is None:
         found = keep(answers, driven, [])
         for star in stars(system, driven):
-            holds = []
+            holds: list[SignedEnd] = []
             if not (star.chains or star.points):  # nothing holds it
                 continue
             for series in star.chains:

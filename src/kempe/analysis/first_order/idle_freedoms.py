@@ -109,7 +109,8 @@ def idle_freedoms(
     `driven` are the velocities that are known to be driven, besides joints marked so; None where nothing is known.
     """
     s, known = structure(system), driven is not None or any(e.actuated for e in structure(system).edges)
-    found, frames = [], None
+    frames = None
+    found: list[tuple[_SpinCandidate, _Group]] = []
     for spin in _spins(system, s, [r.screws for r in ranks], frozenset(driven or ())):
         group = _group(system, s, spin, known) if isinstance(spin.of, Pair) else _of_star(system, s, ranks[0], spin)
         if group is not None:
@@ -117,7 +118,8 @@ def idle_freedoms(
             if not _moves_a_frame(system, frames, ranks[0], spin, group):
                 found.append((spin, group))
     found.sort(key=lambda f: len(f[1].bodies))  # small groups of bodies first: larger ones may move as their sums
-    basis, out = np.zeros((system.nv, 0)), []
+    basis = np.zeros((system.nv, 0))
+    out: list[IdleFreedom] = []
     for spin, group in found:
         velocity = np.zeros(system.nv)
         for i, rates in spin.rates.items():
@@ -150,14 +152,14 @@ def _spins(
             if axis is None:
                 break
         if axis is not None:
-            rates = {}
+            rates: dict[int, Array] = {}
             for hold in of.holds:
                 rates |= _rates(at[0], hold, *axis)
             star = of.star if isinstance(of, HeldStar) else None
             for i in star.loose if star else ():
                 sign = 1.0 if star and s.edges[i].child in star.bodies else -1.0
                 screw = sign * np.concatenate([np.cross(axis[0], axis[1]), axis[1]])
-                rates[i] = np.linalg.lstsq(at[0].twists[i], screw, rcond=ALONE)[0]
+                rates[i] = np.asarray(np.linalg.lstsq(at[0].twists[i], screw, rcond=ALONE)[0], dtype=float)
             yield _SpinCandidate(of, *axis, rates)
 
 
@@ -194,7 +196,8 @@ def _volume(W: Array) -> float:
 
 def _rates(at: Screws, hold: SignedEnd, point: Array, direction: Array) -> dict[int, Array]:
     """Rates of all columns of an end's edges that turn the group about the axis; edges that rest are left out."""
-    (series, end, sign), A, out, first = hold, _axes(at, hold), {}, 0
+    (series, end, sign), A, first = hold, _axes(at, hold), 0
+    out: dict[int, Array] = {}
     if A.shape[1] == 3 and abs(_volume(A)) > INDEPENDENT:
         z = np.linalg.solve(A, sign * direction)
     else:
@@ -240,7 +243,10 @@ def _of_star(system: System, s: ConstraintGraph, rank: Rank, spin: _SpinCandidat
     """The bodies of a star, with links of balls that turn with them; None where they are not idle."""
     assert isinstance(spin.of, HeldStar)
     star, part, at = spin.of.star, parts(system), rank.screws
-    bodies, links, outside, joints = set(star.bodies), set(), [], []
+    bodies = set(star.bodies)
+    links: set[int] = set()
+    outside: list[int] = []
+    joints: list[int] = []
     for series, end, _ in spin.of.holds:
         places = [k for k in end.edges if series.edges[k] in spin.rates]
         beyond = [np.flatnonzero(part == part[ends_of(s, series, k)[1]]).tolist() for k in end.edges[: places[-1]]]
@@ -292,7 +298,7 @@ def _freedom(
     point = at.center + at.length * spin.point
     point = point + direction * (direction @ (origins[0] - point))
     direction = direction * np.sign(direction[np.argmax(np.abs(direction) > ALONE)])
-    numbers = [tuple((np.round(x, 12) + 0.0).tolist()) for x in (point, direction)]
+    numbers: list[tuple[float, ...]] = [tuple((x.round(12) + 0.0).tolist()) for x in (point, direction)]
     ends = (origins - point) / at.length
     joined = bool(max(off(e, direction) for e in ends) < ALONE < abs((ends[1] - ends[0]) @ direction))
     names = [tuple(system.body_names[b] for b in sorted(own)) for own in (group.bodies, group.links)]

@@ -181,7 +181,7 @@ def _jacobian(
     near = at.moved([s.loops[k].edge for k in c.loops]) @ around
     size = float(np.sqrt(np.max(np.sum(near * near, axis=1), initial=0.0)))
     closing = [s.edges[s.loops[k].edge] for k in c.loops]
-    blocks = []
+    blocks: list[Array] = []
     for k, edge, twists, there in zip(c.loops, closing, around, near, strict=True):
         if edge.joint and not edge.particle:
             blocks.append(there if system.dim == 3 else there[_PLANE])
@@ -215,7 +215,7 @@ def written_rows(system: System, q: Array) -> dict[str, Array]:
     steps = np.concatenate([np.zeros((1, system.nv)), AROUND * rng.normal(size=(POINTS, system.nv)) * scale])
     there = system.structure.layout.integrate(np.broadcast_to(q, (len(steps), len(q))), steps)
     J = closure_rows.evaluate(system, there, True, True)[1]
-    out = {}
+    out: dict[str, Array] = {}
     for law in laws:
         size = np.linalg.norm(J[:, law.places], axis=2)
         largest = np.max(np.where(np.isfinite(size), size, 0.0), axis=0)

@@ -8,9 +8,10 @@ so that no self-stress is left, and none of them gives the mechanism a new freed
 from __future__ import annotations
 
 from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from itertools import permutations
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -104,7 +105,7 @@ class _JointReaction:
     """Directions in which the owner moves, where it is a joint."""
 
     @property
-    def rank(self) -> tuple:
+    def rank(self) -> tuple[int, Any]:
         """Order in which owners are taken: rods, passive joints, driven ones, couplings; then by name."""
         kind = 3 if self.edge is None else 0 if isinstance(self.edge.of, Declared) else 1 if self.passive else 2
         return kind, natural(self.owner)
@@ -137,7 +138,8 @@ def _rows(system: System, rank: Rank, c: ClusterRank) -> list[_JointReaction]:
     """
     s, at = structure(system), rank.screws
     wrenches = np.zeros((len(c.cluster.loops), 6, c.dependent))
-    n, rows = 0, []
+    n = 0
+    rows: list[_JointReaction] = []
     for k, loop in enumerate(c.cluster.loops):
         R = rows_of_loop(system, s, at, loop)
         own = c.stresses[n : n + len(R)]
@@ -207,8 +209,8 @@ def _free(edge: Edge, dim: int) -> frozenset[str] | None:
     slides = {how for _, how in form.readings if how in DIRECTIONS}
     if _slider(edge, dim):
         return frozenset({"z"})
-    turns = set() if edge.particle else {f"r{a}" for a in ("z" if dim == 2 and not form.turns else _TURNS[form.turns])}
-    return frozenset(slides | turns)
+    turns = "" if edge.particle else "z" if dim == 2 and not form.turns else _TURNS[form.turns]
+    return frozenset(slides | {f"r{a}" for a in turns})
 
 
 def _not_held(names: Sequence[str], twists: Array, moves: Array) -> frozenset[str]:
@@ -260,7 +262,7 @@ def _choose(rows: Sequence[_JointReaction], count: int) -> list[list[_JointReact
 def _independent(rows: Sequence[_JointReaction], left: Array, part: float) -> list[_JointReaction]:
     """Rows that are independent on the self-stresses that are `left`, in the given order, each by `part` at least."""
     basis: list[Array] = []
-    out = []
+    out: list[_JointReaction] = []
     for r in rows:
         if len(basis) == left.shape[1]:
             break
@@ -301,7 +303,7 @@ def _release(rows: Sequence[_JointReaction], dim: int) -> Release:
     return Release(rows[0].owner, labels, pair_name(set(free)))
 
 
-def _existing(edge: Edge, dim: int) -> set[str]:
+def _existing(edge: Edge, dim: int) -> AbstractSet[str]:
     """Directions in which the child of a joint could move at all."""
     if dim == 3:
         return set(DIRECTIONS[:3] if edge.particle else DIRECTIONS)

@@ -79,7 +79,8 @@ def _uses(system: System, s: ConstraintGraph) -> np.ndarray:
 
 
 def _all_series(system: System, s: ConstraintGraph, driven: frozenset[int]) -> tuple[SeriesLoop, ...]:
-    out, part, uses = [], parts(system), _uses(system, s)
+    part, uses = parts(system), _uses(system, s)
+    out: list[SeriesLoop] = []
     for c in s.clusters:
         alike: dict[bytes, list[int]] = {}
         for n, i in enumerate(c.edges):
@@ -147,7 +148,7 @@ def stars(system: System, driven: frozenset[int]) -> tuple[Star, ...]:
     for i, e in enumerate(s.edges):
         for g in {int(group[e.parent]), int(group[e.child])} if group[e.parent] != group[e.child] else ():
             outside.setdefault(g, []).append(i)
-    found = []
+    found: list[Star | None] = []
     for g, edges in outside.items():
         joints = sum(s.edges[i].joint for i in edges)
         if g != group[0] and len(edges) > 1 and (joints > 2 or joints < len(edges)):
@@ -158,7 +159,10 @@ def stars(system: System, driven: frozenset[int]) -> tuple[Star, ...]:
 def _star(
     system: System, s: ConstraintGraph, inside: np.ndarray, edges: list[int], uses: np.ndarray, driven: frozenset[int]
 ) -> Star | None:  # fmt: skip
-    chains, points, loose, looped = [], [], [], in_loop(system)
+    looped = in_loop(system)
+    chains: list[SeriesLoop] = []
+    points: list[tuple[int, bool]] = []
+    loose: list[int] = []
     bodies = frozenset(np.flatnonzero(inside).tolist())
     sliding = [i for i in edges_at(system, bodies) - {*edges} if not rigid(s.edges[i])]
     if not all(looped[i] for i in sliding):
@@ -186,7 +190,9 @@ def _outwards(
     system: System, s: ConstraintGraph, inside: np.ndarray, i: int, uses: np.ndarray, driven: frozenset[int]
 ) -> SeriesLoop | None:  # fmt: skip
     """The edges from a group outwards, through links that have two joints; None where the first cannot turn."""
-    part, path, turns = parts(system), [], []
+    part = parts(system)
+    path: list[tuple[int, float]] = []
+    turns: list[Turns] = []
     here = s.edges[i].child if inside[s.edges[i].parent] else s.edges[i].parent
     sign, own = 1.0 if inside[s.edges[i].parent] else -1.0, _turns(s.edges[i], uses, driven)
     while own is not None and len(path) < 3:

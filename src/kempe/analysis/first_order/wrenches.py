@@ -138,7 +138,7 @@ class Wrenches:
             each[names.index(row.of), :, i] = part * self._force_of[i]
         scale = np.repeat([1.0, 1.0 / self._length], 3)
         both = np.hstack([(np.einsum("nci,ki->knc", each, states) * scale).reshape(len(states), -1), states[:, plain]])
-        out = []
+        out: list[SelfStress] = []
         forces = np.append(np.tile(np.arange(6) < 3, len(names)), np.zeros(len(plain), dtype=bool))
         for state in _reduced(both, forces):
             found = state[: 6 * len(names)].reshape(-1, 6) / scale
@@ -213,7 +213,8 @@ class Wrenches:
     @cached_property
     def _bodies(self) -> list[tuple[str, int]]:
         """The bodies, each with the first of its velocities; last, under '', that of the first of the joints."""
-        m, at, out = self._mechanism, 0, []
+        m, at = self._mechanism, 0
+        out: list[tuple[str, int]] = []
         for body in self.system.body_names[1:]:
             out.append((body, at))
             at += self.system.dim if m.bodies[body].particle else 6 if self.system.dim == 3 else 3
@@ -231,7 +232,8 @@ class Wrenches:
     def _rows(self) -> tuple[_WrenchRow, ...]:
         """All equations: those of joints, constraints and couplings, rows of velocity, and one-sided rows."""
         M, Q = self._maximal
-        packed, out = closure_rows.full(M, False), []
+        packed = closure_rows.full(M, False)
+        out: list[_WrenchRow] = []
         J, k = closure_rows.evaluate(M, Q, True, loops=packed)[1], 0
         for tie in packed.ties:
             name = tie.name if tie.relation is None else f"coupling of {tie.relation.of}"
@@ -247,8 +249,9 @@ class Wrenches:
             n = sided.declared
             J = sided.rates(Q, declared=True)[1] / self._scale / sided.scale[:n, None]
             assert sided.loops is not None
-            tied = [(t.name, row) for t in sided.loops.ties for row in t.rows]
-            for i, which in enumerate(sided.chosen[:n].tolist()):
+            tied: list[tuple[str, str]] = [(t.name, row) for t in sided.loops.ties for row in t.rows]
+            chosen: list[int] = sided.chosen[:n].tolist()
+            for i, which in enumerate(chosen):
                 of, name = tied[which]
                 out.append(_WrenchRow(of, name, sided.units[i], False, J[i]))
         return tuple(out)
@@ -316,7 +319,8 @@ class Wrenches:
     @cached_property
     def _ends(self) -> dict[str, tuple[str, float, Array]]:
         """Of each joint and constraint of bodies: a body that is not the ground, the sign of its wrench, the point."""
-        m, ground, out = self._mechanism, self.system.body_names[0], {}
+        m, ground = self._mechanism, self.system.body_names[0]
+        out: dict[str, tuple[str, float, Array]] = {}
         for of in (*m.joints.values(), *m.constraints.values()):
             if of.parent:
                 joint = of.name in m.joints
@@ -364,12 +368,13 @@ def _reduced(rows: Array, first: np.ndarray | None = None) -> Array:
     The ones are in the columns `first` (n,) as far as they can be.
     """
     out = rows.copy()
-    first = np.ones(out.shape[1], dtype=bool) if first is None else first
+    n: int = out.shape[1]
+    wanted_at = np.ones(n, dtype=bool) if first is None else first
     for k in range(len(out)):
         left = np.abs(out[k:])
-        wanted = np.where(first, left, 0.0)
+        wanted = np.where(wanted_at, left, 0.0)
         left = wanted if wanted.max() > BALANCED * np.abs(out).max() else left
-        i, j = np.unravel_index(int(np.argmax(left > (1.0 - 1e-6) * left.max())), left.shape)
+        i, j = map(int, np.unravel_index(int(np.argmax(left > (1.0 - 1e-6) * left.max())), left.shape))
         out[[k, k + i]] = out[[k + i, k]]
         out[k] /= out[k, j]
         others = np.arange(len(out)) != k

@@ -363,12 +363,13 @@ def collect(equations: Equations, families: list[ConeFamily]) -> tuple[list[Bran
 def _pair(halves: list[Spot]) -> tuple[list[Branch], bool]:
     """Curves through the configuration from their half-branches, joined so that direction and bend continue."""
     h = np.array(RADII)
-    rays = []
+    rays: list[tuple[Array, Array, Spot]] = []
     for s in _apart(halves):
         u = s.offsets / h[:, None]
         t = u[2] - (u[1] - u[2]) * h[2] / (h[1] - h[2])
         rays.append((t / np.linalg.norm(t), (u[1] - u[2]) / (h[1] - h[2]), s))
-    out, left = [], list(range(len(rays)))
+    left = list(range(len(rays)))
+    out: list[Branch] = []
 
     def cost(i: int, j: int, sign: float) -> float:
         return float(np.linalg.norm(rays[i][0] + sign * rays[j][0]) + h[1] * np.linalg.norm(rays[i][1] - rays[j][1]))

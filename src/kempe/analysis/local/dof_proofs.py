@@ -125,7 +125,7 @@ class Prover:
 
     def manifold(self) -> Proof | None:
         """The dimension, if it is proven to be a manifold of as many dimensions as the null space has; else None."""
-        found = []
+        found: list[Proof] = []
         for k in range(len(self.parts)):
             proof = self._manifold(k)
             if not isinstance(proof, Proof):
@@ -136,7 +136,8 @@ class Prover:
     def dimension(self, order: int, tangents: Sequence[Array]) -> Proof | None:
         """The dimension, if it can be proven, by forms too; `tangents` (nv, k), in scaled coordinates, span motions
         that were found: where to look."""  # fmt: skip
-        found, rng = [], np.random.default_rng(0)  # what is proven depends on no seed
+        rng = np.random.default_rng(0)  # what is proven depends on no seed
+        found: list[Proof] = []
         for k, part in enumerate(self.parts):
             proof = self._manifold(k)
             if isinstance(proof, _Open):
@@ -169,9 +170,10 @@ def _sum(found: Sequence[Proof]) -> Proof:
 def _parts(system: System, s: ConstraintGraph, at: Screws, equations: Equations, J: Array) -> list[Part]:
     """The equations of each cluster, reduced loop by loop to what its group of motions leaves."""
     edges = equations.rows_of
-    out = []
+    out: list[Part] = []
     for c in s.clusters:
-        rows, uses = [], []
+        rows: list[Array] = []
+        uses: list[np.ndarray] = []
         for k in c.loops:
             path = [i for i, _ in s.loops[k].path]
             own = edges[s.edges[s.loops[k].edge].name]
@@ -281,7 +283,7 @@ def _two_groups(s: ConstraintGraph, at: Screws, c: Cluster) -> bool:
     if len(path) > LONG or any(s.edges[i].particle or any(x.index < 0 for x in s.edges[i].columns) for i in path):
         return False
     n, twists = len(path), np.concatenate([at.twists[i] for i in path], axis=1)
-    first = np.cumsum([0, *(at.twists[i].shape[1] for i in path)]).tolist()
+    first: list[int] = np.cumsum([0, *(at.twists[i].shape[1] for i in path)]).tolist()
     first += [first[-1] + x for x in first[1:]]
     columns = list(range(first[n])) * 2
     alike = [mask.tolist() for mask in _side_by_side(twists)]

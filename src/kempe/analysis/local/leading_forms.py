@@ -118,7 +118,7 @@ def _order(found: reduction.Obstruction) -> int | None:
 
 def _directions(at: Split, tangents: Sequence[Array]) -> list[Array]:
     """Unit vectors of the null space along motions that were found."""
-    out = []
+    out: list[Array] = []
     for T in tangents:
         for d in (at.null_space.T @ T).T:
             size = float(np.linalg.norm(d))
@@ -243,7 +243,7 @@ def _holding(
     J = equations.linearise(at.q)[1][0]
     moving = np.flatnonzero(np.abs(at.null_space).max(axis=1) > CLEAR)
     unknown = np.unique(np.concatenate(list(uses)))
-    choices = list(combinations(moving.tolist(), count))
+    choices: list[tuple[int, ...]] = list(combinations(moving.tolist(), count))
     if len(choices) > HELD:
         choices = [choices[i] for i in rng.choice(len(choices), HELD, replace=False)]
     return any(_triangular(equations, at.q, J, rows, uses, np.setdiff1d(unknown, c), order, rng) for c in choices)
@@ -256,7 +256,7 @@ def _triangular(
     """Whether the unknowns `left` are isolated, those of one loop after the other."""
     pending = list(range(len(rows)))
     while len(left):
-        waiting = []
+        waiting: list[int] = []
         for k in pending:
             own = np.intersect1d(uses[k], left)
             if not len(own) or _isolated(equations, split_of(q, J, rows[k], own), order, rng):

@@ -150,7 +150,8 @@ def _found(
     at = reduction.split(equations, _closed(equations, q), tolerance)
     prover = Prover(system, equations, at.q)
     proof = prover.manifold()
-    doubts, more = _doubts(at), []
+    doubts = _doubts(at)
+    more: list[str] = []
     if at.corank == 0 or at.delta == 0 or (proof is not None and proof.dim == at.delta):
         why = "the equations are independent: a manifold by the implicit function theorem"
         if at.corank and at.delta:
@@ -302,7 +303,7 @@ def _kicked(equations: Equations, at: Split, rng: np.random.Generator) -> int:
     Both can see too much: large ones because the set is bent, small ones because what collapses leaves a rest.
     """
     d = reduction.axes(rng, at.delta)
-    seen = []
+    seen: list[int] = []
     for size in SMALL_KICKS:
         found = equations.project(equations.move(at.q, size * d @ at.null_space.T), at.q)
         x = equations.offset(at.q, found.q[found.residual < follow.CLOSED]) / size

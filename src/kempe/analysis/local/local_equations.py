@@ -86,7 +86,11 @@ class Equations:
 
     def _pack(self) -> tuple[np.ndarray, Array]:
         """The arrays `ties` and `numbers` of `kempe.kernels.series.jet`."""
-        heads, entries, factors, numbers, recorded, row = [], [], [], [1.0 / self.length], [], 0
+        numbers, row = [1.0 / self.length], 0
+        heads: list[list[int]] = []
+        entries: list[tuple[int, int]] = []
+        factors: list[Any] = []
+        recorded: list[tuple[np.ndarray, Array, list[int]]] = []
         first = self.system.structure.coordinates.first
         for tie in self._loops.ties:
             count, size, number = 0, len(tie.rows), tie.number
@@ -210,7 +214,8 @@ class Equations:
     @cached_property
     def rows_of(self) -> dict[str, np.ndarray]:
         """Places of the equations of joints and of constraints that are no expressions, by name."""
-        out, row = {}, 0
+        out: dict[str, np.ndarray] = {}
+        row = 0
         for tie in self._loops.ties:
             if tie.relation is None and not tie.written:
                 out[tie.name] = np.arange(row, row + len(tie.rows))

@@ -81,7 +81,7 @@ def split_all(q: Array, J: Array, tolerance: float = RANK) -> list[Split]:
     m, nv = J.shape[1:]
     if m == 0:
         return [Split(p, np.zeros(0), np.eye(nv), np.zeros((0, 0)), np.zeros((nv, 0))) for p in q]
-    out = []
+    out: list[Split] = []
     for p, U, sigma, Vt in zip(q, *np.linalg.svd(J), strict=True):
         rank = int(np.sum(sigma > tolerance * max(float(sigma[0]), LEAST))) if sigma.size else 0
         inverse = (Vt[:rank].T / sigma[:rank]) @ U[:, :rank].T
@@ -154,6 +154,8 @@ def _solve(equations: Equations, at: Split, s: Array, across: Array | None) -> t
     Divided by the scale (n, order + 1, 1) they belong to curves slowed down until none of their coefficients, those
     of w included, is over one. s[:, 0] is unused.
     """
+    n: int
+    depth: int
     n, depth = s.shape[:2]
     series = equations.series(at.q, n, depth - 1)
     g = np.zeros((n, depth, at.corank))
@@ -168,7 +170,7 @@ def _solve(equations: Equations, at: Split, s: Array, across: Array | None) -> t
             x = x + across[:, k]
         series.set(k, x)
         fastest = np.maximum(fastest, np.linalg.norm(x, axis=1) ** (1.0 / k))
-    return g, (fastest[:, None] ** np.arange(depth))[..., None]
+    return g, (fastest[:, None] ** np.arange(depth, dtype=float))[..., None]
 
 
 def lines(directions: Array, order: int) -> Array:

@@ -113,7 +113,8 @@ def _one(system: System, q: Any, what: str) -> Array:
 
 def _loose(system: System, goal: Any, free: Iterable[str], car: Wheeled) -> tuple[int, ...]:
     """Velocity indices of what may end anywhere. Errors: `InputError`, `UnknownNameError`."""
-    names, out = list(system.structure.velocity_names), []
+    names = list(system.structure.velocity_names)
+    out: list[int] = []
     for name in listed(free, "free"):
         if name not in names:
             raise UnknownNameError("coordinate", name, names, system.name)
@@ -198,7 +199,7 @@ def _outside(system: System, motion: ExactManoeuvre, samples: int) -> str:
     """What a motion does that it must not, in words: it leaves limits, or violates one-sided constraints."""
     q = motion.at(_times(motion, max(samples, 200)))[0]
     if (motion.car.pose.spread(q) <= PARALLEL).any():
-        slides = " and ".join(repr(system.structure.velocity_names[v]) for v in motion.car.pose.slides_v)
+        slides = " and ".join(repr(system.structure.velocity_names[int(v)]) for v in motion.car.pose.slides_v)
         return f"on the way {slides} would be parallel, and cannot go on"
     rows = one_sided_rows(system)
     over = rows.beyond(q)

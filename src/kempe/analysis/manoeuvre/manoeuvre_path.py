@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -65,8 +65,8 @@ class Manoeuvre(Motion):
     """
 
     also = ("t", "s", "length", "duration", "cusps", "turns", "slip")
-    interrupted: ClassVar[bool] = False
-    late: ClassVar[bool] = False
+    interrupted = False
+    late = False
 
     system: System
     q: Array

@@ -122,7 +122,8 @@ def _with(way: Way, lengths: Array | list[float]) -> Way:
 def _slopes(way: Way) -> Array:
     """Derivatives (3, n) of the pose at the end by the lengths of the pieces."""
     x, y, _ = end_of(way)
-    pose, columns = (0.0, 0.0, 0.0), []
+    pose = (0.0, 0.0, 0.0)
+    columns: list[list[float]] = []
     for k, length in way:
         pose = advance(pose, k, length)
         columns.append([math.cos(pose[2]) - k * (y - pose[1]), math.sin(pose[2]) + k * (x - pose[0]), k])

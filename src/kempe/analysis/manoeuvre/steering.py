@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -64,14 +64,14 @@ class Steering:
 
     def values(self, curvature: float) -> tuple[float, ...]:
         """Values at which the axle's path has this curvature [1/m]: 0 straight, infinite on the spot."""
-        from scipy.optimize import brentq
+        from scipy import optimize
 
         wanted = math.atan(curvature * self.unit) if math.isfinite(curvature) else 0.5 * math.pi
 
         def off(s: float) -> float:
             return math.remainder(self.direction(s) - wanted, math.pi)
 
-        found = []
+        found: list[float] = []
         for k in range(GRID):
             a, b = (self.slope[k] - wanted) / math.pi, (self.slope[k + 1] - wanted) / math.pi
             if math.floor(a) == math.floor(b) and round(a) != a and round(b) != b:
@@ -80,8 +80,7 @@ class Steering:
             ends = [s for s in (low, high) if abs(off(s)) < EXACT]
             s = ends[0] if ends else None
             if s is None and off(low) * off(high) < 0.0:
-                root: Any = brentq(off, low, high, xtol=1e-15)
-                s = float(root)
+                s = float(cast(Any, optimize).brentq(off, low, high, xtol=1e-15))
             for simple in (float(self.q[self.car.steering_q]), 0.0):
                 s = simple if s is not None and abs(s - simple) < 1e-9 and abs(off(simple)) < EXACT else s
             if s is not None and all(abs(s - other) > 1e-9 for other in found):
@@ -214,9 +213,10 @@ def _legs(far: float, way: float, signed: float) -> Iterator[list[tuple[float, f
 
 def _through(h: float, angle: float, legs: list[tuple[float, float]]) -> Plan:
     """Turns and legs (direction, signed length) with the least turning that ends at h + `angle`."""
-    plans = []
+    plans: list[Plan] = []
     for rounds in itertools.product((-1, 0, 1), repeat=len(legs)):
-        plan, done = [], 0.0
+        plan: list[Move] = []
+        done = 0.0
         for (direction, length), k in zip(legs, rounds, strict=True):
             ahead = direction if length >= 0.0 else direction + math.pi
             turn = reeds_shepp.wrapped(ahead - h - done) + 2.0 * math.pi * k

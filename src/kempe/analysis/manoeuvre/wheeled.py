@@ -223,7 +223,8 @@ def _middle(pose: PlanarPlace, q: Array, foot: Array, forward: Array) -> tuple[A
     By the ends of velocity constraints that are fixed on the axle: their middle, and the sense of their x axes. Where
     there is none, the middle is the `foot`, next to the body's origin.
     """
-    system, found, sense = pose.system, [], 0.0
+    system, sense = pose.system, 0.0
+    found: list[float] = []
     across = np.array([-forward[1], forward[0]])
     samples = np.concatenate([q[None], random(system, np.random.default_rng(SEED), (2,))])
     place, heading = pose.at(samples)
@@ -311,7 +312,9 @@ def _kinds(pose: PlanarPlace, q: Array) -> tuple[tuple[int, ...], tuple[int, ...
     if any(varies(own, base) for base in (q, samples[0])):
         raise UnsupportedError(f"{system.name}: what the velocity constraints allow depends on where {pose.body!r} is, "
                                "not only on how it moves in its own axes; a manoeuvre is not known")  # fmt: skip
-    driven, idle, steering = [], [], []
+    driven: list[int] = []
+    idle: list[int] = []
+    steering: list[int] = []
     for v in sorted(set(places) - set(pose.own)):
         column = max(float(np.abs(space(x)[3 + v]).max()) for x in (q, *samples)) > SAME
         shape = any(varies(places[v], base) for base in (q, samples[0], samples[1]))
@@ -335,7 +338,7 @@ def _normal(
     """
     system, unit = pose.system, _unit(pose)
     own = [*range(3), *(3 + i for i in driven)]
-    twists = []
+    twists: list[Array] = []
     for k in range(TRIALS if steering is not None else 1):
         x = q.copy()
         if steering is not None and k:

@@ -187,7 +187,7 @@ class _Classifier:
         away = whole.dimension if around is None else around.null_space().dimension
         which = self.velocity_rows(self.moving)
         free = place.null_space(which).dimension - place.extra
-        made = {"name": system.name, "q": place.q, "position_dof": positions, "velocity_dof": free}
+        made: dict[str, Any] = {"name": system.name, "q": place.q, "position_dof": positions, "velocity_dof": free}
         if away < whole.dimension:
             count = f"{positions} freedoms, around {away - place.extra}"
             why = f"q is a singular point of what holds positions, which leaves {count}"

@@ -73,7 +73,7 @@ def reasons(c: Classification) -> list[str]:
     """Growth and what follows from it, line by line."""
     if c.growth_around is None or c.growth_around == () or c.position_dof == c.velocity_dof:
         return [c.why] if c.why else []
-    out = []
+    out: list[str] = []
     if c.growth is not None:
         out.append(f"{vector(c.growth, c.degree is None)} at q" + (f", degree {c.degree}" if c.degree else ""))
     if c.singular:
@@ -87,7 +87,7 @@ def proof(c: Classification) -> list[str]:
     """What is proven, and how."""
     if c.growth_around is None or c.position_dof == c.velocity_dof:
         return []
-    out = []
+    out: list[str] = []
     if c.kind == "integrable" and not c.doubtful:
         out.append("brackets of two velocities add nothing at a configuration drawn at random, so nowhere around: "
                    "motions stay on surfaces (Frobenius, 1877)")  # fmt: skip

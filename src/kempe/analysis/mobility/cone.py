@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from itertools import combinations
 from math import comb
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -157,9 +157,9 @@ def _closed(B: Array) -> list[int]:
     k, r = B.shape
     if k == r:  # independent: each can be raised alone
         return []
-    from scipy.optimize import linprog
+    from scipy import optimize
 
-    answer = linprog(
+    answer = cast(Any, optimize).linprog(
         np.concatenate([np.zeros(r), -np.ones(k)]), np.hstack([-B, np.eye(k)]), np.zeros(k),
         bounds=[(-1.0 / NOTHING, 1.0 / NOTHING)] * r + [(0.0, 1.0)] * k, **_METHOD,
     )  # fmt: skip
@@ -178,13 +178,13 @@ def _redundant(B: Array) -> list[int]:
 
 def _least(row: Array, rows: Array) -> float:
     """The least of row @ w where rows @ w >= 0, for w within a box of unit size."""
-    from scipy.optimize import linprog
+    from scipy import optimize
 
-    answer = linprog(row, -rows, np.zeros(len(rows)), bounds=[(-1.0, 1.0)] * len(row), **_METHOD)
+    answer = cast(Any, optimize).linprog(row, -rows, np.zeros(len(rows)), bounds=[(-1.0, 1.0)] * len(row), **_METHOD)
     return float(answer.fun)
 
 
-_METHOD = {
+_METHOD: dict[str, Any] = {
     "method": "highs", "options": {"primal_feasibility_tolerance": PRECISE, "dual_feasibility_tolerance": PRECISE},
 }  # fmt: skip
 
@@ -202,7 +202,7 @@ def _rays(C: Array) -> Array | None:
         return edges / np.linalg.norm(edges, axis=1)[:, None]
     if comb(k, r - 1) > MOST:
         return None
-    chosen = np.array(list(combinations(range(k), r - 1)), dtype=np.int64)
+    chosen = np.array([*combinations(range(k), r - 1)], dtype=np.int64)
     _, values, Vt = np.linalg.svd(C[chosen])
     alone = np.ones(len(chosen), dtype=bool) if r == 1 else values[:, -1] > NOTHING
     lines = Vt[alone, -1]

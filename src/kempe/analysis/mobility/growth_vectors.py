@@ -88,17 +88,18 @@ def _null_space(rows: VelocityRows, q: Array, t: float, which: np.ndarray, scale
     chosen = which[real[independent]]
     columns = np.sort(_pivots(Vt[:rank], rank))
     units = rows.units[:n]
-    square = scaled[independent][:, columns] * sizes[real[independent], None] / units[columns]
+    square: Array = scaled[independent][:, columns] * sizes[real[independent], None] / units[columns]
     pivots = np.full(n, -1, dtype=np.int64)
     pivots[columns] = np.arange(rank)
-    inverse = np.ascontiguousarray(np.linalg.inv(square)) if rank else np.zeros((0, 0))
+    inverse = np.ascontiguousarray(np.linalg.inv(square), dtype=np.float64) if rank else np.zeros((0, 0))
     condition = float(values[0] / values[rank - 1]) if rank else 1.0
     return Distribution(rows, q, t, chosen, pivots, inverse, Vt[rank:].T, gap, condition, error)
 
 
 def _pivots(matrix: Array, count: int) -> np.ndarray:
     """The columns that a QR decomposition with pivoting takes first."""
-    rest, taken = matrix.copy(), []
+    rest = matrix.copy()
+    taken: list[int] = []
     for _ in range(count):
         lengths = np.sum(rest * rest, axis=0)
         lengths[taken] = -1.0

@@ -253,7 +253,7 @@ def _on_branches(system: System, truth: LocalDimension | None) -> list[Rank]:
 
 
 def _clusters(s: ConstraintGraph, rank: Rank | None) -> tuple[ClusterMobility, ...]:
-    out = []
+    out: list[ClusterMobility] = []
     for k, c in enumerate(s.clusters):
         rows = sum(s.loops[i].rows for i in c.loops) + sum(s.laws[i].rows for i in c.laws)
         r = None if rank is None else rank.clusters[k]

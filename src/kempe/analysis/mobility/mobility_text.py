@@ -28,7 +28,8 @@ def sentence(m: Mobility) -> str:
     if m.dof is None:
         most = f"the rank {m.rank_dof}; the truth is {m.rank_dof} or less (not tested further)"
         return f"Gruebler says {m.gruebler}, {most}"
-    why, false = [], max((m.generic_rank_dof or 0) - m.dof, 0)
+    false = max((m.generic_rank_dof or 0) - m.dof, 0)
+    why: list[str] = []
     if (m.redundant or 0) > false:
         some = f", {false} of them to first order only" if false else ""
         why.append(f"{counted(m.redundant or 0, 'constraint')} {'is' if m.redundant == 1 else 'are'} redundant{some}")

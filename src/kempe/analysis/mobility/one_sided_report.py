@@ -115,7 +115,8 @@ class OneSidedReport(Report):
             return f"violated: {which}"
         declared = [s for s in self.sides if not s.limit]
         touching = sum(s.state == "closed" for s in declared)
-        parts, reached = [], len(self.active) - touching
+        reached = len(self.active) - touching
+        parts: list[str] = []
         if declared:
             verb = "are" if touching > 1 else "is"
             parts.append(f"{touching or 'none'} of {counted(len(declared), 'one-sided constraint')} {verb} closed")
@@ -198,7 +199,8 @@ def if_any(system: System, q: Array) -> OneSidedReport | None:
 
 def _sides(rows: OneSided, values: Array, J: Array, tolerance: float) -> tuple[list[Side], Array]:
     """All sides, and the inward gradients (k, nv) of those that are closed."""
-    out, G = [], []
+    out: list[Side] = []
+    G: list[Any] = []
     for k in range(len(rows)):
         scale, unit = rows.scale[k], rows.units[k]
         for upper, bound in ((False, rows.low[k]), (True, rows.high[k])):

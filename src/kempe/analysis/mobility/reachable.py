@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -88,7 +88,7 @@ def random_place(place: EvaluationPoint, rng: np.random.Generator) -> Evaluation
     units = place.rows.units[:-1]
     step = STEP
     for _ in range(TRIES):
-        z = basis @ rng.normal(size=basis.shape[1])
+        z = basis @ rng.normal(size=len(basis.T))
         q = place.closed(place.rows.layout.integrate(place.q, step * units * z))
         if q is not None:
             return place.at(q)
@@ -98,7 +98,7 @@ def random_place(place: EvaluationPoint, rng: np.random.Generator) -> Evaluation
 
 def moved_place(place: EvaluationPoint, which: Sequence[int], rng: np.random.Generator) -> EvaluationPoint:
     """A configuration that random motions reach which obey the rows."""
-    from scipy.integrate import solve_ivp
+    from scipy import integrate
 
     rows = place.rows
     layout, units = rows.layout, rows.units[: rows.layout.nv + place.extra]
@@ -122,7 +122,8 @@ def moved_place(place: EvaluationPoint, which: Sequence[int], rng: np.random.Gen
             return out
 
         begin = np.append(start, state[-1])
-        end = solve_ivp(rate, (0.0, STEP), begin, "DOP853", rtol=EXACT, atol=EXACT).y[:, -1]
+        solved = cast(Any, integrate).solve_ivp(rate, (0.0, STEP), begin, "DOP853", rtol=EXACT, atol=EXACT)
+        end = solved.y[:, -1]
         start, state[-1] = layout.integrate(end[:-1], np.zeros(layout.nv)), end[-1]
     return replace(place, q=start, t=float(state[-1]), error=DRIFT)
 

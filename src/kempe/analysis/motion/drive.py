@@ -36,7 +36,7 @@ from kempe.constraints.tape import TIME
 from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.common.tabular import write_table
 from kempe.model.clocked import clocked, timed
-from kempe.reals import reals
+from kempe.reals import is_mapping, reals
 from kempe.solvers.assembly.ideal import tolerant
 from kempe.solvers.common.clock import BROKEN_OFF, LONG, TimeLimit, TimeUp
 from kempe.solvers.common.slip import rolls
@@ -225,7 +225,7 @@ def _with_time(system: System, start: Any, clock: Array) -> Any:
     """The start with the first time, where it is a configuration."""
     if start is None or isinstance(start, str) or not clock.size:
         return start
-    return {**start, TIME: clock[0]} if isinstance(start, Mapping) else np.append(np.asarray(start, float), clock[0])
+    return {**start, TIME: clock[0]} if is_mapping(start) else np.append(np.asarray(start, float), clock[0])
 
 
 def _without_time(found: Drive, system: System) -> Drive:
@@ -325,7 +325,9 @@ def _run(
 ) -> Drive:  # fmt: skip
     """The motion through all samples."""
     state = State(q, q[context.closure.place[context.index]])
-    requested, poses, held = [], [], []
+    requested: list[Array] = []
+    poses: list[Array] = []
+    held: list[bool] = []
     toggles: list[Toggle] = []
     jumps: list[tuple[int, float]] = []
     stuck: Stuck | None = None

@@ -68,7 +68,7 @@ class SegmentContext:
     longest: float
     limits: OneSidedEnds
     wish: Array
-    singular: list[Event] = field(default_factory=list)
+    singular: list[Event] = field(default_factory=list[Event])
 
     @property
     def unit(self) -> Array:
@@ -110,7 +110,7 @@ class SegmentContext:
             if not ways:
                 return state, self._stuck(way, a, "no configuration with these inputs", length)
             a = max(ways, key=lambda n: float(n.t[:-1] @ self.wish))
-        regular, h = a, 0.25 * self.longest
+        regular, was, h = a, a, 0.25 * self.longest
         while True:
             left = length - float(a.x[-1])
             landing = a.t[-1] > STEEP and h * a.t[-1] >= left

@@ -154,7 +154,8 @@ def _followed(equations: Closure, q: Array, options: _Options, toward: Mapping[s
 
 def branches(system: System, driver: str | None = None, start: Any = None, **options: Any) -> tuple[Path, ...]:
     """All paths that meet at bifurcations, that through `start` first; arguments as in `trace`."""
-    path = trace(system, driver, start, **{**options, "ways": "branches"})
+    options["ways"] = "branches"
+    path = trace(system, driver, start, **options)
     return (replace(path, others=()), *path.others)
 
 
@@ -230,7 +231,8 @@ def _path(
     broken: BaseException | None,
 ) -> Path:  # fmt: skip
     """The answer from the nodes of a branch."""
-    system, found, remark = equations.system, [], ""
+    system, remark = equations.system, ""
+    found: list[Event] = []
     options.time.put_in_order()
     indices = [int(i) for i in system.structure.layout.vector_v if i not in equations.held]
     s, k = None, 0
@@ -265,7 +267,7 @@ def _lengths(equations: Closure, nodes: list[Node]) -> Array:
 
 def _singular(equations: Closure, nodes: list[Node], s: Array) -> tuple[Event, ...]:
     """The singular points among nodes at arc lengths `s`."""
-    out = []
+    out: list[Event] = []
     for k, n in enumerate(nodes):
         if n.lines is not None:
             own = np.argmax(np.abs(n.lines @ n.t))

@@ -73,7 +73,7 @@ class LoopJacobian(Report):
             out[i] = self._sentence(int(self.code[i]), int(self.rank[i]), int(self.nullity[i]))
         return out
 
-    def _sentence(self, code: int, rank: int, nullity: int) -> str:
+    def _sentence(self, code: Any, rank: int, nullity: int) -> str:
         names, motions = " and ".join(map(repr, self.inputs)), counted(nullity, "first-order motion")
         if code == Status.SOLVED:
             return f"{names} determine{'s' * (len(self.inputs) == 1)} the outputs ({motions})"

@@ -152,7 +152,8 @@ class Flight:
 
     def _next(self, y: Array, v: Array, a: Array, touching: set[int], held: set[int]) -> tuple[float, set[int]]:
         """The time to the next impact, infinite where there is none, and its planes."""
-        gaps, times = self.gaps(y), {}
+        gaps = self.gaps(y)
+        times: dict[int, float] = {}
         for i in range(len(self.planes)):
             if i not in held:
                 gap = 0.0 if i in touching else max(float(gaps[i]), 0.0)
@@ -219,7 +220,7 @@ def nearest_in_cone(v: Array, N: Array) -> Array:
     unit = N / lengths[:, None]
     for count in range(1, len(v) + 1):
         for some in itertools.combinations(range(len(N)), count):
-            A = unit[list(some)]
+            A: Array = unit[list(some)]
             if np.linalg.svd(A, compute_uv=False)[-1] < 1e-9:
                 continue
             push = np.linalg.solve(A @ A.T, -A @ v)

@@ -158,7 +158,7 @@ def _planes(
                                        f"inertia; {NEEDED} one ball or particle")  # fmt: skip
             raise UnsupportedError(f"{system.name}: {rows.names[k]!r} is no plane for the centre; simulate knows "
                                    "bounces on planes")  # fmt: skip
-    planes = []
+    planes: list[Plane] = []
     back = np.linalg.inv(shape)
     for k, at, column in zip(limited, origin, slope.T, strict=True):
         normal = column @ back

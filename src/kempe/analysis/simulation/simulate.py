@@ -19,7 +19,7 @@ from kempe.analysis.simulation.falling import falling, start_of_flight
 from kempe.budget import Budget, Usual
 from kempe.calls import explained, explained_methods, numbers
 from kempe.errors import InputError, UnknownNameError
-from kempe.reals import is_real, is_whole, named, reals
+from kempe.reals import is_mapping, is_real, is_whole, named, reals
 from kempe.solvers.common.clock import LONG, TimeLimit, TimeUp
 from kempe.spatial import Array
 from kempe.words import counted
@@ -195,7 +195,7 @@ def _rolls(
     system: System, q: Array, times: Array, inputs: Any, velocity: Any, acceleration: Any, tolerance: Any,
     time: TimeLimit,
 ) -> Simulation:  # fmt: skip
-    if not isinstance(inputs, Mapping):
+    if not is_mapping(inputs):
         raise InputError(f"inputs is {type(inputs).__name__}; it must be a dict of velocities by name")
     if velocity is not None or acceleration is not None:
         name = "velocity" if velocity is not None else "acceleration"

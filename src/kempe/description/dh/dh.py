@@ -15,6 +15,7 @@ from kempe.description.dh import dh_table
 from kempe.description.mechanism import BodyLike, Mechanism
 from kempe.errors import InputError, hint
 from kempe.placement import Placement, direction, place, placement_of_pose, steps_from_data
+from kempe.reals import is_mapping
 from kempe.values import Value, value, values
 
 CONVENTIONS = ("standard", "modified")
@@ -268,7 +269,7 @@ def _row(kind: Any, row: Any, number: int) -> Any:
         return row
     known = [f.name for f in fields(kind)]
     plain = "plain numbers or " if kind is DHRow else ""
-    if not isinstance(row, Mapping):
+    if not is_mapping(row):
         raise InputError(f"row {number} is {row!r}; it must be {plain}a dict with some of {', '.join(known)}")
     for key in row:
         if key not in known:
@@ -282,7 +283,7 @@ def _placement(X: object, what: str) -> Placement:
         return Placement()
     if isinstance(X, Placement):
         return X
-    if isinstance(X, Mapping):
+    if is_mapping(X):
         known = ("at", "rpy", "angle", "axis", "quat_wxyz", "matrix", "steps")
         for key in X:
             if key not in known:

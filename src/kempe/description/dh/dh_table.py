@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kempe.errors import InputError, hint
+from kempe.reals import is_array, is_mapping
 from kempe.values import Expression, Value, value
 
 if TYPE_CHECKING:
@@ -36,22 +37,21 @@ def rows_of(rows: Any, columns: Sequence[str], known: tuple[str, ...]) -> tuple[
     Errors: `InputError` for tables of another form, and for columns that are not `known`.
     """
     columns = _checked_columns(columns, known)
-    if isinstance(rows, np.ndarray):
-        names = rows.dtype.names
-    else:
-        names = rows if isinstance(rows, Mapping) else getattr(rows, "columns", None)
+    table: Any = rows
+    names: Any = rows.dtype.names if is_array(rows) else rows if is_mapping(rows) else getattr(rows, "columns", None)
     if names is not None:
         if columns != ORDER:
             raise InputError("columns are given, but the table names its own; leave columns out")
         return _named(rows, list(names), known), ""
-    if isinstance(rows, (str, bytes)) or not isinstance(rows, Iterable) or getattr(rows, "ndim", 1) == 0:
+    if isinstance(rows, (str, bytes)) or not isinstance(rows, Iterable) or getattr(table, "ndim", 1) == 0:
         raise InputError(f"rows are {rows!r}; they must be a list of rows, an array (n, 4) or a table by column name")
-    plain, out = False, []
-    for i, row in enumerate(rows, 1):
-        keys = _keys(row)
+    plain = False
+    out: list[Any] = []
+    for i, row in enumerate(table, 1):
+        keys, entries = _keys(row), row
         own = keys is None and isinstance(row, (list, tuple, np.ndarray))
         plain |= own
-        out.append(_plain(row, i, columns) if own else row if keys is None else dict(zip(keys, row, strict=True)))
+        out.append(_plain(row, i, columns) if own else row if keys is None else dict(zip(keys, entries, strict=True)))
     if columns != ORDER and not plain and out:
         raise InputError("columns are given, but the rows name their entries; leave columns out")
     return out, f"plain rows of the table were read as {', '.join(columns)}" if plain else ""
@@ -68,9 +68,10 @@ def _keys(row: Any) -> list[str] | None:
 
 
 def _checked_columns(columns: Any, known: tuple[str, ...]) -> tuple[str, ...]:
+    given: Any = columns
     if isinstance(columns, str) or not isinstance(columns, Iterable):
         raise InputError(f"columns are {columns!r}; they must be a list of names, such as {ORDER}")
-    names = tuple(columns)
+    names: tuple[str, ...] = tuple(given)
     for name in names:
         if name not in known:
             raise InputError(f"columns hold {name!r}, which a row does not have{hint(name, known)}")
@@ -91,7 +92,7 @@ def _plain(row: Any, number: int, columns: tuple[str, ...]) -> dict[str, Any]:
 
 def _named(table: Any, names: list[Any], known: tuple[str, ...]) -> list[dict[str, Any]]:
     """Rows of a table with named columns; entries that are missing (None, NaN where no number is due) are left out."""
-    fields = []
+    fields: list[str] = []
     for name in names:
         field = str(name).strip().lower()
         if field not in known:
@@ -99,16 +100,16 @@ def _named(table: Any, names: list[Any], known: tuple[str, ...]) -> list[dict[st
         fields.append(field)
     if len(set(fields)) < len(fields):
         raise InputError(f"the table has columns {names}; a name appears twice")
-    columns = []
+    columns: list[list[Any]] = []
     for name in names:
-        column = table[name]
+        column = entries = table[name]
         if isinstance(column, (str, bytes)) or not isinstance(column, Iterable):
             raise InputError(f"column {name!r} is {column!r}; it must have an entry for each row")
-        columns.append(list(column))
+        columns.append(list(entries))
     if len({len(column) for column in columns}) > 1:
         said = ", ".join(f"{len(column)} of {name!r}" for name, column in zip(names, columns, strict=True))
         raise InputError(f"the columns have different lengths: {said}")
-    rows = []
+    rows: list[dict[str, Any]] = []
     for entries in zip(*columns, strict=True):
         row = {field: _own(x) for field, x in zip(fields, entries, strict=True)}
         rows.append({k: x for k, x in row.items() if not (x is None or (k not in ORDER and _is_nan(x)))})
@@ -117,7 +118,8 @@ def _named(table: Any, names: list[Any], known: tuple[str, ...]) -> list[dict[st
 
 def _own(x: Any) -> Any:
     """A number or text of numpy as one of Python."""
-    return x.item() if isinstance(x, np.generic) else x
+    given: Any = x
+    return given.item() if isinstance(x, np.generic) else x
 
 
 def _is_nan(x: Any) -> bool:
@@ -167,13 +169,17 @@ def _angle(given: Value | str, what: str, deg: bool) -> Value:
 
 def _limits(given: Any, what: str, deg: bool) -> Any:
     """Limits of a turning joint in radians; what is no pair is left to the joint, which refuses it."""
+    entries: Any = given
     if not isinstance(given, (list, tuple, np.ndarray)):
         return given
-    out = []
-    for x in given:
+    out: list[Any] = []
+    for x in entries:
+        number: Any = x
         real = isinstance(x, (int, float, np.number)) and not isinstance(x, bool)
-        if real and not deg and LARGEST_LIMIT < abs(x) < math.inf:
-            turns = abs(x) / (2.0 * math.pi)
-            raise InputError(f"{what} hold {x:g}, which is {turns:.1f} turns in radians; for degrees give deg=True")
-        out.append(float(x) * DEGREE if real and deg else x)
+        if real and not deg and LARGEST_LIMIT < abs(number) < math.inf:
+            turns = abs(number) / (2.0 * math.pi)
+            raise InputError(
+                f"{what} hold {number:g}, which is {turns:.1f} turns in radians; for degrees give deg=True"
+            )
+        out.append(float(number) * DEGREE if real and deg else number)
     return tuple(out)

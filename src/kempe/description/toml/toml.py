@@ -176,7 +176,8 @@ class _TomlReader:
             self.between(table, path, subject, good)
             return
         kind = KINDS[table["type"]]
-        how, given = fields_of(kind), {}
+        how = fields_of(kind)
+        given: dict[str, Any] = {}
         for key in needed_by(kind):
             if key not in table:
                 self.findings.add(f"the key {key!r} is missing", subject, self.where(*path),
@@ -198,17 +199,18 @@ class _TomlReader:
 
     def field(self, x: Any, how: str, key: str) -> Any:
         """The value of a field of a constraint. Errors: `InputError`."""
+        entries: Any = x
         if how in FRAMES:
             if isinstance(x, dict):
-                placed = {k: v for k, v in x.items() if k != "body"}
-                return End(str(x.get("body", "")), self.placed(placed, "", x.get("body")))
+                placed: dict[str, Any] = {k: v for k, v in entries.items() if k != "body"}
+                return End(str(entries.get("body", "")), self.placed(placed, "", entries.get("body")))
             if not isinstance(x, str):
                 raise InputError(f"{key} is {shorten(x)}; it must be the name of a frame or body, or a table")
         if how in ("bool", "str") and type(x).__name__ != how:
             raise InputError(f"{key} is {shorten(x)}; it must be {'true or false' if how == 'bool' else 'text'}")
-        if how == "Names" and not (isinstance(x, list) and all(isinstance(n, str) for n in x)):
-            raise InputError(f"{key} is {shorten(x)}; it must be a list of names of coordinates")
-        return tuple(x) if isinstance(x, list) and how not in NUMBERS else x
+        if how == "Names" and not (isinstance(x, list) and all(isinstance(n, str) for n in entries)):
+            raise InputError(f"{key} is {shorten(entries)}; it must be a list of names of coordinates")
+        return tuple(entries) if isinstance(x, list) and how not in NUMBERS else entries
 
     def between(self, table: dict[str, Any], path: Path, subject: str, good: bool) -> None:
         """Read a constraint that is placed on bodies as joints are."""
@@ -228,7 +230,8 @@ class _TomlReader:
         if not good or X_PF is None or X_CM is None:
             return
         try:
-            ends = (table["parent"], X_PF, {}), (table["child"], X_CM, {})
+            none: dict[str, Any] = {}
+            ends = (table["parent"], X_PF, none), (table["child"], X_CM, none)
             between(self.mechanism, table["name"], table["type"], *ends, table.get("length"), self.where(*path))
         except DescriptionError as error:
             for p in error.problems:
@@ -314,7 +317,8 @@ class _TomlReader:
                 or_name = " or a name, such as 'z'" if key == "axis" else ""
                 raise InputError(f"{prefix}{key} is {shorten(item)}; it must be a list, such as [0, 0, 1]{or_name}")
             elif key == "matrix":
-                flat = [x for row in item for x in row] if all(isinstance(r, list) for r in item) else item
+                rows: Any = given[key]
+                flat: list[Any] = [x for row in rows for x in row] if all(isinstance(r, list) for r in rows) else rows
                 if len(flat) != 9 or not all(type(x) in (int, float) for x in flat):
                     raise InputError(f"{prefix}matrix must be three rows of three numbers")
                 settings[key] = flat

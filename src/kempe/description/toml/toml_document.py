@@ -107,7 +107,7 @@ def _plain(data: Any) -> bool:
     stack = [data]
     while stack:
         item = stack.pop()
-        kind = type(item)
+        kind = item.__class__
         if kind is dict:
             stack += item.values()
         elif kind is list:
@@ -148,10 +148,11 @@ class Document:
         stack: list[tuple[Path, Any]] = [((), self.data)]
         while stack:
             path, item = stack.pop()
+            inner: Any = item
             if isinstance(item, dict):
-                stack += [((*path, k), v) for k, v in item.items()]
+                stack += [((*path, k), v) for k, v in inner.items()]
             elif isinstance(item, list):
-                stack += [((*path, i), v) for i, v in enumerate(item)]
+                stack += [((*path, i), v) for i, v in enumerate(inner)]
             elif isinstance(item, int) and abs(item) >= 2**63:
                 self.findings.add("an integer of more than 64 bits", "", self.where(*path), "write it as 1e20")
             elif not isinstance(item, (int, float, str)):
@@ -182,33 +183,35 @@ class Document:
 
     def array(self, kind: str) -> list[dict[str, Any]]:
         """The tables [[kind]]."""
-        found = self.data.get(kind, [])
-        if isinstance(found, list) and all(isinstance(x, dict) for x in found):
-            return found
+        found = tables = self.data.get(kind, [])
+        if isinstance(found, list) and all(isinstance(x, dict) for x in tables):
+            return tables
         allowed = f"write [[{kind}]], with double brackets, above each {kind}"
         self.findings.add(f"{kind!r} is not a list of tables", "", self.where(kind), allowed)
         return []
 
     def table(self, kind: str) -> dict[str, Any]:
         """The table [kind], empty where it is missing."""
-        found = self.data.get(kind, {})
+        found = table = self.data.get(kind, {})
         if isinstance(found, dict):
-            return found
+            return table
         self.findings.add(f"{kind!r} is not a table", "", self.where(kind), f"write [{kind}]")
         return {}
 
-    def flat(self, found: object, path: Path, what: str) -> dict[str, Any]:
+    def flat(self, found: Any, path: Path, what: str) -> dict[str, Any]:
         """A table by coordinate name; ``J.x = 1`` and ``"J.x" = 1`` say the same."""
+        table: Any = found
         if not isinstance(found, dict):
             allowed = "it must be a table by coordinate name, such as {A = 0.3}"
             self.findings.add(f"{what} is {shorten(found)}", "", self.where(*path), allowed)
             return {}
         out: dict[str, Any] = {}
-        stack = list(reversed(found.items()))
+        stack: list[tuple[Any, Any]] = list(reversed(table.items()))
         while stack:
             key, item = stack.pop()
+            inner = item
             if isinstance(item, dict):
-                stack += [(f"{key}.{k}", v) for k, v in reversed(item.items())]
+                stack += [(f"{key}.{k}", v) for k, v in reversed(inner.items())]
             elif key in out:
                 self.findings.add(f"{what} names {key!r} twice", "", self.where(*path), "name it once")
             else:

@@ -20,6 +20,7 @@ from kempe.description.toml.toml_document import FORMAT, NEWEST
 from kempe.errors import DescriptionError, Fault, InputError
 from kempe.joints import in_zoo
 from kempe.placement import Placement, place
+from kempe.reals import is_mapping, is_sequence
 from kempe.values import Expression
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
@@ -40,7 +41,7 @@ def write_toml(mechanism: Mechanism) -> str:
             constraints.append(_constraint(c, m.dim))
     version = NEWEST if any("parent" not in table for table in constraints) else FORMAT
     head = {"format": version, "name": m.name, "dim": m.dim, "ground": m.ground.name, "notes": list(m.notes)}
-    defaults = {"dim": 3, "ground": "ground", "notes": []}
+    defaults: dict[str, Any] = {"dim": 3, "ground": "ground", "notes": []}
     head |= {} if m.tolerance is None else {"tolerance": m.tolerance}
     blocks = [_lines({k: v for k, v in head.items() if defaults.get(k) != v})]
     if m.parameters:
@@ -146,9 +147,10 @@ def _field(x: Any, how: str, dim: int) -> Any:
     if isinstance(x, End):
         return {"body": x.body, **_placement(x.X, dim)}
     if how in NUMBERS and not isinstance(x, (str, Expression)):
-        return x if isinstance(x, (list, tuple)) and expressions_in(x) else np.asarray(x).tolist()
+        return x if is_sequence(x) and expressions_in(x) else np.asarray(x).tolist()
     if callable(x):
-        why = f", which cannot be recorded: {x.reason}" if hasattr(x, "reason") else ""
+        reason: Any = getattr(x, "reason", None)
+        why = "" if reason is None else f", which cannot be recorded: {reason}"
         allowed = TOML.cannot["Python functions that are no expression"]
         raise DescriptionError(Fault(f"a file cannot hold the Python function {x!r}{why}", allowed=allowed))
     if isinstance(x, Tape):
@@ -215,6 +217,6 @@ def _value(x: Any) -> str:
         return _text(x.text)
     if isinstance(x, str):
         return _text(x)
-    if isinstance(x, Mapping):
+    if is_mapping(x):
         return "{" + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in x.items()) + "}"
     return "[" + ", ".join(map(_value, x)) + "]"

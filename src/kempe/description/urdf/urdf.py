@@ -42,10 +42,10 @@ class _Urdf:
     robot: XmlElement
     lenient: bool = False
     findings: Findings = field(default_factory=Findings)
-    links: dict[str, XmlElement] = field(default_factory=dict)
-    joints: dict[str, XmlElement] = field(default_factory=dict)
-    ends: dict[str, tuple[str, str]] = field(default_factory=dict)
-    types: dict[str, str] = field(default_factory=dict)
+    links: dict[str, XmlElement] = field(default_factory=dict[str, XmlElement])
+    joints: dict[str, XmlElement] = field(default_factory=dict[str, XmlElement])
+    ends: dict[str, tuple[str, str]] = field(default_factory=dict[str, tuple[str, str]])
+    types: dict[str, str] = field(default_factory=dict[str, str])
 
 
 def read_urdf(

@@ -203,7 +203,8 @@ def _origin(joint: XmlElement, findings: Findings, subject: str, quaternions: bo
         elif "rpy" in given:
             findings.add("its origin has both rpy and quat_xyzw", subject, origin.where, "give one")
         else:
-            x, y, z, w = given["quat_xyzw"]  # type: ignore[misc]
+            turn: Any = given["quat_xyzw"]
+            x, y, z, w = turn
             with findings.guard(subject, origin.where_of("quat_xyzw")):
                 out["at"] = place(out["at"], quat_wxyz=(w, x, y, z))
     return out

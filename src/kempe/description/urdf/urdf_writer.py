@@ -125,7 +125,7 @@ class _Writer:
         """Sort couplings into constants (all sources locked) and mimics (one left); others are problems."""
         pending = dict(self.m.couplings)
         while True:
-            open_ = {}
+            open_: dict[str, tuple[dict[str, float], float]] = {}
             for of, c in pending.items():
                 sources = {k: float(evaluate(v, self.m.parameters)) for k, v in c.sources.items()}
                 offset = float(evaluate(c.offset, self.m.parameters))
@@ -180,7 +180,7 @@ class _Writer:
         subject = f"body {body.name!r}"
         if body.particle:
             self.findings.add("it is a particle", subject, body.where, URDF.cannot["particles"])
-        inside = []
+        inside: list[str] = []
         if body.mass is not None or body.center is not None:
             center = f'<origin xyz="{_numbers(body.center)}"/>' if body.center is not None else ""
             mass = f'<mass value="{(body.mass or 0.0)!r}"/>'
@@ -239,7 +239,7 @@ class _Writer:
 
     def locked_pose(self, joint: Joint, coordinates: list[str]) -> Placement:
         """X_FM of a joint whose coordinates are all locked."""
-        steps = []
+        steps: list[tuple[str, tuple[float, ...]]] = []
         primitives = joint.type.layout(self.m.dim, self.m.bodies[joint.child].particle)[1]
         for kind, axis, first, multiplier in primitives:
             if kind == Q:

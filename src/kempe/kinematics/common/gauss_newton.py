@@ -62,7 +62,7 @@ def least_squares_of_many(A: Array, b: Array, cut: float = CUT) -> Array:
     G, n = np.swapaxes(A, -1, -2) @ A, A.shape[-1]
     right = np.empty((len(A), n, 2))
     right[..., 0] = np.einsum("kmn,km->kn", A, b)
-    right[..., 1] = np.cos(np.arange(n))
+    right[..., 1] = np.cos(np.arange(n, dtype=float))
     scale = np.einsum("kii->k", G)
     bad = np.ones(len(A), dtype=bool)
     y = np.zeros((len(A), n))
@@ -92,8 +92,8 @@ def gauss_newton(
     and with `halving` before one longer than half the one before. Steps are shortened to `longest`. `step` gives
     another step (n,) at (x, r, J) than `least_squares`, `move` the point to which one leads.
     """
-    before = math.inf
-    for k in range(tries + 1):
+    before, k = math.inf, 0
+    while True:
         r, J = equations(x)
         if k == tries or before <= last or not met < float(np.abs(r).max(initial=0.0)) < math.inf:
             break
@@ -101,7 +101,7 @@ def gauss_newton(
         size = math.sqrt(float(y @ y))
         if not NOTHING < size < math.inf or (halving and size > 0.5 * before):
             break
-        x, before = move(x, y * (longest / size) if size > longest else y), size
+        x, before, k = move(x, y * (longest / size) if size > longest else y), size, k + 1
     return GaussNewtonEnd(x, r, J)
 
 

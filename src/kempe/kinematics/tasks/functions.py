@@ -21,7 +21,7 @@ from kempe.kinematics.forward import jacobian as frame_jacobian
 from kempe.kinematics.tasks.derivatives import SUPPLIED, check_supplied, checked_value, jacobian_of, way_of
 from kempe.model.closures.callback import STEP, WEIGHTS, Callback
 from kempe.model.closures.packed_loops import characteristic_length
-from kempe.reals import reals
+from kempe.reals import is_sequence, reals
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -50,7 +50,9 @@ class Whole:
             raise InputError(f"{of.label} gives no numbers at all; it must give one or more")
         self.how = ""
         if self.supplied is not None:
-            rows = self.derivative if found.ndim else lambda x: np.atleast_2d(self.derivative(x))
+            rows: Callable[[Array], Any] = self.derivative
+            if not found.ndim:
+                rows = lambda x: np.atleast_2d(self.derivative(x))  # noqa: E731
             check_supplied(self.label, self.raw, rows, system.structure.layout, q, system.structure.velocity_names)
             self.how = SUPPLIED
         elif not self.frames:
@@ -113,7 +115,7 @@ class Whole:
         return out
 
 
-def _takes(function: Callable, n: int) -> bool:
+def _takes(function: Callable[..., Any], n: int) -> bool:
     """Whether a function can be called with so many arguments."""
     try:
         signature(function).bind(*range(n))
@@ -175,7 +177,7 @@ def held_too(system: System, further: Any) -> System:
 
     Errors: `InputError` for what is none, `DescriptionError` for what does not fit the system.
     """
-    given = tuple(further) if isinstance(further, (list, tuple)) else (further,)
+    given: tuple[Any, ...] = tuple(further) if is_sequence(further) else (further,)
     if not given:
         return system
     m, taken = system.mechanism, {*system.mechanism.constraints, *system.mechanism.joints}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -91,7 +91,8 @@ class Packed:
         self.wide = _wide(system, self.tasks) if turns else np.zeros(system.nv, dtype=bool)
         tree = own_tree(system)
         explicit = frozenset(tree.structure.closures)
-        level = (lambda tie: levels[owner[id(tie)][0]] if id(tie) in owner else 0) if any(levels) else None
+        of: Callable[[Tie], int] = lambda tie: levels[owner[id(tie)][0]] if id(tie) in owner else 0  # noqa: E731
+        level = of if any(levels) else None
         self.one_sided = one_sided_rows(system)
         """One-sided rows of the system; those that are declared hold, too."""
         bounded = self.one_sided.declared > 0

@@ -29,9 +29,10 @@ class CoordinateTask(Task):
     def _values(self, system: System) -> tuple[Array, list[tuple[str, int, int, bool]]]:
         """The values as (..., nq), and for each tie its name, place in q, velocity coordinate, whether it is a ball."""
         layout = system.structure.layout
-        items = [(system.coordinate_names[i], int(i), int(v), False)
+        items: list[tuple[str, int, int, bool]]
+        items = [(system.coordinate_names[int(i)], int(i), int(v), False)
                  for i, v in zip(layout.vector_q, layout.vector_v, strict=True)]  # fmt: skip
-        items += [(system.coordinate_names[i], int(i), int(v), True)
+        items += [(system.coordinate_names[int(i)], int(i), int(v), True)
                   for i, v in zip(layout.quaternion_q, layout.quaternion_v, strict=True)]  # fmt: skip
         items.sort(key=lambda item: item[1])
         given = named(self.of.q)

@@ -93,16 +93,18 @@ class Written(Task):
 
     def coordinates(self, system: System) -> set[str]:
         """Those that it reads, or those that they follow."""
-        first, found = system.structure.coordinates.first, set()
+        first = system.structure.coordinates.first
+        found: set[int] = set()
         for t in self.made(system).ties:
-            found |= {first[n][1] for n in t.tape.coordinates} if t.tape else set()
-            found |= set(t.function.support) if t.function else set()
+            found |= {first[n][1] for n in t.tape.coordinates} if t.tape else found
+            found |= set(t.function.support) if t.function else found
         return {system.structure.velocity_names[v] for v in found}
 
     def goals(self, system: System) -> Goals:
         """For each tie the goal, and its numbers; ends that only some targets have are far away."""
         _, of, _, ties = self.made(system)
-        goal, out = of.goal(self.dim) if self.posed else None, []
+        goal = of.goal(self.dim) if self.posed else None
+        out: list[tuple[Array | None, Array | None]] = []
         for tie in ties:
             given = [numbers_of(input_of(of, n), f"{n} of {self.label}") for n in (tie.tape.given if tie.tape else ())]
             numbers = np.stack(np.broadcast_arrays(*given), axis=-1) if given else None
@@ -117,7 +119,8 @@ class Written(Task):
         """How far its values are from where they must be, by the forward model and plain numpy."""
         _, of, rows, ties = self.made(system)
         goals, at = self.goals(system) if goals is None else goals, at or partial(fk, system, q)
-        given, A, B = {}, None, None
+        given: dict[str, Array] = {}
+        A, B = None, None
         for tie, (goal, numbers) in zip(ties, goals, strict=True):
             if numbers is not None and tie.tape:
                 given |= {n: numbers[..., k] for k, n in enumerate(tie.tape.given)}

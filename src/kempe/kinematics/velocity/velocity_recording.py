@@ -7,7 +7,7 @@ so that a tape holds what moves only.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +18,7 @@ from kempe.constraints.tape import BINARY, POSE, TWIST, Tape
 from kempe.joints import P, Q
 from kempe.kernels.constraints import tape_layout as L
 from kempe.model.closures.loop_plan import moving
-from kempe.model.tree.primitive_table import Table
+from kempe.model.tree.primitive_table import End, Table
 
 Num = float | int
 """A number that is known (float) or a place of the tape that is recorded (int)."""
@@ -136,7 +136,7 @@ class Recorder:
 
     def after(self, row: int) -> RecordedPose:
         """The pose after the motion of a row of the table."""
-        way = []
+        way: list[int] = []
         while row not in self._after:
             way.append(row)
             row = int(self.table.parent[row])
@@ -171,7 +171,7 @@ class Recorder:
         if inverse:
             x, y, z = n.neg(x), n.neg(y), n.neg(z)
         m, a, s = n.mul, n.add, n.sub
-        two = lambda u: m(2.0, u)  # noqa: E731
+        two: Callable[[Num], Num] = lambda u: m(2.0, u)  # noqa: E731
         squares = [m(u, u) for u in (w, x, y, z)]
         diagonal = [
             a(squares[0], s(s(squares[1 + i], squares[1 + (i + 1) % 3]), squares[1 + (i + 2) % 3])) for i in range(3)
@@ -184,18 +184,19 @@ class Recorder:
 
     # ---- frames against frames
 
-    def end(self, end: tuple[int, np.ndarray, bool]) -> RecordedPose:
+    def end(self, end: End) -> RecordedPose:
         """The pose of an end (row, placement, particle)."""
         pose = self.moved(self.after(end[0]), end[1])
         return RecordedPose(IDENTITY, pose.p) if end[2] else pose
 
-    def add_row(self, a: tuple, b: tuple, form: Form, value: Num = 0.0) -> None:
+    def add_row(self, a: End, b: End, form: Form, value: Num = 0.0) -> None:
         """Record a row: `form` is linear in the twist of b against a and in velocities, `value` is -b(q, t)."""
         out: dict[int, Num] = {}
         n = self.numbers
         for key, x in form.items():
+            pair: Any = key
             if isinstance(key, tuple):
-                out[key[1]] = n.add(out.get(key[1], 0.0), x)
+                out[pair[1]] = n.add(out.get(pair[1], 0.0), x)
         c = [form.get(k, 0.0) for k in range(6)]
         if any(not isinstance(x, float) or x != 0.0 for x in c):
             self._twist(a, b, c, out)
@@ -205,7 +206,7 @@ class Recorder:
                 self.entries.append((self.count, column, x))
         self.count += 1
 
-    def _twist(self, a: tuple, b: tuple, c: list[Num], out: dict[int, Num]) -> None:
+    def _twist(self, a: End, b: End, c: list[Num], out: dict[int, Num]) -> None:
         n, table = self.numbers, self.table
         R, p = self.end(a).R, self.end(b).p
         force = [n.dot(R[i], c[:3]) for i in range(3)]
@@ -225,7 +226,7 @@ class Recorder:
 
     # ---- expressions
 
-    def seen(self, a: tuple, b: tuple) -> Seen:
+    def seen(self, a: End, b: End) -> Seen:
         """The pose of b seen from a, by the names of its numbers."""
         return Seen(self, a, b)
 
@@ -309,7 +310,8 @@ class Recorder:
             return {}
         if op == L.AT:
             return f | {(len({i for i, _ in f}), k): x for k, x in g.items()}
-        rates, out = build.rates_of(place), {}
+        rates = build.rates_of(place)
+        out: Form = {}
         for i, key, x in [*((*k, x) for k, x in f.items()), *((2, k, x) for k, x in g.items())]:
             known = build._constant(rates[i])
             out[key] = n.add(out.get(key, 0.0), n.mul(rates[i] if known is None else known, x))
@@ -333,7 +335,7 @@ class Recorder:
 class Seen:
     """Numbers of the pose of b seen from a by name, and their rates, as they are requested."""
 
-    def __init__(self, recorder: Recorder, a: tuple, b: tuple):
+    def __init__(self, recorder: Recorder, a: End, b: End):
         self.recorder, self.a, self.b = recorder, a, b
         self._ends: tuple[RecordedPose, RecordedPose] | None = None
 
@@ -347,6 +349,6 @@ class Seen:
             away = [n.sub(B.p[i], A.p[i]) for i in range(3)]
             return n.dot(A.column(PLACE[name]), away), {PLACE[name]: 1.0}
         i, j = PLACE[name[0]], PLACE[name[1]]
-        entry = lambda k: n.dot(A.column(k), B.column(j))  # noqa: E731
+        entry: Callable[[int], Num] = lambda k: n.dot(A.column(k), B.column(j))  # noqa: E731
         y, z = (i + 1) % 3, (i + 2) % 3  # the rate of an axis is w x axis
         return entry(i), {3 + y: entry(z), 3 + z: n.neg(entry(y))}

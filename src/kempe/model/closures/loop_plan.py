@@ -32,9 +32,9 @@ def _readings(system: System, joint: Joint) -> list[tuple[int, int]]:
 
 def moving(a: int, b: int, parent: np.ndarray) -> list[tuple[float, int]]:
     """Rows that move row b against row a, with the sign of their motion; -1 is the ground."""
-    ways = []
+    ways: list[list[int]] = []
     for row in (a, b):
-        way = []
+        way: list[int] = []
         while row >= 0:
             way.append(row)
             row = int(parent[row])
@@ -51,7 +51,8 @@ def laid_out(
     The numbers of their tapes stand at `numbers_at`, one after the other.
     """
     out: list[int] = []
-    starts, work = [], 0
+    work = 0
+    starts: list[int] = []
     for ints, floats, inputs in recorded:
         starts.append(at + len(out))
         out += [starts[-1] + L.TAPE_INPUTS + len(inputs), numbers_at, work, *inputs, *ints.tolist()]
@@ -123,7 +124,8 @@ class LoopPlan:
     def _record(self, recorded: RecordedRows, columns: dict[int, int]) -> None:
         """Collect what a TAPE tie reads: its tape, and for each input what it is."""
         ints, floats = recorded.tape.arrays()
-        first, inputs = self.system.structure.coordinates.first, []
+        first = self.system.structure.coordinates.first
+        inputs: list[int] = []
         for name in recorded.tape.inputs:
             place, column = -1, -1
             if (what := recorded.input(name)) == L.COORDINATE:
@@ -167,7 +169,8 @@ class LoopPlan:
 
     def arrays(self) -> tuple[np.ndarray, np.ndarray]:
         """The two arrays."""
-        ties, first_row, block, pin, given = [], 0, 0, 0, 0
+        first_row, block, pin, given = 0, 0, 0, 0
+        ties: list[list[int]] = []
         bounds: list[float] = []
         centres: list[np.ndarray] = []
         for k, tie in enumerate(self.ties):
@@ -252,7 +255,8 @@ class LoopPlan:
                 least = min(own[k] for k, _ in use)
                 for k, _ in use:
                     first[k] = min(first[k], least)
-        out, at = [], 0
+        at = 0
+        out: list[tuple[int, int]] = []
         for k, t in enumerate(ties):
             for r in range(t[L.ROWS]):
                 out.append((first[k], at))

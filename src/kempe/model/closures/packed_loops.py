@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from kempe.model.closures.implicit_form import ImplicitForm, implicit_form, slid
 from kempe.model.closures.loop_plan import LoopPlan, moving
 from kempe.model.kept import kept
 from kempe.model.tree.characteristic_length import characteristic_length, moved, origin_of
-from kempe.model.tree.primitive_table import Table, lower
+from kempe.model.tree.primitive_table import End, Table, lower
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -52,7 +52,7 @@ def must_be_explicit(system: System, known: Iterable[str] = ()) -> frozenset[str
     related |= {f.source for f in system.structure.couplings.values() if f.source is not None}  # others move with them
     v_index = {n: i for i, n in enumerate(system.structure.velocity_names)}
     limited = np.isfinite(system.lower) | np.isfinite(system.upper)
-    out = set()
+    out: set[str] = set()
     for name in system.structure.closures:
         names = system.structure.coordinates_of_joint(name)
         none = _implicit(system, system.structure.joints[name]) is None
@@ -151,7 +151,7 @@ def _ties(
     return ties
 
 
-def _flat(end: tuple, of: tuple, table: Table) -> tuple:
+def _flat(end: End, of: End, table: Table) -> End:
     """The end turned so that x is what was z of `of`, and z the plane's normal: a slide of the plane is along z."""
     z = plane_normal(of, table)
     x = np.array([0.0, 0.0, 1.0])
@@ -160,9 +160,10 @@ def _flat(end: tuple, of: tuple, table: Table) -> tuple:
     return end[0], end[1] @ C, end[2]
 
 
-def plane_normal(end: tuple, table: Table) -> np.ndarray:
+def plane_normal(end: End, table: Table) -> np.ndarray:
     """The normal of the plane of a planar system, in axes of a frame: the same in all configurations."""
-    z, way, row = np.array([0.0, 0.0, 1.0]), [end[1]], end[0]
+    z, row = np.array([0.0, 0.0, 1.0]), end[0]
+    way: list[np.ndarray] = [end[1]]
     while row >= 0:
         way.append(table.placement[row])
         row = int(table.parent[row])
@@ -197,8 +198,7 @@ def _in_order(ties: list[Tie], table: Table, first: Places) -> list[Tie]:
     """The ties so that those that share coordinates are near each other: it keeps the envelope of J J^T small."""
     if len(ties) < 8:
         return ties
-    from scipy.sparse import csr_matrix
-    from scipy.sparse.csgraph import reverse_cuthill_mckee
+    from scipy.sparse import csgraph, csr_matrix
 
     users: dict[int, list[int]] = {}
     for k, tie in enumerate(ties):
@@ -209,7 +209,8 @@ def _in_order(ties: list[Tie], table: Table, first: Places) -> list[Tie]:
         return ties
     i, j = np.array(pairs).T
     graph = csr_matrix((np.ones(len(pairs)), (i, j)), shape=(len(ties), len(ties)))
-    return [ties[k] for k in reverse_cuthill_mckee(graph, symmetric_mode=True)]
+    order: np.ndarray = cast(Any, csgraph).reverse_cuthill_mckee(graph, symmetric_mode=True)
+    return [ties[int(k)] for k in order]
 
 
 def _by_level(ties: list[Tie], table: Table, level: Callable[[Tie], int], first: Places) -> list[Tie]:

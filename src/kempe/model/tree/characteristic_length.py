@@ -30,9 +30,10 @@ def characteristic_length(system: System) -> float:
     loops are cut nor on where bodies have their origins. Where no link has two, the mean distance of frames from the
     joint before them.
     """
-    found = []
-    for points in _links(system).values():
-        spread = float(2.0 * np.sqrt(np.mean(np.sum((points - np.mean(points, axis=0)) ** 2, axis=-1))))
+    found: list[float] = []
+    for links in _links(system).values():
+        points = np.array(links)
+        spread = float(2.0 * np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=-1).mean()))
         if spread > NOTHING * (1.0 + float(np.abs(points).max())):
             found.append(spread)
     if found:
@@ -64,7 +65,8 @@ def moved(table: Table, by: np.ndarray) -> Table:
 
 def _links(system: System) -> dict[int, list[np.ndarray]]:
     """For each row of the table (-1 is the ground) where joints and constraints sit on it; fixed joints are none."""
-    system, out = own_tree(system), {}
+    system = own_tree(system)
+    out: dict[int, list[np.ndarray]] = {}
     for body, point in _ends(system):
         row, X, _ = system.structure.table.at[body]
         out.setdefault(row, []).append(np.asarray(X)[:3, :3] @ point + np.asarray(X)[:3, 3])

@@ -14,7 +14,7 @@ from kempe.constraints.base import Op
 from kempe.constraints.tape import TIME
 from kempe.description.checks import refuse
 from kempe.description.mechanism import Mechanism
-from kempe.description.parts import Joint
+from kempe.description.parts import Coupling, Joint
 from kempe.errors import InputError, UnknownNameError
 from kempe.joints import P, Primitive, Q, R
 from kempe.model.tree.coordinate_layout import Layout, layout_of
@@ -99,7 +99,10 @@ def coordinates_of(mechanism: Mechanism) -> Coordinates:
                 balls |= {_full(joint.name, n) for n in names[p.coordinate : p.coordinate + 4]}
     followers, relations = _resolve(mechanism, every, balls)
     _check_written(mechanism, every, balls)
-    names, velocity_names, first, triples = [], [], {}, []
+    every_name: list[str] = []
+    velocity_names: list[str] = []
+    first: dict[str, tuple[int, int]] = {}
+    triples: list[tuple[int, int, int]] = []
     for joint in mechanism.joints.values():
         particle = mechanism.bodies[joint.child].particle
         local, primitives = joint.type.layout(mechanism.dim, particle)
@@ -111,18 +114,18 @@ def coordinates_of(mechanism: Mechanism) -> Coordinates:
             if full in followers or i not in kinds:
                 continue
             size = 4 if kinds[i] == Q else 1
-            first[full] = (len(names), len(velocity_names))
-            triples.append((kinds[i], len(names), len(velocity_names)))
-            names += [_full(joint.name, n) for n in local[i : i + size]]
+            first[full] = (len(every_name), len(velocity_names))
+            triples.append((kinds[i], len(every_name), len(velocity_names)))
+            every_name += [_full(joint.name, n) for n in local[i : i + size]]
             velocity_names += [full] if size == 1 else [_full(joint.name, w) for w in ("wx", "wy", "wz")]
-    layout = layout_of(triples, len(names), len(velocity_names))
+    layout = layout_of(triples, len(every_name), len(velocity_names))
     lower, upper, speed = _limits(mechanism, velocity_names, followers)
     turning = np.zeros(len(velocity_names), dtype=bool)
     turning[[iv for kind, _, iv in triples if kind == R]] = True
     for array in (lower, upper, speed, turning):
         array.setflags(write=False)
     return Coordinates(
-        tuple(names), tuple(velocity_names), first, followers, relations, layout, lower, upper, speed, turning
+        tuple(every_name), tuple(velocity_names), first, followers, relations, layout, lower, upper, speed, turning
     )  # fmt: skip
 
 
@@ -222,7 +225,7 @@ def _in_order(mechanism: Mechanism, pending: dict[str, tuple[dict[str, float], f
     return order
 
 
-def _check_coupling(mechanism: Mechanism, coupling, every: dict[str, Joint], balls: set[str]) -> None:
+def _check_coupling(mechanism: Mechanism, coupling: Coupling, every: dict[str, Joint], balls: set[str]) -> None:
     subject = f"coupling of {coupling.of!r}"
     for name in (coupling.of, *coupling.sources):
         if name not in every:

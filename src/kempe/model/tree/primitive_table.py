@@ -34,6 +34,9 @@ _AXES = {axis: spatial.pose(rotation) for axis, rotation in AXIS_ROTATIONS.items
 _AXES_BACK = {axis: spatial.inverse(X) for axis, X in _AXES.items()}
 _EYE = np.eye(4)
 
+End = tuple[int, np.ndarray, bool]
+"""Where a frame sits: its row, its pose (..., 4, 4) on that row, and whether it is a particle."""
+
 
 @dataclass(frozen=True, eq=False)
 class Table:
@@ -51,13 +54,14 @@ class Table:
     multiplier: np.ndarray
     offset: np.ndarray
     placement: np.ndarray
-    at: Mapping[Any, tuple[int, np.ndarray, bool]]
+    at: Mapping[Any, End]
     nq: int
     nv: int
 
     def path(self, name: Any) -> list[int]:
         """Rows from the ground to the body or frame."""
-        rows, row = [], self.at[name][0]
+        row = self.at[name][0]
+        rows: list[int] = []
         while row >= 0:
             rows.append(row)
             row = int(self.parent[row])
@@ -191,30 +195,33 @@ def lower(
 
 
 def _ends(
-    mechanism: Mechanism, rows: _TableRows, where: dict, parameters: Mapping[str, Any], explicit: Mapping[str, bool]
-) -> dict:
+    mechanism: Mechanism, rows: _TableRows, where: dict[str, tuple[int, np.ndarray]], parameters: Mapping[str, Any],
+    explicit: Mapping[str, bool],
+) -> dict[Any, End]:  # fmt: skip
     """Both frames of each joint in `explicit`: F, led on through the joint where it is explicit, and M."""
-    at = {}
+    at: dict[Any, End] = {}
     for name, through in explicit.items():
         joint = mechanism.joints[name]
         row, X = where[joint.parent]
         here = row, X @ joint.X_PF.evaluate(parameters)
-        at[name, "F"] = (*(rows.joint(mechanism, joint, here, False) if through else here), False)
+        row, X = rows.joint(mechanism, joint, here, False) if through else here
+        at[name, "F"] = row, X, False
         row, X = where[joint.child]
         at[name, "M"] = row, X @ joint.X_CM.evaluate(parameters), mechanism.bodies[joint.child].particle
     return at
 
 
 def _finish(
-    mechanism: Mechanism, rows: _TableRows, where: dict, parameters: Mapping[str, Any], c: Coordinates, ends: dict
-) -> Table:
-    at: dict[Any, Any] = {b: (row, X, mechanism.bodies[b].particle) for b, (row, X) in where.items()}
+    mechanism: Mechanism, rows: _TableRows, where: dict[str, tuple[int, np.ndarray]], parameters: Mapping[str, Any],
+    c: Coordinates, ends: dict[Any, End],
+) -> Table:  # fmt: skip
+    at: dict[Any, End] = {b: (row, X, mechanism.bodies[b].particle) for b, (row, X) in where.items()}
     for frame in mechanism.frames.values():
         row, X = where[frame.body]
         at[frame.name] = (row, X @ frame.X_BF.evaluate(parameters), mechanism.bodies[frame.body].particle)
     at |= ends
     n = len(rows.rows)
-    columns = list(zip(*rows.rows, strict=True)) if n else [[]] * 7
+    columns: list[Any] = list(zip(*rows.rows, strict=True)) if n else [[]] * 7
     lead = np.broadcast_shapes(*(np.shape(p) for p in parameters.values())) if parameters else ()
     placement = np.zeros((*lead, n, 4, 4))
     for i, X in enumerate(columns[6]):
@@ -235,7 +242,10 @@ def local_chain(table: Table, name: str) -> tuple[Table, np.ndarray, np.ndarray]
     kind, iq, iv = table.kind[path], table.iq[path], table.iv[path]
     first = {int(a): (int(b), 4 if k == Q else 1) for k, a, b in reversed(list(zip(kind, iq, iv, strict=True)))}
     order = list(dict.fromkeys(int(a) for a in iq))
-    q_index, v_index, to_q, to_v = [], [], {}, {}
+    q_index: list[int] = []
+    v_index: list[int] = []
+    to_q: dict[int, int] = {}
+    to_v: dict[int, int] = {}
     for a in order:
         b, size = first[a]
         to_q[a], to_v[a] = len(q_index), len(v_index)

@@ -67,7 +67,8 @@ def _solutions(question: Question, plan: ChainPlan, target: Array, locked: Array
     theta = gauss_newton_of_many(lambda x, _: aim.at(x), theta, STEPS, step=damped, met=1e-15, last=0.0,
                                  longest=LONGEST)  # fmt: skip
     size = np.linalg.norm(aim.at(theta)[0], axis=1)
-    found, error = [], []
+    found: list[Array] = []
+    error: list[float] = []
     for k in np.flatnonzero(size <= question.tolerance / max(lines.length, 1.0)):
         gaps = [np.where(lines.kinds == SLIDE, theta[k] - x, _wrapped(theta[k] - x)) for x in found]
         if all(np.abs(g).max() > APART for g in gaps):
@@ -75,7 +76,7 @@ def _solutions(question: Question, plan: ChainPlan, target: Array, locked: Array
             error.append(size[k] * max(lines.length, 1.0))
         if len(found) == plan.slots:
             break
-    return np.array(found).reshape(-1, len(lines)), np.array(error)
+    return np.array(found, dtype=float).reshape(-1, len(lines)), np.array(error)
 
 
 def _wrapped(x: Array) -> Array:

@@ -26,6 +26,6 @@ def all_modes(problem: Problem) -> Modes:
     found = assembly_modes(system, {**problem.known, str(frame): X}, problem.start, limits=bool(problem.limits))
     order = np.argsort(~found.inside, kind="stable")
     return replace(
-        found, q=found.q[order], branches=tuple(found.branches[i] for i in order),
+        found, q=found.q[order], branches=tuple(found.branches[int(i)] for i in order),
         multiplicity=found.multiplicity[order], freedoms=found.freedoms[order], inside=found.inside[order],
     )  # fmt: skip

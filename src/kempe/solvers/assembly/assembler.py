@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from collections.abc import Set as AbstractSet
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -71,7 +72,7 @@ class Assembler:
     def __init__(self, system: System, known: Iterable[str] = (), one_sided: bool = True):
         self.system, self.known, self.tree = system, tuple(known), own_tree(system)
         self.one_sided = one_sided_rows(system) if one_sided and one_sided_rows(system).declared else None
-        self.names = set(self.known)
+        self.names: AbstractSet[str] = set(self.known)
         coordinates = [k for k in self.known if k not in system.frame_names or k in system.coordinate_names]
         self.frames = tuple(k for k in self.known if k not in coordinates)
         self._places(coordinates)
@@ -87,7 +88,9 @@ class Assembler:
         """
         system = self.system
         index = {n: i for i, n in enumerate(system.coordinate_names)}
-        places, factors, offsets = [], [], []
+        places: list[int] = []
+        factors: list[Any] = []
+        offsets: list[Any] = []
         for name in names:
             follower = system.structure.couplings.get(name)
             if follower is not None and follower.source is None:
@@ -114,7 +117,7 @@ class Assembler:
                 missing = [system.coordinate_names[i] for i in range(iq, iq + 4) if i not in given]
                 raise InputError(f"a quaternion is given as a whole; missing are {', '.join(missing)}")
             held += [iv, iv + 1, iv + 2] if given else []
-        self.held = frozenset(system.structure.velocity_names[v] for v in held)
+        self.held = frozenset(system.structure.velocity_names[int(v)] for v in held)
         limits = np.full((2, len(places)), np.inf) * [[-1.0], [1.0]]
         for k, i in enumerate(places):
             if i in velocity:
@@ -190,8 +193,9 @@ class Assembler:
         tolerance: float = TOLERANCE, budget: Budget | None = None,
     ) -> Assembly:  # fmt: skip
         """Answer of `assemble` for `values` (..., k) of the known coordinates in order, or a dict with all of them."""
+        given: Any = values
         named = values.__class__ is dict or isinstance(values, Mapping)
-        given = values if named else self._by_name(values)
+        given = given if named else self._by_name(values)
         return self._solve(Problem(self.system, "one", given, start, prefer, limits, tolerance, budget))
 
     __call__ = explained(_ask)
@@ -288,7 +292,7 @@ class Assembler:
     def _turned(self, given: Mapping[str, Any]) -> tuple[bool, ...]:
         """For each known frame whether its orientation is given too."""
         size = self.system.dim
-        out = []
+        out: list[bool] = []
         for frame in self.frames:
             shape = np.shape(given[frame])
             if len(shape) >= 2 and shape[-2:] == (4, 4):

@@ -53,7 +53,7 @@ def assemble(
     `also` are constraints of `kempe.constraints`, or functions of q (nq,) that are zero, for this call. `tolerance` is
     as in `kempe.solvers.assembly.ideal`; where no other mechanism closes, the largest residual of a success.
     """
-    given = {} if known is None else known
+    given: Mapping[str, Any] = {} if known is None else known
     if given.__class__ is not dict and not isinstance(given, Mapping):  # asking what a dict is takes long
         raise InputError(f"known is {type(given).__name__}; it must be a dict of values by coordinate or frame name")
     if also.__class__ is not tuple or also:

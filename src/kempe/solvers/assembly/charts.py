@@ -348,7 +348,7 @@ def _extend(
         rest = _without(rest, rest[row])
     while len(rows) < p and usable:
         size = np.linalg.norm(rest[usable], axis=1)
-        row = usable[int(np.argmax(np.round(size, 9)))]  # rounding does not decide between equals: the first is taken
+        row = usable[int(np.argmax(size.round(9)))]  # rounding does not decide between equals: the first is taken
         if better and size.max() < ENOUGH * np.linalg.norm(rest[better], axis=1).max():
             break
         rows.append(row)

@@ -141,7 +141,7 @@ class Dimensions:
 def _numbered(names: Iterable[tuple[str, str]]) -> list[tuple[str, str, int]]:
     """The names of equations, numbered where one occurs several times."""
     seen: Counter[tuple[str, str]] = Counter()
-    out = []
+    out: list[tuple[str, str, int]] = []
     for name in names:
         out.append((*name, seen[name]))
         seen[name] += 1
@@ -224,6 +224,7 @@ def fitted(
     `tries` are the dampings that are tried.
     """
     p = np.zeros(shape.size)
+    found, left = [p, q], np.inf
     for _ in range(TRIES):
         for damped in DAMPING[:tries]:
             *found, left = _fit(shape, rank, p, q, most, damped, also)
@@ -250,7 +251,7 @@ def _fit(
 
     It acts on those combinations of equations that the configurations cannot answer for.
     """
-    P, at, before = np.zeros((0, 0, 0)), np.full(shape.size, np.inf), [np.inf] * PATIENCE
+    P, at, before, left = np.zeros((0, 0, 0)), np.full(shape.size, np.inf), [np.inf] * PATIENCE, np.inf
     for k in range(ROUNDS):
         valley = Valley(shape.changed(p), rank)
         q = np.array([valley.converge(x, 4) for x in q])

@@ -80,7 +80,7 @@ def _coinciding(system: System, q: Array) -> list[tuple[str, str]]:
     cells: dict[tuple[int, ...], list[int]] = {}
     for i, cell in enumerate(np.round(places / (COINCIDE * closure_rows.characteristic_length(system))).tolist()):
         cells.setdefault(tuple(int(x) for x in cell), []).append(i)
-    out = []
+    out: list[tuple[str, str]] = []
     for members in cells.values():
         groups: list[tuple[set[str], str]] = []  # bodies that meet there, and the first joint
         for i in members:
@@ -93,7 +93,7 @@ def _coinciding(system: System, q: Array) -> list[tuple[str, str]]:
 
 
 def _outside(bound: Assembler, q: Array) -> str:
-    texts = []
+    texts: list[str] = []
     for name, i, low, high in zip(bound.sources, bound.places, bound.low, bound.high, strict=True):
         if not low <= q[i] <= high:
             texts.append(f"{name} = {q[i]:.6g} is not in [{low:.6g}, {high:.6g}]")

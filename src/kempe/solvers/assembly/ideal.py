@@ -38,7 +38,7 @@ from kempe.words import counted
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-Function = TypeVar("Function", bound=Callable)
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 USUAL_TOLERANCE = 1e-5
 """The tolerance that nobody has to ask for, in characteristic lengths and radians: what is off by less is rounding."""
@@ -166,8 +166,9 @@ class Idealised(Report):
 
 def one_number(tolerance: Any) -> Any:
     """The smaller one of a pair of metres and radians; anything else as it is."""
-    pair = isinstance(tolerance, tuple) and len(tolerance) == 2 and all(map(is_real, tolerance))
-    return min(tolerance) if pair else tolerance
+    given: Any = tolerance
+    pair = isinstance(tolerance, tuple) and len(given) == 2 and all(map(is_real, given))
+    return min(given) if pair else given
 
 
 def tolerance_of(system: System, tolerance: Any) -> float:
@@ -311,10 +312,13 @@ def _best(shape: Dimensions, rank: int, q: Array, most: float) -> tuple[Array, A
 
 def _changes(system: System, shape: Dimensions, ideal: System, q: Array, most: float, freedoms: int) -> Idealised:
     """What was found, with what differs."""
-    m, changes, size = system.mechanism, [], 0.0
+    m, size = system.mechanism, 0.0
+    changes: list[tuple[str, str, Any, Any, float, float]] = []
     for table, name, side in shape.places:
         old, new = (getattr(getattr(x, table)[name], side).evaluate(m.parameters) for x in (m, ideal.mechanism))
-        twist = log_so3((np.linalg.inv(old) @ new)[:3, :3])
+        before: Array = old
+        between = np.linalg.inv(before) @ new
+        twist = log_so3(between[:3, :3])
         slide = new[:3, 3] - old[:3, 3]
         by = float(np.linalg.norm(slide)), float(np.linalg.norm(twist))
         size = max(size, float(np.abs(slide).max()), float(np.abs(twist).max()))

@@ -89,11 +89,12 @@ def read_joints(
     alike: dict[tuple[JointType, bool], list[Joint]] = {}
     for joint in m.joints.values():
         alike.setdefault((joint.type, m.bodies[joint.child].particle), []).append(joint)
-    out = {}
+    out: dict[str, tuple[Array, Array, Array]] = {}
     for (kind, particle), joints in alike.items():  # what joints of one kind have in common is done once
-        X, at = np.empty((len(joints), *lead, 4, 4)), []
+        X = np.empty((len(joints), *lead, 4, 4))
+        at: list[Array] = []
         for k, joint in enumerate(joints):
-            ends = []
+            ends: list[Array] = []
             for body, X_BE in ((joint.parent, joint.X_PF), (joint.child, joint.X_CM)):
                 X_BE, i = X_BE.evaluate(m.parameters), number(body)
                 X_BE = flat_frame(X_BE) if slides_along_z(kind, system.dim, particle) else X_BE
@@ -167,10 +168,12 @@ def _three_angles(R: Array, angles: Array, near: Array) -> Array:
     a = np.where(locked, near[:, 0], a)  # only a combination of a and c is determined
     rest = np.swapaxes(spatial.rot_z(a) @ spatial.rot_y(b), -1, -2) @ R
     c = np.where(locked, np.arctan2(rest[:, 2, 1], rest[:, 1, 1]), c)
-    ways = np.stack([[a, b, c], [a + np.pi, np.pi - b, c + np.pi]]).swapaxes(1, 2)  # (2, N, 3)
+    ways: Array = np.stack([[a, b, c], [a + np.pi, np.pi - b, c + np.pi]]).swapaxes(1, 2)  # (2, N, 3)
     ways += FULL_TURN * np.round((near - ways) / FULL_TURN)
-    second = np.linalg.norm(ways[1] - near, axis=-1) < np.linalg.norm(ways[0] - near, axis=-1)
-    return np.where(second[:, None], ways[1], ways[0])
+    one: Array = ways[0]
+    other: Array = ways[1]
+    second: np.ndarray = np.linalg.norm(ways[1] - near, axis=-1) < np.linalg.norm(ways[0] - near, axis=-1)
+    return np.where(second[:, None], other, one)
 
 
 # ---- coordinates that depend on others
@@ -193,7 +196,9 @@ class LinearRow(NamedTuple):
 
 def _relations(system: System) -> list[LinearRow]:
     """What couplings, locks and relations say, but for quaternions that are held."""
-    followers, turning, balls = system.structure.couplings, set(), set()
+    followers = system.structure.couplings
+    turning: set[str] = set()
+    balls: set[str] = set()
     for joint in system.mechanism.joints.values():
         names = system.structure.coordinates_of_joint(joint.name)
         steps = joint.type.layout(system.dim, system.mechanism.bodies[joint.child].particle)[1]

@@ -26,6 +26,7 @@ DIFFERENCE = 1e-6
 """Step of the central differences."""
 
 Place = tuple[str, str, str]
+"""A placement: the name of the table, of what is in it, and of the side."""
 Values = Callable[[dict[Place, Array]], Any]
 
 
@@ -42,7 +43,7 @@ class Relations:
             if part.parent
             for side in ("X_PF", "X_CM")
         }
-        bodies: dict[str, list[tuple[str, str, str]]] = {}
+        bodies: dict[str, list[Place]] = {}
         for j in m.joints.values():
             if not isinstance(j.type, Fixed):
                 bodies.setdefault(j.parent, []).append(("joints", j.name, "X_PF"))
@@ -73,11 +74,11 @@ class Relations:
             self.rows.append(row)
         return holds
 
-    def _skew(self, a: tuple[str, str, str], b: tuple[str, str, str]) -> bool:
+    def _skew(self, a: Place, b: Place) -> bool:
         """Whether two axes of a body are not nearly parallel."""
         return bool(np.abs(_parallel(a, b)(self.given)).max() >= self.near)
 
-    def _pair(self, a: tuple[str, str, str], b: tuple[str, str, str]) -> list[tuple[float, Values]]:
+    def _pair(self, a: Place, b: Place) -> list[tuple[float, Values]]:
         """Take what nearly holds between two axes of a body; the length between them, if there is one."""
         length = self.shape.length
         if self.shape.mechanism.dim == 2:
@@ -156,38 +157,38 @@ def _pose(steps: tuple[Any, ...]) -> Array:
     return Placement(steps).evaluate({})
 
 
-def _parallel(a: tuple, b: tuple) -> Values:
+def _parallel(a: Place, b: Place) -> Values:
     return lambda at: np.cross(at[a][:3, 2], at[b][:3, 2])
 
 
-def _inclined(a: tuple, b: tuple, cosine: float) -> Values:
+def _inclined(a: Place, b: Place, cosine: float) -> Values:
     return lambda at: np.array([at[a][:3, 2] @ at[b][:3, 2] - cosine])
 
 
-def _apart(a: tuple, b: tuple, length: float) -> Values:
+def _apart(a: Place, b: Place, length: float) -> Values:
     return lambda at: np.array([np.linalg.norm(at[b][:3, 3] - at[a][:3, 3]) / length])
 
 
-def _across(a: tuple, b: tuple, length: float) -> Values:
+def _across(a: Place, b: Place, length: float) -> Values:
     """Distance of parallel axes."""
     return lambda at: np.array([np.linalg.norm(np.cross(at[b][:3, 3] - at[a][:3, 3], at[a][:3, 2])) / length])
 
 
-def _normal(a: tuple, b: tuple, length: float) -> Values:
+def _normal(a: Place, b: Place, length: float) -> Values:
     """Length of the common normal of two axes, with a sign."""
 
-    def value(at: dict) -> Array:
+    def value(at: dict[Place, Array]) -> Array:
         n = np.cross(at[a][:3, 2], at[b][:3, 2])
         return np.array([(at[b][:3, 3] - at[a][:3, 3]) @ n / (np.linalg.norm(n) * length)])
 
     return value
 
 
-def _offset(own: tuple, others: tuple, length: float) -> Values:
+def _offset(own: tuple[Place, Place], others: tuple[Place, Place], length: float) -> Values:
     """Distance along the axis of a hinge between its common normals with an axis on each of its bodies."""
 
-    def value(at: dict) -> Array:
-        feet = []
+    def value(at: dict[Place, Array]) -> Array:
+        feet: list[Any] = []
         for a, b in zip(own, others, strict=True):
             X = np.linalg.inv(at[a]) @ at[b]
             u, p = X[:3, 2], X[:3, 3]
@@ -197,10 +198,10 @@ def _offset(own: tuple, others: tuple, length: float) -> Values:
     return value
 
 
-def _flat(a: tuple, b: tuple, c: tuple, length: float) -> Values:
+def _flat(a: Place, b: Place, c: Place, length: float) -> Values:
     """How far three points of a plane are from one line."""
 
-    def value(at: dict) -> Array:
+    def value(at: dict[Place, Array]) -> Array:
         u, v = (at[x][:2, 3] - at[a][:2, 3] for x in (b, c))
         return np.array([(u[0] * v[1] - u[1] * v[0]) / (length * max(np.linalg.norm(u), np.linalg.norm(v), 1e-300))])
 

@@ -25,10 +25,8 @@ def moving(system: System, q: Array, left: Array, null_space: Array, scale: Arra
     equations vanish for `left`, a velocity and any of the null space; where these leave less than the null space, and
     as much as there are freedoms, the rest is shaky. Elsewhere the null space is returned as it is.
     """
-    if (
-        not np.abs(_change(system, q, left, null_space, scale, np.cos(np.arange(null_space.shape[1]))[None])).max()
-        > VANISHES
-    ):
+    some = np.cos(np.arange(null_space.shape[1], dtype=float))[None]
+    if not np.abs(_change(system, q, left, null_space, scale, some)).max() > VANISHES:
         return null_space
     blocks = _change(system, q, left, null_space, scale, np.eye(null_space.shape[1]))
     _, sizes, V = np.linalg.svd(blocks.reshape(-1, null_space.shape[1]))

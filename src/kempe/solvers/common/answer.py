@@ -19,7 +19,6 @@ from kempe.spatial import Array
 from kempe.status import Status
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
     from kempe.solvers.assembly.ideal import Idealised
     from kempe.solvers.common.problem import Choice
 
@@ -31,8 +30,10 @@ class Answer(Result, Tabular):
     Rows of `q` that are no answer are the nearest found, or NaN where there is none, as for input that is no number.
     """
 
-    system: System
-    q: Array
+    system: Any
+    """The `System` of the problem: a field of some answers, a property of others."""
+    q: Any
+    """Configurations (..., nq): a field of most answers, computed on demand by others."""
     what: ClassVar[str] = ""
     """What is counted of a batch: "3 of 4 targets reached"."""
     also: ClassVar[tuple[str, ...]] = ()
@@ -197,7 +198,7 @@ class Answer(Result, Tabular):
 class ConfigurationList:
     """Configurations `q` (n, ...) that are gone through like a list. Mixed into answers of which there may be many."""
 
-    q: Array
+    q: Any
 
     def __len__(self) -> int:
         return len(self.q)

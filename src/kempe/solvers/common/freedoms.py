@@ -157,7 +157,8 @@ class Local:
         k = basis.shape[1]
         mixed = np.random.default_rng(0).normal(size=(2 * k if k > 1 else 0, k))
         wishes = np.concatenate([np.eye(k), mixed / np.linalg.norm(mixed, axis=1, keepdims=True)])
-        out, d, far = [], basis[:, 0], 1.0
+        d, far = basis[:, 0], 1.0
+        out: list[Array] = []
         for wish in np.concatenate([wishes, -wishes]):
             for h in lengths:
                 d = self.between(q, there := self.led(self.move(q, h * basis @ wish)))

@@ -77,7 +77,7 @@ class Choice(NamedTuple):
 
 def choose(rows: Sequence[Solver], *structure: Any) -> tuple[Solver, Choice]:
     """The first row that does not refuse. Errors: `UnsupportedError` with what the first one says, if all refuse."""
-    refused = []
+    refused: list[tuple[str, str]] = []
     for solver in rows:
         why = solver.refuses(*structure)
         if why is None:

@@ -80,14 +80,15 @@ def lengths(
 
 def outside_limits(system: System, q: Array, slack: float = 1e-9, turns: bool = True) -> list[str]:
     """Coordinates that are outside their limits at q (nq,), whatever whole `turns` are added; else as they are."""
-    structure, names = system.structure, []
+    structure = system.structure
+    names: list[str] = []
     for i, v in zip(structure.layout.vector_q, structure.layout.vector_v, strict=True):
         low, high, x = system.lower[v], system.upper[v], q[i]
         if turns and structure.coordinates.turning[v]:
             x -= 2.0 * np.pi * np.ceil((x - high) / (2.0 * np.pi)) if x > high else 0.0
             x += 2.0 * np.pi * np.ceil((low - x) / (2.0 * np.pi)) if x < low else 0.0
         if not low - slack <= x <= high + slack:
-            names.append(structure.velocity_names[v])
+            names.append(structure.velocity_names[int(v)])
     return names
 
 

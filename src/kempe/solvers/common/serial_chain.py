@@ -121,7 +121,7 @@ def of_loops(system: System, name: str) -> bool:
 @kept
 def obstacle(system: System, name: str) -> str | None:
     """Why no open chain leads to a frame, such as a loop that moves it; None if one does."""
-    used = {system.structure.velocity_names[i] for i in local_chain(system.structure.table, name)[2]}
+    used = {system.structure.velocity_names[int(i)] for i in local_chain(system.structure.table, name)[2]}
     for closure in system.structure.closures:
         if used & loop_coordinates(system, closure):
             return f"frame {name!r} moves with the loop that joint {closure!r} closes: no chain of its own leads there"
@@ -140,7 +140,8 @@ def loop_coordinates(system: System, closure: str) -> set[str]:
     joint = system.structure.joints[closure]
     ways: list[set[int]] = []
     for body in (joint.parent, joint.child):
-        i, way = number[body], set()
+        i = number[body]
+        way: set[int] = set()
         while i:
             way.add(i)
             i = system.parent[i - 1]

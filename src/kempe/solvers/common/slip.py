@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -55,7 +56,7 @@ def at_rest(C: Array, A: Array, b: Array) -> Array:
     Errors: `InputError` where they contradict each other.
     """
     if not b.any():
-        return np.zeros(A.shape[1])
+        return np.zeros(len(A.T))
     M, wanted = np.concatenate([C, A]), np.concatenate([np.zeros(len(C)), b])
     u: Array = np.asarray(np.linalg.lstsq(M, wanted, rcond=1e-8)[0], dtype=float)
     if (gap := float(np.abs(M @ u - wanted).max())) > CONTRADICTION * max(1.0, float(np.abs(b).max())):
@@ -64,7 +65,8 @@ def at_rest(C: Array, A: Array, b: Array) -> Array:
     return u
 
 
-class Slip(NamedTuple):
+@dataclass(frozen=True)
+class Slip:
     """Where a path slips first: before sample `index`, by `amount` of the row called `name`, within the `time`."""
 
     index: int

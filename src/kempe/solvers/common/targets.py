@@ -13,7 +13,7 @@ from kempe.constraints.reading import refuse_rotations
 from kempe.errors import InputError
 from kempe.kernels.base.search_layout import LARGEST
 from kempe.placement import direction
-from kempe.reals import reals
+from kempe.reals import is_sequence, reals
 from kempe.rigid import EXACT, rotation_error, sound
 from kempe.spatial import Array
 
@@ -50,7 +50,7 @@ def task_of(task: object, is_position: bool, particle: bool) -> str:
 
 def task_and_axis(task: Any) -> tuple[Any, Any]:
     """A `task` split into its name and the axis of the tool that is pointed, by default the z axis."""
-    if isinstance(task, (tuple, list)) and len(task) == 2:
+    if is_sequence(task) and len(task) == 2:
         return task[0], task[1]
     return task, Z_AXIS
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -39,7 +40,8 @@ class Curve:
     What is written here is what others than plain vectors, or with other correctors, do in their own way.
     """
 
-    n: int
+    n: Any
+    """How many variables there are: set once by some curves, a property of others."""
 
     def both(self, x: Array) -> tuple[Array, Array]:
         """Residuals (rows,) of the equations at `x`, and their derivatives (rows, n): at least n rows, some zero."""
@@ -174,7 +176,7 @@ def flipped(a: Node, b: Node) -> bool | None:
     """
     if a.nullity > 1 or b.nullity > 1:
         return False
-    overlap, size = np.linalg.slogdet(a.image.T @ b.image)
+    size = np.linalg.slogdet(a.image.T @ b.image)[1]
     if size < np.log(0.2):
         return None
     sign = np.linalg.slogdet(np.vstack([a.image.T @ b.matrix, b.t]))[0]

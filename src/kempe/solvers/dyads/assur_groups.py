@@ -174,7 +174,7 @@ class Decomposition:
 
     def _join(self, base: int, others: dict[int, int]) -> None:
         """Make the others part of the base; their poses in its frame are in the registers given."""
-        moved = []
+        moved: list[int] = []
         for cluster, register in others.items():
             members = self.members.pop(cluster)
             if len(members) > 1:
@@ -362,7 +362,7 @@ class Decomposition:
 
     def _names(self, base: int, first: int, second: int, group: tuple[Edge, ...]) -> tuple[str, str, str]:
         """Names of the dyad's joints; of a hinge of several, one that joins the two clusters where there is one."""
-        names = []
+        names: list[str] = []
         for (kind, k), pair in zip(group, ({base, first}, {first, second}, {second, base}), strict=True):
             if kind == P:
                 names.append(self.parts.links[k].name)

@@ -202,7 +202,7 @@ def _assemble(system: System, held: dict[str, tuple[str, str, Pose]], moving: li
     number = {b: i for i, b in enumerate(system.body_names)}
     slots = {c: i for i, c in enumerate(system.coordinate_names)}
     parameters = system.structure.parameters
-    links = []
+    links: list[Link] = []
     for joint in moving:
         (a, X_A), (b, X_B) = at[joint.parent], at[joint.child]
         X_PF, X_CM = joint.X_PF.evaluate(parameters), joint.X_CM.evaluate(parameters)
@@ -305,9 +305,9 @@ def _hinges(
     groups: dict[int, list[int]] = {}
     for i in range(len(pins)):
         groups.setdefault(find(i), []).append(i)
-    out = []
+    out: list[tuple[tuple[str, ...], tuple[PartLine, ...]]] = []
     for group in groups.values():
-        ends_of = {}
+        ends_of: dict[int, PartLine] = {}
         for k in (pins[i] for i in group):
             ends_of.setdefault(k.a, PartLine(k.a, *k.F[2:]))
             ends_of.setdefault(k.b, PartLine(k.b, *k.M[2:]))

@@ -130,14 +130,16 @@ def assembly_modes(
     modes), called after each round of starts; an interrupt from the keyboard, or the time limit, leaves what was found
     by then. Errors: `UnknownNameError`, `InputError` for values that are not single numbers.
     """
-    given = {} if known is None else known
+    given: Mapping[str, Any] = {} if known is None else known
     if not isinstance(given, Mapping):
         raise InputError(f"known is {type(given).__name__}; it must be a dict of values by coordinate or frame name")
     base = None if start is None else as_start(system, start)
     if base is not None and (base.ndim != 1 or not np.isfinite(base).all()):
         raise InputError(f"start must be one configuration ({system.nq},) of finite numbers")
     spend = USUAL.of(budget)
-    generator(spend.rng), start_count(spend.starts), TimeLimit(spend.time_limit)
+    generator(spend.rng)
+    start_count(spend.starts)
+    TimeLimit(spend.time_limit)
     flag(limits, "limits")
     name = None if frame is None else system.structure.frame_name(frame)
     problem = Problem(system, "all", dict(given), base, limits=bool(limits), budget=budget, frame=name)

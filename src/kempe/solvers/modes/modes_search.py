@@ -243,7 +243,9 @@ def freedoms(system: System, bound: Assembler, known: dict[str, Any], clusters: 
     J = evaluate(system, q, True, True)[1][..., free]
     values = np.linalg.svd(J, compute_uv=False)
     ranks = (values > RANK_TOLERANCE * np.maximum(1.0, values.max(axis=-1, initial=0.0))[:, None]).sum(axis=-1)
-    owner, kicks, sizes = [], [], []
+    owner: list[int] = []
+    kicks: list[Array] = []
+    sizes: list[float] = []
     loose = np.arange(len(q)) if bound.frames else np.flatnonzero(ranks < len(free))
     spaces = np.linalg.svd(J[loose])[2] if len(loose) and not bound.frames else J[loose]
     for k, space in zip(loose.tolist(), spaces, strict=True):
@@ -263,7 +265,7 @@ def freedoms(system: System, bound: Assembler, known: dict[str, Any], clusters: 
     )
     moved = clusters.distances(np.asarray(answer.q), q[owner]) > STAYED * KICK * np.array(sizes)
     moved &= np.asarray(answer.success)
-    found = np.unique(np.array(owner)[moved])
+    found = np.unique(np.array(owner, dtype=np.int64)[moved])
     out[found] = 1 if bound.frames else np.bincount(owner, minlength=len(q))[found] // 2
     return out
 

@@ -146,11 +146,13 @@ class Clusters:
         first, place = np.unique(self._first(q[rest], X[rest], keys[rest], tolerance[rest]), return_inverse=True)
         out[rest] = len(self.members) + place
         new = rest[first]
-        self.members += [[] for _ in new]
+        fresh: list[list[int]] = [[] for _ in new]
+        self.members += fresh
         self.q, self.poses = np.concatenate([self.q, q[new]]), np.concatenate([self.poses, X[new]])
         self.keys, self.tolerance = np.append(self.keys, keys[new]), np.append(self.tolerance, tolerance[new])
         if counted:
-            for k in out.tolist():
+            places: list[int] = out.tolist()
+            for k in places:
                 self.members[k].append(self.count)
                 self.count += 1
         return out

@@ -209,7 +209,7 @@ def _limits(task: FrameProblem, target: Array, nearest: Array) -> Evidence | Non
     for i in [] if alone else list(lifted):  # what is left cannot be done without
         rest = [k for k in lifted if k != i]
         lifted = rest if without(rest) else lifted
-    names = [task.system.structure.velocity_names[chain.v_index[i]] for i in alone or lifted]
+    names = [task.system.structure.velocity_names[int(chain.v_index[i])] for i in alone or lifted]
     return evidence("limits", names=names, together=not alone, each=bool(alone), proof=shut_out(task, target))
 
 

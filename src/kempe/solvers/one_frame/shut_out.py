@@ -69,7 +69,8 @@ def _slides_end(task: FrameProblem, target: Array) -> Evidence | None:
     """Whether slides which nothing turns end too far from the target, along some direction, whatever the rest does."""
     chain, table = task.chain, rows_of(task.chain.ints)
     rows, factors = placements_of(chain.ints, chain.floats), numbers_of(chain.ints, chain.floats)[:, MULTIPLIER]
-    R, place, axes, reach = np.eye(3), np.zeros(3), [], 0.0
+    R, place, reach = np.eye(3), np.zeros(3), 0.0
+    axes: list[Array] = []
     moved: list[tuple[float, float]] = []
     for k, X in enumerate(rows):
         place, R = place + R @ X[:, 3], R @ X[:, :3]

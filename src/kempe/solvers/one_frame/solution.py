@@ -22,8 +22,13 @@ if TYPE_CHECKING:
     from kempe.solvers.common.problem import Choice
     from kempe.solvers.one_frame.multi_start import FrameProblem
 
-_MEASURED: dict[str, tuple[int, Callable]] = {
-    "iterations": (STEPS, int), "starts": (STARTS, int), "code": (STATUS, lambda x: MEMBERS[int(x)]),
+
+def _member(number: float) -> Status:
+    return MEMBERS[int(number)]
+
+
+_MEASURED: dict[str, tuple[int, Callable[..., Any]]] = {
+    "iterations": (STEPS, int), "starts": (STARTS, int), "code": (STATUS, _member),
     "position_error": (LINEAR, float), "orientation_error": (ANGULAR, float),
 }  # fmt: skip
 """Fields of an answer for a single target, where the kernels leave them, and as what they are read."""
@@ -95,10 +100,11 @@ class Solution(Answer):
     @cached_property
     def task(self) -> FrameProblem:
         """The problem that was solved."""
-        if isinstance(self.problem, tuple):
-            bound, target = self.problem
+        problem = pair = self.problem
+        if isinstance(problem, tuple):
+            bound, target = pair
             return bound.task(target)
-        return self.problem
+        return pair
 
     def _chosen(self) -> Choice | None:
         from kempe.solvers.one_frame.inverse import chosen
@@ -106,7 +112,7 @@ class Solution(Answer):
         task = self.task
         return chosen(task.system, task.frame, (task.name, task.axis), "numeric", False)[1]
 
-    @property
+    @cached_property
     def residual(self) -> Any:
         """Error (...) of each configuration: the norm of its position error [m] and orientation error [rad]."""
         return plain(np.hypot(self.position_error, self.orientation_error))

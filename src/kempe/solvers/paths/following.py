@@ -159,7 +159,7 @@ def by_steps(problem: Problem) -> IkPath:
         return way.rolled(way.path(q0[0], restart, begin), begin)
     further = _all(problem, way.rows[begin], begin, q0[0])
     begins = _distinct([q0[0], *way.elsewhere(begin, q0[0]), *further])
-    paths = []
+    paths: list[IkPath] = []
     for q in begins:
         paths.append(way.path(q, restart, begin))
         if paths[-1].interrupted or paths[-1].late:
@@ -220,7 +220,9 @@ class _FollowedPath(PathSteps):
     def path(self, q: Array, restart: bool, begin: int = 0) -> IkPath:
         """The path from q, which holds target `begin`; those before cannot be reached."""
         n = len(self.rows)
-        out, jumps, said = np.full((n, self.system.nq), np.nan), [], []
+        out = np.full((n, self.system.nq), np.nan)
+        jumps: list[int] = []
+        said: list[str] = []
         out[begin], interrupted, late = q, False, False
         if begin:
             said.append(f"no answer was found for {'targets 0 to ' if begin > 1 else 'target '}{begin - 1}")

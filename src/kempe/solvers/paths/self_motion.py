@@ -128,8 +128,10 @@ def by_tangents(problem: Problem) -> SelfMotion:
     """The configurations, each a step along the tangent of the one before, led back."""
     spend: Any = USUAL.of(problem.budget)
     system, direction = problem.system, problem.options["direction"]
-    steps, step, time = spend.points, spend.step, TimeLimit(spend.time_limit)
-    if not is_whole(steps) or steps < 1 or not isinstance(step, (int, float, np.floating)) or not 0.0 < step <= 0.5:
+    steps, time = spend.points, TimeLimit(spend.time_limit)
+    size = step = spend.step
+    number = isinstance(step, (int, float, np.floating))
+    if not is_whole(steps) or steps < 1 or not number or not 0.0 < step <= 0.5:
         raise InputError(f"points is {steps!r}, step {step!r}; needed are a whole number from 1, and 0 < step <= 0.5")
     time.put_in_order()  # there is nothing to do afterwards
     demands, q0 = _begin(system, problem.start, problem.wanted)
@@ -143,7 +145,7 @@ def by_tangents(problem: Problem) -> SelfMotion:
     if local.finite == 1:  # of curves that meet here, the one nearest to the direction
         found = np.concatenate([local.motions, -local.motions])
         wish = found[np.argmax(found @ wish)]
-    way = _Direction(local, wish, local.finite > 1, float(step), time, spend.progress)
+    way = _Direction(local, wish, local.finite > 1, float(size), time, spend.progress)
     forth = way.follow(q0, 1.0, steps)
     if forth.closed:
         return SelfMotion(system, _rolling(system, [q0, *forth.q]), local.finite, 0, True, ("", ""), demands)
@@ -168,10 +170,11 @@ def _rolling(system: System, q: list[Array]) -> Array:
 
 def _wanted(system: System, q: Array, tasks: Any, task: str | None, axis: ArrayLike) -> Any:
     """The tasks; for a frame those that keep it."""
+    wanted: Any = tasks
     if isinstance(tasks, (Constraint, list, tuple)):
         if task is not None:
             raise InputError(f"task is {task!r}; it belongs to a frame, tasks say themselves what they ask")
-        return tasks
+        return wanted
     name = system.structure.frame_name(tasks)
     kind = task_of(task, False, bool(system.structure.table.at[name][2]))
     if system.dim == 2 and points_along(kind):

@@ -64,7 +64,7 @@ def contradictions(problem: Demands) -> list[tuple[int, int, Exclusion]]:
     """Pairs of hard tasks, by their numbers, that exclude each other somewhere in the batch."""
     hard = [i for i, t in enumerate(problem.tasks) if problem.use[i] and t.weight is None]
     held = {i: h for i in hard if (h := _held(problem, i)) is not None}
-    out = []
+    out: list[tuple[int, int, Exclusion]] = []
     for i, j in combinations(held, 2):
         out += [(i, j, x) for x in _between(problem, held[i], held[j]) if np.any(x.off > 0.0)]
     return out
@@ -131,7 +131,8 @@ def _angles(a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
 def _places(a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
     """By how much the places that two tasks ask of points of one body exclude each other, in metres."""
     arm = b.local[:3, 3] - a.local[:3, 3]
-    length, out = float(np.linalg.norm(arm)), []
+    length = float(np.linalg.norm(arm))
+    out: list[Exclusion] = []
     slack = a.linear + b.linear
     if a.point and b.point:
         p, g = a.goal[..., :3, 3], b.goal[..., :3, 3]
@@ -175,7 +176,8 @@ def longest_between(system: System, a: BodyDemand, b: BodyDemand) -> float:
     """The largest distance that lengths of links, and limits of slides, allow between two points; may be infinite."""
     above = [_up(system, h.row) for h in (a, b)]
     common = next((row for row in above[0] if row in above[1]), -1)
-    total, ends = 0.0, []
+    total = 0.0
+    ends: list[Array] = []
     for h, rows in zip((a, b), above, strict=True):
         end = h.local[:3, 3]
         for row in rows[: rows.index(common)] if common in rows else rows[:-1]:

@@ -57,7 +57,8 @@ def near_target(problem: Demands, home: Array) -> Array:
 @kept
 def _slides(system: System) -> list[int]:
     """Velocity coordinates without limits that slide along axes that nothing turns."""
-    table, out = system.structure.table, []
+    table = system.structure.table
+    out: list[int] = []
     straight: set[int] = {-1}
     for row, (kind, parent, v) in enumerate(zip(table.kind, table.parent, table.iv, strict=True)):
         if kind == P and int(parent) in straight:

@@ -36,15 +36,16 @@ MOST_PAIRS = 45
 def sentence(answer: Reached, index: tuple[int, ...]) -> str:
     """The sentence for one problem of an answer."""
     figures = (answer.code, answer.iterations, answer.starts)
-    code, steps, starts = (int(np.asarray(x)[index]) for x in figures)
-    if code == Status.BAD_INPUT:
+    number, steps, starts = (int(np.asarray(x)[index]) for x in figures)
+    code = Status(number)
+    if code is Status.BAD_INPUT:
         return "goals or seed are not finite, or no poses"
     row = int(np.ravel_multi_index(index, np.shape(answer.code))) if index else 0
     problem, q = answer.problem.of(row), answer.q[index]
     misses = {t.label: answer.errors[t.label][index] for t in problem.tasks}
     soft = ", ".join(f"{t.label!r} stays off by {_off(t, misses)}" for t in problem.tasks if t.weight is not None)
     hard = [t for t in problem.tasks if t.weight is None]
-    if code == Status.SOLVED:
+    if code is Status.SOLVED:
         work = wording.work(steps, starts)
         cut = wording.not_lowered(problem.time_limit) if np.asarray(answer.late)[index] else ""
         if not hard:
@@ -58,7 +59,7 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
     what = ", ".join(f"{t.label!r} is missed by {_off(t, misses)}" for t in failing)
     what = what or f"the hard tasks hold, but {_violated(problem, q) or 'not with closed loops'}"
     near = "q is the nearest found"
-    if code == Status.OUT_OF_TIME:
+    if code is Status.OUT_OF_TIME:
         return wording.failed(wording.late(problem.time_limit, starts, problem.starts), what, near, soft)
     why = _reasons(problem, q)
     if failing and any(isinstance(x, Evidence) and x.figures.get("rank") for x in why):

@@ -22,7 +22,7 @@ from kempe.kinematics.tasks.task import Goals, Task
 from kempe.kinematics.tasks.task_classes import task_of
 from kempe.model.closures.callback import Callback
 from kempe.model.kept import keep, kept
-from kempe.reals import is_whole
+from kempe.reals import is_sequence, is_whole
 from kempe.solvers.assembly.assembler import TOLERANCE as CLOSED
 from kempe.solvers.assembly.assembler import limitless
 from kempe.solvers.assembly.ideal import ideal_of
@@ -181,7 +181,7 @@ class Demands:
             if i < 0:
                 stages[0, k] = -1 if ties[k].bounds and not self.one_sided else 0
                 continue
-            task, key = self.tasks[i], keys[i]
+            task, key = self.tasks[int(i)], keys[int(i)]
             stages[:, k] = order.index(key) + 1 if self.use[i] else -1, task.weight is None
             linear, angular = self.tolerance_of(task)
             strengths[k] = 1.0 if task.weight is None else task.weight / top[key], linear / length, angular
@@ -277,17 +277,19 @@ def _home(system: System) -> Array:
 
 def _distinct(wanted: Any, dim: int) -> tuple[Task, ...]:
     """The tasks, checked, with labels that differ."""
-    given = (wanted,) if isinstance(wanted, Constraint) else tuple(wanted) if isinstance(wanted, (list, tuple)) else ()
+    single = isinstance(wanted, Constraint)
+    given: tuple[Any, ...] = (wanted,) if single else tuple(wanted) if is_sequence(wanted) else ()
     if not given or not all([isinstance(t, Constraint) for t in given]):
-        what = "an empty list" if isinstance(wanted, (list, tuple)) and not wanted else shown(wanted)
+        what = "an empty list" if is_sequence(wanted) and not wanted else shown(wanted)
         raise InputError(f"without a frame the target must be a task of kempe.tasks or a list of them; it is {what}")
     out: dict[str, Task] = {}
     for task in given:
         if not is_whole(task.priority):
             raise InputError(f"priority of {task.label} is {task.priority!r}; it must be a whole number")
-        number = isinstance(task.weight, (int, float, np.integer, np.floating)) and not isinstance(task.weight, bool)
-        if task.weight is not None and not (number and 0.0 < task.weight < math.inf):
-            raise InputError(f"weight of {task.label} is {task.weight!r}; it must be a positive number, or None")
+        weight: Any = task.weight
+        number: bool = isinstance(weight, (int, float, np.integer, np.floating)) and not isinstance(weight, bool)
+        if weight is not None and not (number and 0.0 < weight < math.inf):
+            raise InputError(f"weight of {task.label} is {weight!r}; it must be a positive number, or None")
         if not isinstance(task.name, str):
             raise InputError(f"name of a task is {task.name!r}; it must be text")
         if task.tolerance is not None:

@@ -61,7 +61,8 @@ def derivative(answer: Reached) -> dict[str, Array]:
         _one(problem.of(i), q) if fine else None
         for i, (fine, q) in enumerate(zip(good.ravel(), answer.q.reshape(-1, answer.q.shape[-1]), strict=True))
     ]
-    known = next((r for r in rows if r is not None), {})
+    none: dict[str, Array] = {}
+    known = next((r for r in rows if r is not None), none)
     nothing = {label: np.full(x.shape, math.nan) for label, x in known.items()}
     each = [nothing if r is None else r for r in rows]
     return {k: np.stack([r[k] for r in each]).reshape(*good.shape, *x.shape) for k, x in known.items()}
@@ -88,7 +89,7 @@ def _one(problem: Demands, q: Array) -> dict[str, Array]:
     K = np.zeros((n + m, n + m))
     K[:n, :n], K[n:, :n], K[:n, n:] = second[np.ix_(free, free)], at.H[:, free], at.H[:, free].T
     inverse = np.linalg.pinv(K, rcond=RANK)[:n]
-    out = {}
+    out: dict[str, Array] = {}
     for k, task in enumerate(problem.tasks):
         moved = [problem.packed.pins([*problem.goals[:k], goals, *problem.goals[k + 1 :]])
                  for goals in _moved(problem.goals[k])]  # fmt: skip

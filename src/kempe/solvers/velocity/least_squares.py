@@ -89,7 +89,8 @@ def scaled(A: Array, b: Array, low: Array, high: Array, G: Array | None = None) 
     value = x[:n] if G is None else G @ x[:n]
     if (value < low).any() or (value > high).any():
         if G is not None:
-            G, x = np.pad(G, ((0, 1), (0, 1))), np.zeros(n + 1)
+            G = np.pad(G, ((0, 1), (0, 1)))
+            x = np.zeros((n + 1,))
             G[-1, -1] = 1.0
         x = bounded(B, wish, np.append(low, 0.0), np.append(high, 1.0), x, G)
     return x[:n] if x[n] > NO_PART or inside.any() else inside

@@ -102,7 +102,7 @@ class Servo:
         )
         self.plain = len(limited) == len(self.v)
         self.ahead, self.behind = np.arange(2 * len(self.v)).reshape(2, -1)
-        self.names = [system.structure.velocity_names[i] for i in self.v]
+        self.names = [system.structure.velocity_names[int(i)] for i in self.v]
         length, slides = chain_length(chain), ~system.structure.coordinates.turning[self.v]
         slides[~np.isin(self.v, system.structure.layout.vector_v)] = False
         self.metric = np.array([1.0 / length] * 3 + [1.0] * 3)
@@ -207,7 +207,7 @@ def ik_step(
         own = scaled(A, b, low, high) if keep_direction else damped(A, b, low, high, damping, near=servo.near)
     velocity = servo.spread(own)
     at = ((own <= low) | (own >= high)).nonzero()[0]
-    names = tuple(servo.names[i] for i in at)
+    names = tuple(servo.names[int(i)] for i in at)
     return IkStep(servo.after(q, velocity, dt), velocity, J @ own, _part(A @ own, b), names, system)
 
 
@@ -238,7 +238,7 @@ def _held_step(
     requested = np.concatenate([NONE, *(s.b for s in stages if s.hard)])
     had = np.concatenate([NONE, *(s.A @ u for s in stages if s.hard)])
     twist = had if frame is None else J @ velocity
-    names = tuple(system.structure.velocity_names[i] for i in at)
+    names = tuple(system.structure.velocity_names[int(i)] for i in at)
     return IkStep(after, velocity, twist, _part(had, requested), names, system)
 
 

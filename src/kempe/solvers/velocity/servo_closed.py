@@ -225,9 +225,9 @@ class ConstrainedSteps:
         rolling = hard_rows(self.system, q, self.scale)[0] if self.rolls else at_bound[:0]
         held = np.concatenate([rows, rolling, at_bound])
         forces = np.linalg.lstsq(held.T, pull, rcond=1e-9)[0][: len(rows)] if len(held) else np.zeros(0)
-        slopes = []
+        slopes: list[Array] = []
         for way in N.T:
-            ends = []
+            ends: list[Array] = []
             for h in (DIFFERENCE, -DIFFERENCE):
                 x = self.system.structure.layout.integrate(q, h * way * self.scale)
                 pulled, kept = push(x, at(x)[: len(stages)])
@@ -345,7 +345,7 @@ def stages_of(problem: Demands, q: Array, dt: float) -> list[Stage]:
     weight = np.repeat(np.sqrt(strengths[:, 0]), counts)[own]
     low, high = ends_of_rows(packed)
     J, low, high = weight[:, None] * J, weight * (low - error) / dt, weight * (high - error) / dt
-    out = []
+    out: list[Stage] = []
     for s in range(1, int(level.max(initial=0)) + 1):
         equal, between = (level == s) & (low == high), (level == s) & (low < high)
         out.append(Stage(J[equal], low[equal], J[between], low[between], high[between], bool(hard[level == s][0])))

@@ -165,7 +165,7 @@ class Approach:
     def by_differences(self) -> Array:
         """The Hessian (n, n) where turns about the axes of the ground count unequally: differences of the gradient."""
         servo, w = self.servo, self.metric
-        pushes = []
+        pushes: list[Array] = []
         for q in servo.beside(self.before, DIFFERENCE * servo.unit):
             pose, J = servo.query.pose_and_jacobian(q)
             e = error(self.goal, pose)

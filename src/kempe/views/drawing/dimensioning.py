@@ -170,15 +170,16 @@ def freedoms(sheet: Sheet, joint: SeenJoint) -> None:
             _both_ways(sheet, np.array([middle - 4.0 * r * along, middle + 4.0 * r * along]), f"{gid}:{k}")
             continue
         start = _free_direction(sheet, c, 3.2 * r)
-        angles = np.linspace(start, start + np.deg2rad(120.0), 30)
+        angles = np.linspace(start, start + float(np.deg2rad(120.0)), 30)
         _both_ways(sheet, c + 3.2 * r * np.stack([np.cos(angles), np.sin(angles)], axis=1), f"{gid}:{k}")
 
 
 def _free_direction(sheet: Sheet, c: Array, radius: float) -> float:
     """Where an arc of 120 degrees round c begins that covers least."""
-    costs = []
+    costs: list[tuple[float, float]] = []
+    start: float
     for start in np.deg2rad(np.arange(0.0, 360.0, 15.0)):
-        angles = np.linspace(start, start + np.deg2rad(120.0), 12)
+        angles = np.linspace(start, start + float(np.deg2rad(120.0)), 12)
         line = c + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
         costs.append((float(sheet.obstacles.covered(line).mean()) - 0.15 * np.sin(angles[6]), float(start)))
     return min(costs)[1]

@@ -26,8 +26,10 @@ def extent(text: str, points: float, bold: bool = False) -> tuple[float, float]:
 class Obstacles:
     """What is on the sheet already: segments with a radius and a weight, and boxes of labels."""
 
-    segments: list[tuple[float, float, float, float, float, float]] = field(default_factory=list)
-    boxes: list[tuple[float, float, float, float]] = field(default_factory=list)
+    segments: list[tuple[float, float, float, float, float, float]] = field(
+        default_factory=list[tuple[float, float, float, float, float, float]]
+    )
+    boxes: list[tuple[float, float, float, float]] = field(default_factory=list[tuple[float, float, float, float]])
     bounds: tuple[Array, Array] | None = None
     """Lower left and upper right corner (2,) of the sheet, which labels should not leave."""
 

@@ -82,7 +82,7 @@ def angles(ax: Any, subject: Subject, r: float) -> list[Text]:
             a = joint.F[:3, 3] + 2.5 * r * F[:, 0]
             line = np.stack([a, a + value * F[:, 2]])
         elif joint.motions[0].kind == R:
-            t = np.linspace(0.0, np.fmod(value, 2 * np.pi), 40)[:, None]
+            t = np.linspace(0.0, float(np.fmod(value, 2 * np.pi)), 40)[:, None]
             line = c + ARC * r * (np.cos(t) * F[:, 0] + np.sin(t) * F[:, 1])
             for end in (line[0], line[-1]):
                 ax.plot(*np.stack([c, c + 1.3 * (end - c)]).T, color=GROUND, lw=0.8, ls=(0, (4, 3)),
@@ -97,7 +97,7 @@ def angles(ax: Any, subject: Subject, r: float) -> list[Text]:
 
 def freedoms(solids: Solids, j: SeenJoint, r: float) -> list[Array]:
     """Arrows with two heads, added for each freedom of a joint: round the axis that it turns about, or along it."""
-    lines = []
+    lines: list[Any] = []
     for kind, name in ((k, a) for p in j.motions for k, a in _single(p)):
         axis = j.F[:3, "xyz".index(name)]
         x, y = (j.F[:3, ("xyz".index(name) + n) % 3] for n in (1, 2))

@@ -110,7 +110,8 @@ def finish(sheet: Sheet, lower: Array, upper: Array, with_axes: bool) -> None:
         outward = (p - middle) / max(float(np.linalg.norm(upper - lower)), 1e-300)
         box = (width * metres_a_point, height * metres_a_point)
         place = sheet.obstacles.place(p, box, clearance + 2.0 * metres_a_point, outward)
-        ax.text(place[0], place[1], text, ha="center", va="center", zorder=style.TEXT, **{"size": FONT, **look})
+        how: dict[str, Any] = {"size": FONT, **look}
+        ax.text(place[0], place[1], text, ha="center", va="center", zorder=style.TEXT, **how)
     if with_axes:
         light_axes(ax)
         ax.set_xlabel("x [m]", size=FONT, color=INK)

@@ -36,10 +36,12 @@ class Sheet:
     r: float
     configurations: Array | None = None
     obstacles: Obstacles = field(default_factory=Obstacles)
-    extent: list[Array] = field(default_factory=list)
-    labels: list[tuple[str, Array, float, dict[str, Any]]] = field(default_factory=list)
+    extent: list[Array] = field(default_factory=list[Array])
+    labels: list[tuple[str, Array, float, dict[str, Any]]] = field(
+        default_factory=list[tuple[str, Array, float, dict[str, Any]]]
+    )
     """Text, point, clearance and text properties: they are placed when everything else is drawn."""
-    arcs: list[Array] = field(default_factory=list)
+    arcs: list[Array] = field(default_factory=list[Array])
     """Where angles are measured."""
     steady: bool = False
     """Whether it is a frame of a motion: symbols then keep their side."""
@@ -53,7 +55,8 @@ class Sheet:
         """Draw a polyline (n, 2)."""
         finite = points[np.isfinite(points).all(axis=1)]
         self.extent.append(finite)
-        self.ax.plot(points[:, 0], points[:, 1], gid=gid, zorder=layer, **{"color": INK, **how})
+        drawn: dict[str, Any] = {"color": INK, **how}
+        self.ax.plot(points[:, 0], points[:, 1], gid=gid, zorder=layer, **drawn)
 
 
 def pin_radius(scene: Scene) -> float:
@@ -334,13 +337,14 @@ def _driver(sheet: Sheet, joint: SeenJoint) -> None:
         sheet.patch(shapes.arrow_head(start + 4.6 * r * along, along, 1.5 * r), f"{gid}:head", style.ARROWS, **look)
         sheet.obstacles.segment(start, start + 4.6 * r * along, 0.8 * r)
         return
-    radius, sweep = 3.0 * r, np.deg2rad(110.0)
-    costs = []
-    for start in np.deg2rad(np.arange(0.0, 360.0, 15.0)):
-        angles = np.linspace(start, start + sweep, 12)
+    radius, sweep = 3.0 * r, float(np.deg2rad(110.0))
+    begin: float
+    costs: list[tuple[float, float]] = []
+    for begin in np.deg2rad(np.arange(0.0, 360.0, 15.0)):
+        angles = np.linspace(begin, begin + sweep, 12)
         line = c + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        up = 0.15 * np.sin(start + sweep / 2)
-        costs.append((float(sheet.obstacles.covered(line).mean()) - up, start))
+        up = 0.15 * np.sin(begin + sweep / 2)
+        costs.append((float(sheet.obstacles.covered(line).mean()) - up, begin))
     start = 0.6 if sheet.steady else min(costs)[1]
     line, head = shapes.arc(c, radius, start, start + sweep, 1.5 * r)
     sheet.line(line, gid, style.ARROWS, color=DRIVER, lw=1.7, solid_capstyle="butt")

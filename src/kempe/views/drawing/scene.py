@@ -56,7 +56,7 @@ class SeenLink:
     number: int
     name: str
     bodies: dict[str, Array]
-    frames: dict[str, Array] = field(default_factory=dict)
+    frames: dict[str, Array] = field(default_factory=dict[str, Array])
     joints: tuple[int, ...] = ()
     particle: bool = False
 
@@ -187,7 +187,7 @@ def look(system: System, q: Array, drivers: tuple[str, ...] = ()) -> Scene:
                 tuple(motions), gap,
             )
         )  # fmt: skip
-    links = []
+    links: list[SeenLink] = []
     for k in range(max(number.values()) + 1):
         bodies = {b: poses[b] for b in system.body_names if number[b] == k}
         frames = {f.name: poses[f.body] @ f.X_BF.evaluate(mechanism.parameters)
@@ -219,7 +219,9 @@ def _links(system: System) -> dict[str, int]:
 def _constraints(system: System, poses: dict[str, Array], number: dict[str, int]) -> tuple[Any, ...]:
     """Rods, lines and marks of the constraints that are no joints, where the mechanism has any."""
     mechanism = system.mechanism
-    rods, lines, marks = [], [], []
+    rods: list[tuple[str, tuple[int, int], Array, float]] = []
+    lines: list[tuple[str, tuple[int, int], Array, Array]] = []
+    marks: list[SeenMark] = []
     for c in (c for c in mechanism.constraints.values() if c.parent):
         X_A, X_B = c.frames(mechanism.parameters, system.dim)
         A, B = poses[c.parent] @ X_A, poses[c.child] @ X_B

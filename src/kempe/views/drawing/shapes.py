@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.path import Path
@@ -48,7 +48,8 @@ def rounded(points: Array, radius: float) -> Path:
         return circle(corners[0], radius)
     sides = np.roll(corners, -1, axis=0) - corners
     normals = np.rad2deg(np.arctan2(sides[:, 1], sides[:, 0])) - 90.0
-    vertices, codes = [], []
+    vertices: list[Array] = []
+    codes: list[Any] = []
     for k, corner in enumerate(corners):
         start, stop = normals[k - 1], normals[k]
         stop = start + (stop - start) % 360.0
@@ -105,7 +106,7 @@ def box(centre: Array, along: Array, half_length: float, half_height: float) -> 
 
 def arc(centre: Array, radius: float, start: float, stop: float, head: float) -> tuple[Array, Path]:
     """Points (n, 2) of a circular arc between two angles [rad], and the arrow head at its end."""
-    back = np.sign(stop - start) * 0.8 * head / radius
+    back = float(np.sign(stop - start)) * 0.8 * head / radius
     angles = np.linspace(start, stop - back, 40)
     line = centre + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     tip = centre + radius * np.array([np.cos(stop), np.sin(stop)])
@@ -122,7 +123,8 @@ def arrow_head(tip: Array, direction: Array, head: float) -> Path:
 
 def region_outline(region: SolutionRegion) -> Path:
     """The closed curves round a region, as one path."""
-    corners, codes = [], []
+    codes: list[Any] = []
+    corners: list[Array] = []
     for loop in region.loops:
         p = np.concatenate([piece_points(piece) for piece in loop])
         corners.append(np.column_stack([np.real(p), np.imag(p)]))

@@ -20,10 +20,10 @@ SIDES = 12
 class Solids:
     """Faces (k, 3) with colours and, by name, the numbers of those that belong to it."""
 
-    faces: list[Array] = field(default_factory=list)
-    colours: list[tuple[float, float, float, float]] = field(default_factory=list)
-    edges: list[tuple[float, float, float, float]] = field(default_factory=list)
-    named: dict[str, list[int]] = field(default_factory=dict)
+    faces: list[Array] = field(default_factory=list[Array])
+    colours: list[tuple[float, float, float, float]] = field(default_factory=list[tuple[float, float, float, float]])
+    edges: list[tuple[float, float, float, float]] = field(default_factory=list[tuple[float, float, float, float]])
+    named: dict[str, list[int]] = field(default_factory=dict[str, list[int]])
 
     def face(self, name: str, corners: Array, normal: Array, colour: str, alpha: float = 1.0, edge: str = "") -> None:
         """Add a flat convex face with its outward normal; `edge` is the colour of its outline, none if empty.

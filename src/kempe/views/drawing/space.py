@@ -106,7 +106,7 @@ def picture(
 
 def _positions(ax: Any, subject: Subject) -> list[Array]:
     """Draw earlier positions faintly, further configurations in colours and dashes of their own; their points."""
-    drawn = []
+    drawn: list[Array] = []
     thick = 3.0 if subject.options.motion else 1.6
     for k, old in enumerate(subject.ghosts):
         for link, line in symbols.lines(old):
@@ -149,7 +149,7 @@ def _view(scene: Scene) -> tuple[float, float]:
     d = (p[i] - p[j])[apart]
     if not len(d):
         return VIEWS[2]
-    costs = []
+    costs: list[float] = []
     for elev, azim in VIEWS:
         seen = np.linalg.norm(d @ camera(elev, azim)[:2].T, axis=1)
         costs.append(float(np.sum(1.0 / (seen + 0.02 * scene.size))))
@@ -198,16 +198,16 @@ def _fit(ax: Any) -> None:
 
 
 def _corners(ax: Any) -> Array:
-    limits = ax.get_xlim(), ax.get_ylim(), ax.get_zlim()
+    limits: list[Array] = [np.asarray(x) for x in (ax.get_xlim(), ax.get_ylim(), ax.get_zlim())]
     return np.stack(np.meshgrid(*limits), axis=-1).reshape(-1, 3)
 
 
 def _on_axes(ax: Any, points: Array) -> Array:
     """Points (n, 3) in coordinates of the axes' rectangle (n, 2)."""
-    from mpl_toolkits.mplot3d.proj3d import proj_transform
+    from mpl_toolkits.mplot3d import proj3d
 
     ax.apply_aspect()
-    x, y, _ = proj_transform(points[:, 0], points[:, 1], points[:, 2], ax.get_proj())
+    x, y, _ = proj3d.proj_transform(points[:, 0], points[:, 1], points[:, 2], ax.get_proj())
     return ax.transAxes.inverted().transform(ax.transData.transform(np.stack([x, y], axis=-1)))
 
 
@@ -271,7 +271,7 @@ def _labels(
 
 def _metres_a_point(ax: Any, eye: Array) -> float:
     """Metres in one point (1/72 inch) of the paper, in the plane of the picture."""
-    centre = np.array([np.mean(ax.get_xlim()), np.mean(ax.get_ylim()), np.mean(ax.get_zlim())])
+    centre = np.array([float(np.asarray(x, dtype=float).mean()) for x in (ax.get_xlim(), ax.get_ylim(), ax.get_zlim())])
     step = float(np.ptp(ax.get_xlim()))
     a, b = ax.transAxes.transform(_on_axes(ax, np.array([centre, centre + step * eye[0]])))
     return step / max(float(np.linalg.norm(b - a)) * 72.0 / ax.figure.dpi, 1e-300)

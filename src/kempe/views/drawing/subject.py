@@ -28,16 +28,16 @@ class Subject:
     ghosts: tuple[Scene, ...] = ()
     way: Array | None = None
     """Configurations (n, nq) of a motion."""
-    curves: dict[str, Array] = field(default_factory=dict)
+    curves: dict[str, Array] = field(default_factory=dict[str, Array])
     """Curves (n, 3) of frames over the motion."""
-    here: dict[str, Array] = field(default_factory=dict)
+    here: dict[str, Array] = field(default_factory=dict[str, Array])
     """Poses (4, 4) of the frames that are marked: by a dot on their curve, else by their axes."""
-    axes: dict[str, Array] = field(default_factory=dict)
+    axes: dict[str, Array] = field(default_factory=dict[str, Array])
     """Poses (4, 4) of the frames whose axes are drawn with their names."""
     workspace: Any = None
     radius: float | None = None
     """Radius [m] of a pin, the same in all frames of a motion; None: as suits the scene."""
-    units: dict[str, str] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict[str, str])
     """The unit of each coordinate."""
 
     @property

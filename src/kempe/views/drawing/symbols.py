@@ -96,6 +96,7 @@ def lines_of(scene: Scene, link: SeenLink) -> list[Array]:
                                 + [m.point for m in scene.marks if m.link == link.number]).reshape(-1, 3))  # fmt: skip
     ends = [X[:3, 3] for X in link.frames.values()]
     out: list[Array] = []
+    rim = None
     if len(joints) == 2 and len(centres) <= 2:
         first, last = joints
         turns = first.kind in TURNING, last.kind in TURNING
@@ -118,7 +119,7 @@ def lines_of(scene: Scene, link: SeenLink) -> list[Array]:
             ends = [next(iter(link.bodies.values()))[:3, 3]]
     for p in ends:
         near = hub[int(np.argmin(np.linalg.norm(hub - p, axis=1)))] if len(hub) else p
-        if len(centres) > 2 and rim is not None:
+        if rim is not None:
             near = hub[-1]
         out.append(np.array([near, p]))
     least = 1e-9 * scene.size
@@ -380,7 +381,7 @@ SYMBOLS: dict[str, Callable[[Solids, Scene, SeenJoint, float, str, Array | None]
 
 
 def _turning_arrow(solids: Solids, j: SeenJoint, r: float) -> None:
-    angles = np.linspace(0.0, np.deg2rad(235.0), 22)[:, None]
+    angles = np.linspace(0.0, float(np.deg2rad(235.0)), 22)[:, None]
     circle = np.cos(angles) * j.F[:3, 0] + np.sin(angles) * j.F[:3, 1]
     solids.arrow(f"driver:{j.name}", j.centre + 2.2 * r * circle, 0.2 * r, DRIVER)
 

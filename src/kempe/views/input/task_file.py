@@ -157,10 +157,11 @@ class _TaskReader:
         if key == "tolerance" and not (_is_number(value) or _are_numbers(value, 2)):
             raise InputError(f"tolerance is {shorten(value)}; it must be one or two numbers, in metres and radians")
         if key == "frames":
-            good = isinstance(value, list) and all(isinstance(x, str) for x in value)
-            if not good and not (isinstance(value, dict) and all(map(_is_number, value.values()))):
-                raise InputError(f"frames is {shorten(value)}; it must be a list of names, or a table of weights")
-            return value
+            given: Any = value
+            good = isinstance(value, list) and all(isinstance(x, str) for x in given)
+            if not good and not (isinstance(value, dict) and all(map(_is_number, given.values()))):
+                raise InputError(f"frames is {shorten(given)}; it must be a list of names, or a table of weights")
+            return given
         if key == "q":
             return self.posture(value)
         if (turned := self.turned(kind, key)) is not None:
@@ -237,7 +238,8 @@ def _is_number(x: Any) -> bool:
 
 
 def _are_numbers(x: Any, n: int) -> bool:
-    return isinstance(x, list) and len(x) == n and all(map(_is_number, x))
+    entries: Any = x
+    return isinstance(x, list) and len(entries) == n and all(map(_is_number, entries))
 
 
 def _numbers(key: str, value: Any) -> Any:

@@ -52,7 +52,7 @@ class DrawnPiece(NamedTuple):
 class SolidRecord(Solids):
     """Solids as pieces, without light: the page has its own."""
 
-    pieces: list[DrawnPiece] = field(default_factory=list)
+    pieces: list[DrawnPiece] = field(default_factory=list[DrawnPiece])
 
     def face(self, name: str, corners: Array, normal: Array, colour: str, alpha: float = 1.0, edge: str = "") -> None:
         """Add a flat convex face with its outward normal, seen from both sides where it can be looked through."""
@@ -113,8 +113,9 @@ def _fan(n: int) -> np.ndarray:
 
 def _rgba(colour: Any) -> tuple[float, float, float, float]:
     """A colour of the drawings, with the paper mixed in where it is to be looked through."""
+    pair: Any = colour
     if isinstance(colour, tuple):
-        return (*rgb(style.mix(colour[0], style.PAPER, 0.85 * (1.0 - float(colour[1])))), 1.0)
+        return (*rgb(style.mix(pair[0], style.PAPER, 0.85 * (1.0 - float(pair[1])))), 1.0)
     return (*rgb(colour), 1.0)
 
 

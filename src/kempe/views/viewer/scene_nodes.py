@@ -46,7 +46,8 @@ class Drawn:
         from kempe.views.drawing.scene import look
 
         links = look(self.system, q).links
-        out, covered = [], set()
+        out: list[Shape] = []
+        covered: set[int] = set()
         for link in links:
             own = [(X, mesh) for body, X in link.bodies.items() for mesh in found.get(body, ())]
             head = np.linalg.inv(next(iter(link.bodies.values())))

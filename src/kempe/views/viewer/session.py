@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Generator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -122,7 +122,7 @@ class Session:
                 return
         u = chart.u(self.q)[: len(chart.useful)]
         wide = abs(value - u[k]) / (LEAD if self._units.get(name, "rad") == "rad" else LEAD * self.size)
-        for x in np.linspace(u[k], value, max(1, int(np.ceil(wide))) + 1)[1:]:
+        for x in np.linspace(float(u[k]), value, max(1, int(np.ceil(wide))) + 1)[1:]:
             u[k] = x
             answer = chart.q(u, self.q)
             self.status = "" if answer else answer.status
@@ -142,7 +142,7 @@ class Session:
                 self.status = f"{self.system.name} has no freedoms: nothing moves"
 
     @contextlib.contextmanager
-    def _said(self) -> Iterator[None]:
+    def _said(self) -> Generator[None, None, None]:
         """What cannot be answered is said in the status."""
         try:
             yield
@@ -267,6 +267,7 @@ class Session:
 
     def random(self) -> None:
         """Go to a random configuration within the limits, with closed loops."""
+        said = ""
         for _ in range(TRIES):
             start = random(self.system, self._rng)
             if judge(self.system, start):
@@ -276,7 +277,8 @@ class Session:
             if answer:
                 self._go(answer.q, "a random configuration")
                 return
-        self.status = f"none of {TRIES} random starts closed the loops: {answer.status}"
+            said = answer.status
+        self.status = f"none of {TRIES} random starts closed the loops: {said}"
 
     def go(self, name: str) -> None:
         """Go to a posture of the model, or to 'neutral' or 'mid'; loops are closed from there."""

@@ -58,7 +58,8 @@ class Component:
     @property
     def singular_points(self) -> tuple[Event, ...]:
         """Where curves meet, or the rank drops otherwise, each once."""
-        system, found = self.paths[0].system, []
+        system = self.paths[0].system
+        found: list[Event] = []
         for event in (e for p in self.paths for e in p.singular_points):
             if not any(Manifold(system, 1).metric.distances(event.q[None], e.q[None])[0] < SAME for e in found):
                 found.append(event)
@@ -212,7 +213,8 @@ def components(system: System, *, budget: Budget | None = None) -> Components:
 def _traced(system: System, home: Array, spend: Budget, time: TimeLimit) -> tuple[tuple[Component, ...], bool]:
     """All components to which starts lead, and whether the time was up before all starts were used."""
     still = moved_by_spins(system, home)
-    q, parts, late = _starts(system, home, spend), [], False
+    q, late = _starts(system, home, spend), False
+    parts: list[Component] = []
     while len(q):
         left = None if time.limit is None else time.end - monotonic()
         if left is not None and left <= 0.0:

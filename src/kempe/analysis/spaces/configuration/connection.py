@@ -196,7 +196,8 @@ def _route(part: Component, begin: tuple[int, float], end: tuple[int, float]) ->
     1959); a `to` beyond the length of a closed curve goes on around."""  # fmt: skip
     metric, stops = Manifold(part.paths[0].system, 1).metric, [(*begin, None), (*end, None)]
     stops += [(k, e.s, e.q) for k, path in enumerate(part.paths) for e in path.singular_points]
-    cost, way, queue = {0: 0.0}, {}, [(0.0, 0)]
+    cost, queue = {0: 0.0}, [(0.0, 0)]
+    way: dict[int, tuple[int, tuple[int, float, float] | None]] = {}
     while queue:
         so_far, i = heapq.heappop(queue)
         if i == 1:
@@ -214,11 +215,12 @@ def _route(part: Component, begin: tuple[int, float], end: tuple[int, float]) ->
                 if so_far + abs(leg) < cost.get(j, np.inf):
                     cost[j], way[j] = so_far + abs(leg), (i, (k, s, s + leg) if to == k else None)
                     heapq.heappush(queue, (cost[j], j))
-    legs, at = [], 1
+    out: list[tuple[int, float, float]] = []
+    at = 1
     while at != 0:
         at, leg = way[at]
-        legs += [] if leg is None else [leg]
-    return legs[::-1]
+        out += [] if leg is None else [leg]
+    return out[::-1]
 
 
 # ---- by random trees

@@ -50,7 +50,7 @@ class Tree:
 
     def way(self, at: int) -> list[Array]:
         """Configurations from the root to one of its own."""
-        out = []
+        out: list[Array] = []
         while at >= 0:
             out.append(self.q[at])
             at = self.parent[at]
@@ -59,7 +59,8 @@ class Tree:
 
 def stepped(manifold: Manifold, q: Array, aim: Array, step: float, time: TimeLimit) -> list[Array]:
     """Configurations on the manifold, within limits, by which one comes from q towards an aim (nq,)."""
-    out, left = [], float(manifold.apart(q[None], aim[None])[0])
+    left = float(manifold.apart(q[None], aim[None])[0])
+    out: list[Array] = []
     while left > 1e-9:
         time.check()
         way = manifold.between(q[None], aim[None])
@@ -110,7 +111,7 @@ def _shortened(
     for _ in range(SHORTCUTS):
         if len(way) < 3:
             break
-        i, j = np.sort(rng.choice(len(way), 2, replace=False))
+        i, j = map(int, np.sort(rng.choice(len(way), 2, replace=False)))
         cut = stepped(manifold, way[i], way[j], step, time)
         if j - i > 1 and len(cut) < j - i and cut and manifold.apart(cut[-1][None], way[j][None])[0] < 1e-9:
             way = [*way[: i + 1], *cut, *way[j + 1 :]]

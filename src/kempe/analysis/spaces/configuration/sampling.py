@@ -113,8 +113,9 @@ def sample(
 def _of_tree(system: System, n: int, rng: np.random.Generator, check: Callable[[int], None]) -> Sample:
     v = system.structure.layout.vector_v
     bounded = (np.isfinite(system.lower) & np.isfinite(system.upper)) | circles(system)
-    _refuse([system.structure.velocity_names[i] for i in v if not bounded[i]])
-    rows, found, drawn, why = one_sided_rows(system), [], 0, None
+    _refuse([system.structure.velocity_names[int(i)] for i in v if not bounded[i]])
+    rows, drawn, why = one_sided_rows(system), 0, None
+    found: list[Array] = []
     try:
         while sum(map(len, found)) < n:
             check(sum(map(len, found)))
@@ -162,7 +163,8 @@ def _by_walk(
 ) -> Sample:  # fmt: skip
     manifold = Manifold(system, dim)
     _refuse(_run_away(system))
-    why, kept = None, []
+    why = None
+    kept: list[Array] = []
     walkers = Walkers(manifold, _starts(manifold, min(n, WALKERS), home, rng), rng)
     if not len(walkers.q):
         raise UnsupportedError(f"{system.name}: no regular configuration was found from which to walk")
@@ -194,13 +196,15 @@ def _starts(manifold: Manifold, count: int, home: Array, rng: np.random.Generato
 def _run_away(system: System) -> list[str]:
     """Names of slides that close the loops at a thousand characteristic lengths: nothing bounds them."""
     names, turning = system.structure.velocity_names, system.structure.coordinates.turning
-    manifold, out = Manifold(system, 1), []
-    for iq, iv in zip(system.structure.layout.vector_q, system.structure.layout.vector_v, strict=True):
+    manifold = Manifold(system, 1)
+    out: list[str] = []
+    layout = system.structure.layout
+    for iq, iv in zip(layout.vector_q.tolist(), layout.vector_v.tolist(), strict=True):
         if turning[iv] or (np.isfinite(system.lower[iv]) and np.isfinite(system.upper[iv])):
             continue
         far = [s * FAR * manifold.metric.length for s in (-1.0, 1.0) if system.lower[iv] <= s * FAR <= system.upper[iv]]
         if any(system.assemble({system.coordinate_names[iq]: x}, limits=False, budget=Budget(starts=4)) for x in far):
-            out.append(names[iv])
+            out.append(names[int(iv)])
     return out
 
 

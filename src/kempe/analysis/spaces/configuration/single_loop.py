@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kempe.joints import P, R
+from kempe.joints import P, Primitive, R
 from kempe.kinematics.measure import motion
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.kept import kept
@@ -64,7 +64,7 @@ class Polygon:
     @property
     def reason(self) -> str:
         """The theorem, with the lengths that decide."""
-        order = np.argsort(-self.lengths, kind="stable")
+        order: list[int] = np.argsort(-self.lengths, kind="stable").tolist()
         total, longest = float(self.lengths.sum()), self.lengths[order]
         if self.count == 0:
             return f"{self.bodies[order[0]]!r}, {longest[0]:.6g} m, is longer than all others together"
@@ -78,7 +78,7 @@ class Polygon:
         """Which of two components (k,) configurations (k, nq) are on: 1 or -1; 0 where there is only one."""
         if self.count < 2:
             return np.zeros(len(q), dtype=int)
-        i, j = np.sort(np.argsort(-self.lengths, kind="stable")[:2])
+        i, j = map(int, np.sort(np.argsort(-self.lengths, kind="stable")[:2]))
         a, b = (np.einsum("kij,j->ki", self.system.fk(q, self.bodies[k])[:, :2, :2], self.vectors[k]) for k in (i, j))
         return np.sign(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).astype(int)
 
@@ -166,7 +166,7 @@ def _turns(system: System, joint: Joint) -> bool:
     return not (np.isfinite(system.lower[i]) or np.isfinite(system.upper[i]))
 
 
-def _primitives(system: System, joint: Joint) -> list:
+def _primitives(system: System, joint: Joint) -> list[Primitive]:
     return list(joint.type.layout(system.dim, system.mechanism.bodies[joint.child].particle)[1])
 
 

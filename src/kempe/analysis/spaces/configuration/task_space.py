@@ -52,7 +52,7 @@ class TaskSpace(Report):
     rank: int
     generic_rank: int
     q: Array
-    image: dict[str, tuple[float, float]] = field(default_factory=dict)
+    image: dict[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
     samples: int = 0
 
     @property
@@ -130,12 +130,12 @@ def task_space(
 
 def _wanted(system: System, tasks: Any, task: str | None) -> tuple[list[Constraint], str, FrameLike | None]:
     """The tasks, what they are called, and the frame if it is one of a frame."""
+    name: Any = tasks
     if isinstance(tasks, Constraint) or (isinstance(tasks, (list, tuple)) and tasks):
         if task is not None:
             raise InputError("task says what counts of a frame; with tasks of kempe.tasks leave it out")
-        given = [tasks] if isinstance(tasks, Constraint) else list(tasks)
+        given: list[Any] = [tasks] if isinstance(tasks, Constraint) else list(name)
         return given, ", ".join(getattr(t, "label", repr(t)) for t in given), None
-    name: Any = tasks
     frame = system.structure.frame_name(name)
     kind = "pose" if task is None else task
     if kind not in OF_FRAMES:
@@ -157,7 +157,8 @@ def _drawn(system: System, count: int, rng: np.random.Generator) -> Array:
 
 def _ranks(system: System, wanted: list[Constraint], q: Array) -> tuple[np.ndarray, int]:
     """Ranks (k,) of the tasks over the velocities that loops leave at q (k, nq), and the least number of freedoms."""
-    J, out, n = np.concatenate([jacobian(system, t, q) for t in wanted], axis=-2), [], system.nv
+    J, n = np.concatenate([jacobian(system, t, q) for t in wanted], axis=-2), system.nv
+    out: list[int] = []
     N, scale = np.eye(system.nv), closure_rows.scales(system)
     for x, rates in zip(q, J, strict=True):
         N = tangent_space(system, x)[0] if has_loops(system) else N

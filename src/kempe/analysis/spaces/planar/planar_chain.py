@@ -68,7 +68,7 @@ class PlanarJoint:
 
     def turned_to(self, turns: Iterator[complex] | list[complex]) -> list[float]:
         """Values inside the limits at which it turns by unit numbers, one each."""
-        out = []
+        out: list[float] = []
         for u in turns:
             angle = float(np.angle(u))
             if not self.limits:
@@ -155,7 +155,7 @@ class PlanarChain:
                 return []  # axes that coincide
             turn = line / abs(line) / (a * u)
             values = joint.turned_to([turn, -turn])
-        out = []
+        out: list[tuple[complex, complex]] = []
         for x in values:
             c, d = joint.motion(x)
             out.append((a * (c * t + d) + b, a * c * u))

@@ -80,7 +80,7 @@ class PlanarWorkspace(Report):
             return ()
         sides, several = self.chain.sides, len(self.chain.joints) > 2
         counts = sorted({n for _, left, right in sides for n in (left, right) if n > 0})
-        out = []
+        out: list[SolutionRegion] = []
         for n in counts:
             edges = [p if left == n else p.part(1.0, 0.0) for p, left, right in sides if (left == n) != (right == n)]
             out.append(SolutionRegion(None if several else n, float(sum(p.moment for p in edges)), tuple(edges),
@@ -160,7 +160,8 @@ class PlanarWorkspace(Report):
 
 
 def _pair(z: Any) -> list[float]:
-    return [float(np.real(z)), float(np.imag(z))]
+    point = complex(z)
+    return [point.real, point.imag]
 
 
 def _piece_data(p: PlanePiece) -> dict[str, Any]:
@@ -172,13 +173,15 @@ def _piece_data(p: PlanePiece) -> dict[str, Any]:
 
 def _loops(pieces: list[PlanePiece], same: float) -> tuple[tuple[PlanePiece, ...], ...]:
     """The pieces as closed curves, each followed by one that begins where it ends."""
-    left, out = list(pieces), []
+    left = list(pieces)
+    out: list[tuple[PlanePiece, ...]] = []
     starts = np.array([complex(p.at(0.0)) for p in pieces])
     used = np.zeros(len(left), dtype=bool)
     for first in range(len(left)):
         if used[first]:
             continue
-        loop, k = [], first
+        loop: list[PlanePiece] = []
+        k = first
         while not used[k]:
             used[k] = True
             loop.append(left[k])
@@ -210,7 +213,7 @@ def planar_workspace(system: System, frame: FrameLike) -> PlanarWorkspace:
         declared = next(iter(system.mechanism.constraints))
         raise UnsupportedError(f"constraint {declared!r} of {system.name} may bound the workspace by other curves")
     table, q_index, v_index = local_chain(system.structure.table, name)
-    names = [system.coordinate_names[i] for i in q_index]
+    names = [system.coordinate_names[int(i)] for i in q_index]
     if not names:
         raise InputError(f"frame {name!r} of {system.name} does not move")
     if len(table.iv) != len(v_index):
@@ -221,7 +224,7 @@ def planar_workspace(system: System, frame: FrameLike) -> PlanarWorkspace:
         raise UnsupportedError(f"the chain of {name!r} has {len(names)} joints; it may have {MOST}")
     q = system.neutral
     tip, J = complex(*system.fk(q, name)[:2, 3]), system.jacobian(q, name)[:, v_index]
-    joints = []
+    joints: list[PlanarJoint] = []
     for label, iv, (vx, vy, w) in zip(names, v_index, J[[0, 1, 5]].T, strict=True):
         low, high = float(system.lower[iv]), float(system.upper[iv])
         if w == 0.0 and not np.isfinite(high - low):

@@ -59,7 +59,7 @@ class PlanePiece:
             t = np.real((p - self.centre) * np.conj(self.way)) / abs(self.way) ** 2
             return t, (t > -slack) & (t < 1.0 + slack)
         sense, size = np.sign(self.sweep), abs(self.sweep)
-        turn = np.mod(sense * (np.angle(p - self.centre) - self.start), TURN)
+        turn: np.ndarray = np.mod(sense * (np.angle(p - self.centre) - self.start), TURN)
         turn = np.where(turn > size + 0.5 * (TURN - size), turn - TURN, turn)
         t = turn / size
         return t, (t > -slack) & (t < 1.0 + slack)
@@ -68,9 +68,9 @@ class PlanePiece:
     def moment(self) -> float:
         """Half of the integral of x dy - y dx along it: its part of the area that a closed curve has to its left."""
         if not self.is_arc:
-            return 0.5 * float(np.imag(np.conj(self.centre) * self.way))
+            return 0.5 * float((self.centre.conjugate() * self.way).imag)
         a, b = self.at(0.0), self.at(1.0)
-        return 0.5 * float(np.imag(np.conj(self.centre) * (b - a))) + 0.5 * self.radius**2 * self.sweep
+        return 0.5 * float((self.centre.conjugate() * (b - a)).imag) + 0.5 * self.radius**2 * self.sweep
 
 
 def circle_points(a: PlanePiece, b: PlanePiece) -> np.ndarray:

@@ -17,7 +17,7 @@ from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods, known, numbers
 from kempe.errors import InputError
 from kempe.kinematics.common.result import Report
-from kempe.reals import is_whole
+from kempe.reals import is_mapping, is_whole
 from kempe.solvers.common.clock import partial
 from kempe.spatial import Array
 from kempe.status import Status
@@ -77,7 +77,7 @@ class BasePlacement(Report):
         """
         if not 0 <= rank < self.fraction.size:
             raise InputError(f"rank is {rank}; there are {counted(self.fraction.size, 'place')}, from 0")
-        index = np.unravel_index(self.order[rank], self.fraction.shape)
+        index = np.unravel_index(int(self.order[rank]), self.fraction.shape)
         here = {n: float(v[i]) for (n, v), i in zip(self.axes.items(), index, strict=True)}
         return {n: here.get(n, self.fixed.get(n, 0.0)) for n in AXES}
 
@@ -157,7 +157,8 @@ def place_base(
 def _axes(system: System, box: Mapping[str, Any], cells: Any) -> tuple[dict[str, Array], dict[str, float]]:
     """Values of the base's coordinates that vary, and those that do not. Errors: `InputError`."""
     allowed = AXES if system.dim == 3 else tuple(n for n in AXES if n != "z")
-    axes, fixed = {}, {}
+    axes: dict[str, Array] = {}
+    fixed: dict[str, float] = {}
     for name, value in box.items():
         known("coordinate of the base", name, allowed, system.name)
         v = numbers(value, f"box: {name}")
@@ -168,7 +169,7 @@ def _axes(system: System, box: Mapping[str, Any], cells: Any) -> tuple[dict[str,
         if v.shape == ():
             fixed[name] = float(v)
             continue
-        n = cells.get(name, 11) if isinstance(cells, Mapping) else cells
+        n: Any = cells.get(name, 11) if is_mapping(cells) else cells
         if not is_whole(n) or not 1 <= int(n) <= MOST:
             raise InputError(f"cells has {name} = {n!r}; it must be a whole number, from 1 to {MOST}")
         axes[name] = np.linspace(v[0], v[1], int(n)) if n > 1 else v.mean(keepdims=True)

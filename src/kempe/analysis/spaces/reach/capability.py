@@ -18,7 +18,7 @@ from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods, numbers
 from kempe.errors import InputError
 from kempe.kinematics.common.result import Report
-from kempe.reals import is_whole
+from kempe.reals import is_sequence, is_whole
 from kempe.solvers.common.clock import partial
 from kempe.solvers.common.targets import frame_of
 from kempe.spatial import Array
@@ -146,7 +146,7 @@ def _cells(box: ArrayLike, cells: Any, dim: int) -> tuple[Array, ...]:
     corners = numbers(box, "box")
     if corners.shape != (2, dim) or not np.isfinite(corners).all() or not (corners[0] < corners[1]).all():
         raise InputError(f"box has shape {corners.shape}; it must be two corners (2, {dim}), the lower one first")
-    counts = tuple(cells) if isinstance(cells, (tuple, list)) else (cells,) * dim
+    counts: tuple[Any, ...] = tuple(cells) if is_sequence(cells) else (cells,) * dim
     if len(counts) != dim or not all(is_whole(n) and 1 <= int(n) <= MOST for n in counts):
         raise InputError(f"cells is {cells!r}; it must be a whole number from 1, or {dim} of them")
     return tuple(low + (np.arange(int(n)) + 0.5) * (high - low) / int(n)

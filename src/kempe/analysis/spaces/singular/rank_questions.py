@@ -119,6 +119,8 @@ class RankQuestions:
         full = np.zeros((twists.shape[1], 6))
         full[:, self.rows] = (self.twists @ twists).T
         full[:, :3] *= self.length
+        turn: Array
+        slide: Array
         turn, slide = np.linalg.norm(full[:, 3:], axis=1), np.linalg.norm(full[:, :3], axis=1)
         size = np.where(turn > ZERO, turn, np.maximum(slide, 1e-300))
         return full / size[:, None] + 0.0
@@ -131,6 +133,7 @@ class RankQuestions:
             N = null_space(self.closures(q[None])[0], ZERO)
         none = np.zeros((0, 6))
         lost, gained, still, rank = none, none, np.zeros((0, self.system.nv)), N.shape[1]
+        J = N[:0]
         if self.frame is not None:
             J = self.task_jacobians(q[None])[0]
             U, _, Vt = np.linalg.svd(J @ N)

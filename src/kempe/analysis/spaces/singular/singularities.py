@@ -88,8 +88,9 @@ class SingularSet:
     def data(self) -> dict[str, Any]:
         """Its numbers and names."""
         names = ("kinds", "name", "coordinates", "values", "dimension", "q", "lost", "gained", "self_motion")
-        return {n: [np.asarray(x) for x in v] if isinstance(v := getattr(self, n), tuple) and n in names[-3:] else v
-                for n in names}  # fmt: skip
+        values: dict[str, Any] = {n: getattr(self, n) for n in names}
+        several = [n for n in names[-3:] if isinstance(values[n], tuple)]
+        return values | {n: [np.asarray(x) for x in values[n]] for n in several}
 
 
 @explained_methods
@@ -314,7 +315,7 @@ def _set(system: System, key: Any, rows: list[tuple[Array, LostAndGained]], prob
     if dimension == 0:
         keep = _distinct_rows(q)
         rows, q = [rows[i] for i in keep], q[keep]
-    return SingularSet(kinds, name, tuple(names[i] for i in deciding), values, dimension, q,
+    return SingularSet(kinds, name, tuple(names[int(i)] for i in deciding), values, dimension, q,
                        tuple(local for _, local in rows))  # fmt: skip
 
 
@@ -330,6 +331,7 @@ def _distinct(system: System, x: Array, deciding: tuple[int, ...]) -> Array:
     """Values (k, n) that differ, sorted; turns that differ by full turns are the same where they have no limits."""
     circle = circles(system)[list(deciding)]
     keep: list[Array] = []
+    row: Array
     for row in x[np.lexsort(np.round(x, 6).T[::-1])]:
         if not any(np.where(circle, np.abs(np.sin(0.5 * (row - k))), np.abs(row - k)).max() < SAME for k in keep):
             keep.append(np.where(np.abs(row) < 1e-9, 0.0, row))

@@ -17,6 +17,7 @@ from kempe.reals import is_whole, reals
 from kempe.spatial import Array
 
 AXES = ("x", "y", "z")
+_images: Any = ndimage
 MOST_CELLS = 2**31 - 8
 """Cells of a map: their numbers, and those after the last, must fit into what a count's place is written in."""
 
@@ -110,14 +111,14 @@ class CellMap:
     def layers(self) -> dict[str, np.ndarray]:
         """Cells by what the map says: `inner` and all around have samples, around `far` none has; `near` are others."""
         around = np.ones((3,) * self.counts.ndim, dtype=bool)
-        inner = np.asarray(ndimage.binary_erosion(self.occupied, around), dtype=bool)
-        far = ~np.asarray(ndimage.binary_dilation(self.occupied, around), dtype=bool)
+        inner = np.asarray(_images.binary_erosion(self.occupied, around), dtype=bool)
+        far = ~np.asarray(_images.binary_dilation(self.occupied, around), dtype=bool)
         return {"inner": inner, "near": ~(inner | far), "far": far}
 
     @cached_property
     def edge(self) -> KDTree:
         """The middles of cells with samples that have a neighbour without."""
-        within = ndimage.binary_erosion(self.occupied, ndimage.generate_binary_structure(self.counts.ndim, 1))
+        within = _images.binary_erosion(self.occupied, _images.generate_binary_structure(self.counts.ndim, 1))
         at = np.argwhere(self.occupied & ~np.asarray(within, dtype=bool))
         return KDTree(np.array(self.grid.low)[self.grid.kept] + (at + 0.5) * self.grid.size)
 
@@ -165,8 +166,10 @@ def _cells(cells: Any, edges: Array, axes: tuple[str, ...]) -> list[int]:
         cells = {1: 1024, 2: 256, 3: 64}[len(axes)]
     if is_whole(cells) and 1 <= cells <= MOST_CELLS:
         return [max(1, int(np.ceil(cells * e / edges.max() - 1e-9))) for e in edges]
-    given = list(cells) if isinstance(cells, (Sequence, np.ndarray)) and not isinstance(cells, str) else []
+    several: Any = cells
+    listed = isinstance(cells, (Sequence, np.ndarray)) and not isinstance(cells, str)
+    given: list[Any] = list(several) if listed else []
     if len(given) == len(axes) and all(is_whole(c) and 1 <= c <= MOST_CELLS for c in given):
         return [int(c) for c in given]
     needed = f"a whole number, at least 1, or {len(axes)} of them, for {', '.join(axes)}"
-    raise InputError(f"cells is {shown(cells)}; it must be {needed}")
+    raise InputError(f"cells is {shown(several)}; it must be {needed}")

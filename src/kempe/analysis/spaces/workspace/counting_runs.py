@@ -59,7 +59,7 @@ class Threads:
             counts[:] = 0
         piece, starts = self.recipe.piece, iter(range(first, last, self.recipe.piece))
         slots, stop, broken = list(range(self.n)), first, None
-        running: dict[Future, int] = {}
+        running: dict[Future[Any], int] = {}
         with ThreadPoolExecutor(self.n, thread_name_prefix="kempe") as pool:
             try:
                 while True:
@@ -82,7 +82,7 @@ class Threads:
         return total, stop, broken
 
     @staticmethod
-    def _collect(running: dict[Future, int], slots: list[int]) -> None:
+    def _collect(running: dict[Future[Any], int], slots: list[int]) -> None:
         """Take the slots of pieces that are done, and raise what went wrong in them."""
         done, _ = wait(running, timeout=WAKE, return_when=FIRST_COMPLETED)
         for future in done:

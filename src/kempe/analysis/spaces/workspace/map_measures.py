@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -70,7 +70,7 @@ def decided(system: System, frame: str, cells: CellMap, points: Array, seed: int
 def to_boundary(cells: CellMap, points: Array) -> Array:
     """Distance [m] of points (n, d) from the middle of the nearest boundary cell, negative outside."""
     grid, occupied = cells.grid, cells.occupied
-    far, _ = cells.edge.query(points)
+    far: Array = cast(Any, cells.edge).query(points)[0]
     at, inside = grid.places(points)
     return np.where(inside & occupied[tuple(at.T)], far, -far)
 
@@ -90,8 +90,8 @@ def boundary_of(cells: CellMap) -> Any:
     except ImportError:
         raise MissingExtraError("scikit-image", "scale") from None
     if filled.ndim == 2:
-        return [origin + line * grid.size for line in measure.find_contours(filled, 0.5)]
+        return [origin + line * grid.size for line in cast(Any, measure).find_contours(filled, 0.5)]
     if not cells.occupied.any():
         return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64)
-    corners, triangles, _, _ = measure.marching_cubes(filled, 0.5)
+    corners, triangles, _, _ = cast(Any, measure).marching_cubes(filled, 0.5)
     return origin + corners * grid.size, triangles

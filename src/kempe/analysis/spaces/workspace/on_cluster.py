@@ -58,19 +58,20 @@ def parts_of(
     `check` is called now and then, and raises what ends the work early; tasks that are left are then given up.
     Errors: those of the tasks, after `RETRIES`.
     """
-    from distributed import KilledWorker, wait
+    import distributed
+
+    tasks: Any = distributed
 
     waiting = {_tree(client, recipe, first, last, each, 0): (first, last, 0) for first, last in ranges}
     try:
         while waiting:
             try:
-                finished: Any = wait(list(waiting), timeout=LOOK, return_when="FIRST_COMPLETED")
-                done = finished.done
+                done: set[Any] = tasks.wait(list(waiting), timeout=LOOK, return_when="FIRST_COMPLETED").done
             except TimeoutError:
                 done = set()
             for future in done:
                 first, last, attempt = waiting.pop(future)
-                if isinstance(future.exception(), KilledWorker) and attempt < RETRIES:  # workers ended, not it
+                if isinstance(future.exception(), tasks.KilledWorker) and attempt < RETRIES:  # workers ended, not it
                     again = _tree(client, recipe, first, last, each, attempt + 1)
                     waiting[again] = (first, last, attempt + 1)
                     continue

@@ -208,11 +208,11 @@ def refuse_unlimited(system: System, frame: str) -> None:
         driven = {c for j in system.structure.joints.values() if j.actuated
                   for c in system.structure.coordinates_of_joint(j.name)}  # fmt: skip
         used = {k for k, name in enumerate(system.coordinate_names) if name in driven}
-    names = []
+    names: list[str] = []
     for at, v in zip(layout.vector_q.tolist(), layout.vector_v.tolist(), strict=True):
         ends = system.lower[v], system.upper[v]
         if at in used and not circle[v] and not all(abs(x) < FAR for x in ends):
-            names.append(repr(system.structure.velocity_names[v]))
+            names.append(repr(system.structure.velocity_names[int(v)]))
     if names:
         raise InputError(
             f"{joined(names)} {'has' if len(names) == 1 else 'have'} no limits, and so the frame {frame!r} no end of "

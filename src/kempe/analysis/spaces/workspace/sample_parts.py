@@ -12,8 +12,9 @@ import hashlib
 import json
 import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -43,7 +44,7 @@ def checksum_of(counts: np.ndarray) -> str:
     return digest.hexdigest()
 
 
-def write_whole(path: Path, write: Any) -> None:
+def write_whole(path: Path, write: Callable[[BinaryIO], object]) -> None:
     """Write a file by `write(stream)` so that it is there whole or not at all. Errors: `DiskError`."""
     beside = path.with_name(path.name + ".new")
     try:
@@ -113,7 +114,8 @@ class SampleParts:
 
     def _merge(self) -> None:
         """Put parts that follow each other into one file; the former ones go when the list no longer names them."""
-        former, runs = self.done, []
+        former = self.done
+        runs: list[list[SamplePart]] = []
         for part in sorted(former):
             if runs and runs[-1][-1].last == part.first:
                 runs[-1].append(part)
@@ -139,7 +141,8 @@ class SampleParts:
 
     def missing(self, n: int, most: int, piece: int) -> list[tuple[int, int]]:
         """Ranges of at most `most` samples, whole pieces, that are left of the first n."""
-        most, out, at = max(piece, most // piece * piece), [], 0
+        most, at = max(piece, most // piece * piece), 0
+        out: list[tuple[int, int]] = []
         for first, last in [*sorted((p.first, p.last) for p in self.done), (n, n)]:
             while at < first:
                 out.append((at, min(at + most, first)))

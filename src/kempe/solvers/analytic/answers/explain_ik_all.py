@@ -90,7 +90,7 @@ def held_sentence(solutions: Solutions) -> str:
     """Which joints a redundant chain has to spare, and where they are held for the targets; '' for other chains."""
     if not solutions.spare:
         return ""
-    parts = []
+    parts: list[str] = []
     for name in solutions.spare:
         values = np.ravel(solutions.held[name])[solutions._used.any(axis=1)]
         if len(values):
@@ -108,7 +108,8 @@ def _reached(solutions: Solutions, index: int) -> str:
     plan = solutions.plan
     spare = spare_joints(plan)
     deficient = bool(spare) and not more_than_enough(plan)
-    unknown: tuple[list[Family], np.ndarray] = ([], np.full(solutions._used.shape[1], -1))
+    none: list[Family] = []
+    unknown: tuple[list[Family], np.ndarray] = (none, np.full(len(solutions._used.T), -1))
     families, member = unknown if spare and not deficient else solutions._families[index]
     alone = solutions._used[index] & (member < 0)
     code = solutions._code[index, alone]
@@ -327,7 +328,7 @@ def _conditions(family: Family) -> list[tuple[str, float]]:
     motion, lines = family._motion, family._motion.aim.lines
     theta, names = family._theta[0], lines.names
     at = [names.index(n) for n in family.joints]
-    out = []
+    out: list[tuple[str, float]] = []
     for i in motion.aim.moves.tolist():
         if i in at:
             continue
@@ -336,5 +337,5 @@ def _conditions(family: Family) -> list[tuple[str, float]]:
         J = motion.linear(other)[1][:, at]
         if J.shape[0] >= len(at) and np.linalg.svd(J, compute_uv=False)[-1] > CONDITION:
             x = float(family.q[0, lines.q_index[i]])
-            out.append((names[i], 0.0 if abs(x) < AT_ZERO and not motion.aim.slides[i] else x))
+            out.append((names[int(i)], 0.0 if abs(x) < AT_ZERO and not motion.aim.slides[i] else x))
     return out

@@ -135,7 +135,8 @@ class Family:
         way = way / np.linalg.norm(way)
         if np.abs(x - np.outer(x @ way, way)).max() > STRAIGHT:
             return None
-        first, out = at[0], []
+        first = at[0]
+        out: list[dict[str, float]] = []
         slope = way / lines.multiplier[at]
         for k in range(1, len(at)):
             a, b = -slope[k], slope[0]
@@ -292,7 +293,7 @@ def _family(motion: TolerantMotion, curve: Any, base: Array) -> Family:
     """A family with names and units."""
     lines, theta = motion.aim.lines, curve.theta
     first = lines.theta(in_turn(motion, theta[0], base))
-    turns = 2.0 * math.pi * np.round((first - theta[0]) / (2.0 * math.pi))
+    turns = 2.0 * math.pi * ((first - theta[0]) / (2.0 * math.pi)).round()
     theta = theta + np.where(motion.aim.slides, 0.0, turns)
     q = np.tile(base, (len(theta), 1))
     q[:, lines.q_index] = (theta - lines.offset) / lines.multiplier

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 
@@ -131,7 +132,7 @@ class TolerantMotion(Points, Curve):
 
     def crossings_of(self, curve: Samples) -> Iterator[Array]:
         """Points (n,) of a curve in which others may cross it: its Jacobian loses one more rank."""
-        from scipy.optimize import minimize_scalar  # only here: most targets have no families
+        from scipy import optimize  # only here: most targets have no families
 
         before, size, after = np.roll(curve.second, 1), curve.second, np.roll(curve.second, -1)
         steep = size <= np.maximum(before, after) - size  # a zero nearby leaves such a kink
@@ -142,8 +143,11 @@ class TolerantMotion(Points, Curve):
                 point, _, J = self.led(x + s * t[0], t)
                 return point, J
 
-            found = minimize_scalar(lambda s, at=at: self.spectrum(at(s)[1])[1], bounds=(-LONGEST, LONGEST),
-                                    method="bounded", options={"xatol": 1e-8})  # fmt: skip
+            def least(s: float, at: Callable[[float], tuple[Array, Array]] = at) -> float:
+                return self.spectrum(at(s)[1])[1]
+
+            found = cast(Any, optimize).minimize_scalar(least, bounds=(-LONGEST, LONGEST), method="bounded",
+                                                        options={"xatol": 1e-8})  # fmt: skip
             if found.fun < SINGULAR:
                 yield at(found.x)[0]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -192,7 +192,7 @@ def limits_of(lines: Lines) -> tuple[Array, Array]:
 
 def _closest(aim: Aim, first: Array) -> Array:
     """Variables (n,) inside the limits where the error is smallest."""
-    from scipy.optimize import minimize  # only here: most targets are reached
+    from scipy import optimize  # only here: most targets are reached
 
     low, high = (x[aim.moves] for x in limits_of(aim.lines))
     rng, k = np.random.default_rng(0), len(aim.moves)
@@ -214,7 +214,8 @@ def _closest(aim: Aim, first: Array) -> Array:
 
         options = {"maxiter": 500, "ftol": 1e-18, "gtol": 1e-13}
         bounds = list(zip(low, high, strict=True))
-        found = minimize(energy, start[aim.moves], jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+        found = cast(Any, optimize).minimize(energy, start[aim.moves], jac=True, method="L-BFGS-B", bounds=bounds,
+                                             options=options)  # fmt: skip
         if found.fun < least:
             best, least = start.copy(), float(found.fun)
             best[aim.moves] = found.x

@@ -282,7 +282,8 @@ class Solutions(ConfigurationList, Answer):
 
         spare = self.plan.locked != self.plan.fixed
         weak = [spare or bool(row.any()) for row in self._used & (self._code % 4 >= 2)]
-        none: tuple[list[Family], np.ndarray] = ([], np.full(self._used.shape[1], -1))
+        empty: list[Family] = []
+        none: tuple[list[Family], np.ndarray] = (empty, np.full(len(self._used.T), -1))
         return [families_of(self, i) if weak[i] else none for i in range(len(weak))]
 
     @property
@@ -385,10 +386,10 @@ class Solutions(ConfigurationList, Answer):
         if not self.single:
             return (), ()
         names, at = self.system.coordinate_names, self.plan.lines.q_index
-        rows = []
+        rows: list[list[str]] = []
         for q, name, inside, m in zip(self.q, self.names, self.inside, self.multiplicity, strict=True):
             notes = [name] if name else []
             notes += [] if inside else ["outside limits"]
             notes += [f"{m} roots"] if m > 1 else ["one of a family"] if m == 0 else []
             rows.append([*(f"{x:.9g}" for x in q[at]), ", ".join(notes) or "-"])
-        return [*(names[i] for i in at), "note"], rows
+        return [*(names[int(i)] for i in at), "note"], rows

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any, cast
 
 import numpy as np
 
@@ -63,7 +64,7 @@ def expanded(rows: Array, lines: Lines) -> Array:
 
 def followed(rows: Array, lines: Lines, length: int) -> Array:
     """The rows (N, K, n + 2) of trajectories of `length` targets, each in the place of the one that it continues."""
-    from scipy.optimize import linear_sum_assignment
+    from scipy import optimize
 
     out, n = rows.copy(), len(lines)
     unit = np.abs(lines.multiplier)
@@ -77,7 +78,7 @@ def followed(rows: Array, lines: Lines, length: int) -> Array:
                 d = np.where(np.isinf(period), d, d - period * np.round(d / period))
                 cost = np.linalg.norm(d * unit, axis=-1)
             cost = np.where(used, np.where(np.isnan(cost), NEW, np.minimum(cost, NEW)), 2.0 * NEW)
-            _, order = linear_sum_assignment(cost)
+            order: np.ndarray = cast(Any, optimize).linear_sum_assignment(cost)[1]
             out[i] = out[i, order]
             last = np.where((out[i, :, n + A.CODE] >= 0.0)[:, None], out[i, :, :n], last)
     return out

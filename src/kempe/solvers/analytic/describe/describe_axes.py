@@ -24,7 +24,8 @@ def relations(lines: Lines) -> tuple[str, ...]:
     Structures are those that `structure.EXACT` accepts; what misses one by less than `NEAR` is reported with its size.
     """
     axes = Axes(lines.kinds, lines.h, lines.o)
-    n, out, i = len(lines), [], 0
+    n, i = len(lines), 0
+    out: list[str] = []
     if n == 1:
         return (f"{lines.names[0]} is the only joint",)
     while i < n - 1:
@@ -120,7 +121,7 @@ def _missed_ball(lines: Lines, axes: Axes, i: int) -> str:
     """The fact that three axes nearly meet in one point; '' where they do not."""
     if i + 2 >= len(axes.kinds) or np.any(axes.kinds[i : i + 3] == SLIDE):
         return ""
-    points = []
+    points: list[Array] = []
     for j in (i, i + 1):
         if _angle(axes.h[j], axes.h[j + 1])[1] <= NEAR or apart(axes, j, j + 1) > NEAR:
             return ""

@@ -60,7 +60,7 @@ def most(plan: ChainPlan) -> int:
 def _held(plan: ChainPlan, given: frozenset[str]) -> list[str]:
     names = [plan.lines.names[i] for i in plan.locked]
     by_user, chosen = [n for n in names if n in given], [n for n in names if n not in given]
-    out = []
+    out: list[str] = []
     if by_user:
         out.append(f"{joined(by_user)} {_is(by_user)} held at the given value{'s' * (len(by_user) > 1)}")
     if chosen:
@@ -73,7 +73,7 @@ def _held(plan: ChainPlan, given: frozenset[str]) -> list[str]:
 
 def _balance(plan: ChainPlan, planar: bool) -> list[str]:
     """Sentences about what the task leaves free and about equations that the chain cannot meet at will."""
-    out = []
+    out: list[str] = []
     unknown = [i for i in range(len(plan.lines)) if i not in plan.locked]
     free = free_lines(plan.lines, plan.task, planar)
     if len(free.kinds):
@@ -92,10 +92,12 @@ def _why(plan: ChainPlan, planar: bool) -> str:
     """What the frame can never do, as part of a sentence."""
     if planar:
         return ""
-    lines, rng, columns = plan.lines, np.random.default_rng(2), []
-    start = spread(lines, rng, 1)[0]
+    lines, rng = plan.lines, np.random.default_rng(2)
+    columns: list[Array] = []
+    start: Array = spread(lines, rng, 1)[0]
     for _ in range(4):
-        theta = np.where(np.isin(np.arange(len(lines)), plan.locked), start, spread(lines, rng, 1)[0])
+        other: Array = spread(lines, rng, 1)[0]
+        theta = np.where(np.isin(np.arange(len(lines)), plan.locked), start, other)
         columns.append(_twists(lines, theta, plan.locked))
     twists = np.hstack(columns)
     turning = _rank(twists[3:])
@@ -110,7 +112,8 @@ def _why(plan: ChainPlan, planar: bool) -> str:
 
 def _twists(lines: Lines, theta: Array, locked: tuple[int, ...]) -> Array:
     """Twists (6, k) [linear; angular] of the joints that move, at the origin, at theta."""
-    X, out = np.eye(4), []
+    X = np.eye(4)
+    out: list[Array] = []
     for i in range(len(lines)):
         w, p = X[:3, :3] @ lines.h[i], X[:3, :3] @ lines.o[i] + X[:3, 3]
         if i not in locked:
@@ -133,7 +136,8 @@ def _is(names: list[str]) -> str:
 
 def _closed(plan: ChainPlan) -> list[str]:
     assert plan.way is not None
-    steps, out = _Steps(plan, plan.way), []
+    steps = _Steps(plan, plan.way)
+    out: list[str] = []
     if steps.swapped:
         out.append(f"{steps.swapped}: a slide and a turn about its direction can change places")
     return out + steps.sentences()
@@ -198,7 +202,7 @@ class _Steps:
         """What the joints do, one step a sentence."""
         inner = [name for name, role in zip(self.names[:3], self.roles[:3], strict=True) if role == A.JOINT]
         outer = sorted((self.places[k], self.names[k]) for k in (3, 4, 5) if self.roles[k] == A.JOINT)
-        out = []
+        out: list[str] = []
         if outer:
             out.append(self._outer(inner, [name for _, name in outer]))
         if inner:
@@ -252,12 +256,13 @@ class _Steps:
 def _amplitudes(plan: ChainPlan, way: Strategy) -> Array:
     """Largest size (2, 2, 2) of the factors of x and z (rows) in both measures, over some goals."""
     rng, lines = np.random.default_rng(13), plan.lines
-    theta = spread(lines, rng, 1)[0]
+    theta: Array = spread(lines, rng, 1)[0]
     axes, shift = carried_lines(lines, plan.locked, plan.extra, theta)
     six = Axes(axes.kinds[list(way.order)], axes.h[list(way.order)], axes.o[list(way.order)])
     out = np.zeros((2, 2, 2))
     for _ in range(3):
-        other = np.where(np.isin(np.arange(len(lines)), plan.locked), theta, spread(lines, rng, 1)[0])
+        some: Array = spread(lines, rng, 1)[0]
+        other = np.where(np.isin(np.arange(len(lines)), plan.locked), theta, some)
         G = sweep(lines, other[None])[0][0] @ spatial.inverse(lines.tip) @ spatial.inverse(shift)
         terms = np.empty(12)
         goal = np.ascontiguousarray(G[:3]).ravel()

@@ -70,7 +70,8 @@ class InverseFormulas:
         for symbol in [*given, *(step.symbol for step in self.steps)]:
             words[symbol] = sympy.Symbol(_variable(str(symbol), {str(word) for word in words.values()}))
         arguments = ", ".join(str(words[symbol]) for symbol in given)
-        printed = NumPyPrinter().doprint
+        printer: Any = NumPyPrinter()
+        printed = printer.doprint
         lines = [f"    {words[step.symbol]} = {printed(step.formula.xreplace(words))}" for step in self.steps]
         last = f"    return {', '.join(str(words[sympy.Symbol(name)]) for name in self.coordinates)}"
         return "\n".join(["import numpy", "", "", f"def inverse({arguments}):", *lines, last]) + "\n"

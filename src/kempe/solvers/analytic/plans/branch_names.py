@@ -73,16 +73,17 @@ def branch_names(kind: Kind, lines: Lines, theta: Array, merged: np.ndarray | No
     """Names (m,) of configurations theta (m, n) of an arm; `merged` (m,) says where solutions have merged."""
     tip, h, o = sweep(lines, theta)
     border = np.where(np.zeros(len(theta), bool) if merged is None else merged, MERGED, BORDER)
+    bend: Array | None = None
     if len(kind.words) == 1:
         signs = [_bend_in_plane(o, tip[:, :3, 3])]
     else:
         (shoulder, bend, turn), _ = _measures(kind, h, o)
         signs = [shoulder, np.sign(_ahead(h, o)) * bend, turn]
-    columns = []
+    columns: list[Array] = []
     for sign, (above, below, on) in zip(signs, kind.words, strict=True):
         side = np.where(sign > 0.0, above, below)
         columns.append(np.where(np.isnan(sign), "", np.where(np.abs(sign) > border, side, on)))
-    if len(kind.words) > 1:  # with the wrist neither ahead nor behind, up and down cannot be distinguished
+    if bend is not None:  # with the wrist neither ahead nor behind, up and down cannot be distinguished
         unclear = (np.abs(signs[0]) <= border) & (np.abs(bend) > border)
         columns[1] = np.where(unclear, np.where(bend < 0.0, *NEITHER), columns[1])
     return np.array([", ".join(row) for row in zip(*columns, strict=True)], dtype=object)

@@ -77,7 +77,7 @@ def lines_of(system: System, frame: str) -> Lines:
     ints, floats = chain.ints, chain.floats
     rows, numbers = rows_of(ints), numbers_of(ints, floats)
     n = len(rows)
-    names = tuple(system.structure.velocity_names[i] for i in chain.v_index)
+    names = tuple(system.structure.velocity_names[int(i)] for i in chain.v_index)
     if n == 0:
         raise UnsupportedError(f"no joint moves frame {frame!r}")
     if np.any(rows[:, KIND] == BALL):
@@ -107,7 +107,7 @@ def lines_of(system: System, frame: str) -> Lines:
         return Lines(
             kinds, h, (o - origin) / length, tip, offset, np.where(kinds == SLIDE, multiplier / length, multiplier),
             np.ascontiguousarray(chain.limits[:, at]), chain.q_index[at], chain.v_index[at],
-            tuple(names[i] for i in at), origin, length, chain.span, even,
+            tuple(names[int(i)] for i in at), origin, length, chain.span, even,
         )  # fmt: skip
 
     p = evened(ints, floats)
@@ -147,7 +147,8 @@ def _unit_of(kinds: np.ndarray, h: Array, o: Array, tip: Array, limits: Array) -
     h = h[turning]
     # the point nearest to all axes
     across = np.eye(3) - h[:, :, None] * h[:, None, :]
-    origin = np.linalg.lstsq(across.sum(axis=0), np.einsum("nij,nj->i", across, o), rcond=1e-9)[0]
+    total: Array = np.einsum("nij,nj->i", across, o)
+    origin = np.asarray(np.linalg.lstsq(across.sum(axis=0), total, rcond=1e-9)[0], dtype=float)
     free = o - origin
     away = np.linalg.norm(free - h * np.sum(h * free, axis=-1)[:, None], axis=-1)
     steps = [_apart(h[i], o[i], h[i + 1], o[i + 1]) for i in range(len(h) - 1)]

@@ -84,7 +84,7 @@ def _able(lines: Lines, task: str, free: Extra, unknown: list[int], extra: int, 
     rows = (tuple(i for i in order if i not in order[k : k + count]) for k in range(extra + 1))
     more = extra - len(slides)
     carrying = ((*c, *slides) for c in itertools.combinations(turns, more)) if slides and more >= 0 else ()
-    seen = set()
+    seen: set[frozenset[int]] = set()
     every = itertools.chain(
         itertools.islice(carrying, MOST_CHOICES),
         rows if extra > 2 else (),

@@ -322,7 +322,7 @@ def _parts(extra: Extra) -> tuple[np.ndarray, Array, Array, np.ndarray]:
 
 def _ways(lines: Lines, unknown: list[int], locked: tuple[int, ...], extra: Extra) -> list[Strategy]:
     """Ways for the six lines, as they are common to two positions of the locked joints."""
-    rng, variants, goals = np.random.default_rng(11), [], []
+    rng, variants, goals = np.random.default_rng(11), list[Axes](), list[list[Array]]()
     places = [*unknown, *range(len(lines), len(lines) + len(extra.kinds))]
     for _ in range(2 if locked else 1):
         theta = spread(lines, rng, 4)

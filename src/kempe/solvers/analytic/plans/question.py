@@ -44,23 +44,25 @@ class Question:
         return max(self.requested, min(self.tolerance, ANGULAR))
 
 
-def within(tolerance: object) -> float:
+def within(tolerance: Any) -> float:
     """The tolerance of a solution. Errors: `InputError`."""
-    if isinstance(tolerance, (int, float, np.number)) and 0.0 < tolerance < math.inf:
-        return float(tolerance)
+    number: Any = tolerance
+    if isinstance(tolerance, (int, float, np.number)) and 0.0 < number < math.inf:
+        return float(number)
     raise InputError(f"tolerance is {tolerance!r}; it must be a positive number, in metres and radians")
 
 
-def held_by(fixed: object) -> Mapping[str, Any]:
+def held_by(fixed: Any) -> Mapping[str, Any]:
     """Values of joints that are held, by name, as they are given. Errors: `InputError`."""
+    names: Any = fixed
     if fixed is not None and not isinstance(fixed, Mapping):
         raise InputError(f"fixed is {type(fixed).__name__}; it must be a dict of values by joint name")
-    return fixed or {}
+    return names or {}
 
 
 def held(frame: str, names: tuple[str, ...], fixed: object) -> dict[str, Array]:
     """Values of joints of the chain that are held, by name. Errors: `InputError`, `UnknownNameError`."""
-    out = {}
+    out: dict[str, Array] = {}
     for name, value in held_by(fixed).items():
         if name not in names:
             raise UnknownNameError("joint", str(name), names, f"the chain of {frame!r}")

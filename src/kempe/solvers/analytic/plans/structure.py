@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -81,10 +82,11 @@ def coincide(axes: Axes, i: int, j: int) -> bool:
 def meeting(axes: Axes, places: tuple[int, ...]) -> Array | None:
     """The point (3,) in which these axes meet, None where they do not (or are all parallel)."""
     across = np.eye(3) - axes.h[list(places), :, None] * axes.h[list(places), None, :]
-    total = across.sum(axis=0)
+    total: Array = across.sum(axis=0)
     if np.linalg.svd(total, compute_uv=False)[-1] <= EXACT**2:
         return None
-    centre = np.linalg.solve(total, np.einsum("nij,nj->i", across, axes.o[list(places)]))
+    moments: Array = np.einsum("nij,nj->i", across, axes.o[list(places)])
+    centre = np.asarray(np.linalg.solve(total, moments), dtype=float)
     away = np.linalg.norm(np.cross(centre - axes.o[list(places)], axes.h[list(places)]), axis=-1)
     return centre if float(away.max()) <= EXACT else None
 
@@ -130,13 +132,13 @@ def orders(variants: list[Axes]) -> Iterator[tuple[int, ...]]:
                 seen.append(other)
 
 
-def ways(variants: list[Axes], goals: list[Array], at_rest: set[int]) -> list[Strategy]:
+def ways(variants: list[Axes], goals: list[Any], at_rest: set[int]) -> list[Strategy]:
     """All ways to solve six lines in closed form, the best first.
 
     variants: the lines for several positions of locked joints, of which the structure must be common; goals: for each
     some goals (m, 12) that can be reached; at_rest: lines that stand for no joint and must stay at zero.
     """
-    found = []
+    found: list[tuple[int, Strategy]] = []
     for order in orders(variants):
         now = [axes.ordered(order) for axes in variants]
         for k in range(4):

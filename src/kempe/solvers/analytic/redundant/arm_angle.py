@@ -276,7 +276,7 @@ def events(h: Array, R: Turning, limits: list[tuple[int, float]]) -> list[float]
     h (3, 3): the axes; limits: (joint 0 to 2, angle).
     """
     a, b, c = h
-    out = []
+    out: list[float] = []
     for j, angle in limits:
         if j == 0:
             out += R.reaches(turns(a, angle) @ b, c, float(b @ c))
@@ -359,9 +359,10 @@ class Posed:
 
     def _marks(self, half: Half, limited: bool) -> list[tuple[float, float]]:
         """Arcs of the circle between the events of one way to bend the elbow."""
-        lines, found = self.arm.lines, []
+        lines = self.arm.lines
+        found: list[float] = []
         for places, R in ((SHOULDER, half.shoulder), (WRIST, half.wrist)):
-            limits = []
+            limits: list[tuple[int, float]] = []
             for j, i in enumerate(places):
                 ends = lines.theta(np.broadcast_to(lines.limits[:, i, None], (2, 7)))[:, i] if limited else ()
                 limits += [(j, float(x)) for x in ends if math.isfinite(x)]

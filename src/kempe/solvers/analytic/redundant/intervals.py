@@ -45,7 +45,7 @@ def joined(parts: list[tuple[float, float]], good: list[bool]) -> list[tuple[flo
 
 def union(intervals: list[tuple[float, float]], circular: bool) -> Intervals:
     """The union of intervals, sorted; on a circle low in [-pi, pi), and (-pi, pi) for all of it."""
-    parts = []
+    parts: list[tuple[float, float]] = []
     for low, high in intervals:
         if circular and high > math.pi:
             parts += [(low, math.pi), (-math.pi, high - TWO_PI)]

@@ -299,9 +299,9 @@ def _joint_curves(over: SweepProblem, parameter: str | None, samples: int) -> Jo
         others |= {n: float(q[lines.q_index[lines.names.index(n)]]) for n in locked if n not in (name, *others)}
     i = lines.names.index(name)
     first, last = domains(lines)[:, i].tolist()
-    domain = first, last
+    domain: tuple[float, float] = first, last
     shift = (domain[1] - domain[0]) * 0.381966 / samples  # arms tend to be singular at round values
-    inner = np.linspace(*domain, samples)[:-1] + shift
+    inner = np.linspace(domain[0], domain[1], samples)[:-1] + shift
     values = np.concatenate([[domain[0]], inner, [domain[1]]])
     found = over.all_at(name, values, others)
     free = tuple(j for j, n in enumerate(lines.names) if n not in others)

@@ -96,7 +96,7 @@ class Slice(ConfigurationList, Answer):
     q: Array
     mask: np.ndarray
     inside: np.ndarray
-    residual: Array = field()
+    residual: Any = field()
     branch: np.ndarray
 
     success = by_code
@@ -186,7 +186,7 @@ class Sweep(Answer):
     def _slice(self, x: Array) -> Slice:
         q, mask, fits = self._sampled(np.atleast_1d(x), False)
         error = np.where(mask, self.curves.residual(np.where(mask[..., None], q, self.near)), np.nan)
-        branch = np.where(mask, np.arange(mask.shape[1]), -1)
+        branch = np.where(mask, np.arange(mask.shape[1], dtype=np.int64), -1)
         if x.ndim:
             return Slice(self, x, q, mask, fits, error, branch)
         keep = distinct(self.curves.lines, self.system, q[0], mask[0])
@@ -304,7 +304,7 @@ class Sweep(Answer):
         return ("branch", "inside the limits", "exists"), rows
 
     def _lines(self) -> Sequence[str]:
-        lines = []
+        lines: list[str] = []
         if self.held:
             lines.append("held: " + ", ".join(f"{n} = {x:.9g}" for n, x in self.held.items()))
         for label, rows in zip(self.labels, self.intervals, strict=True):

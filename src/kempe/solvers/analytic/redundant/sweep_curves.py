@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -258,8 +259,11 @@ class CurvePiece:
         good &= np.linalg.norm(x - first, axis=-1) < 0.05 * size + 1e-9
         for r in rows:
             if not good[r]:  # the joint only grazes its limit: found on the curve, step by step
-                f = lambda s, r=r: float(self.points(at[[r]], np.array([s]))[0, joint[r]] - level[r])  # noqa: E731
-                s = sign_change(f, float(CHECKS[i[r]]), float(CHECKS[i[r] + 1]))
+
+                def off(s: float, r: Any = r) -> float:
+                    return float(self.points(at[[r]], np.array([s]))[0, joint[r]] - level[r])
+
+                s = sign_change(off, float(CHECKS[i[r]]), float(CHECKS[i[r] + 1]))
                 if s is None:
                     continue
                 low[r] = high[r] = s
