@@ -35,6 +35,7 @@ from kempe.solvers.common.targets import (
     frame_of,
     in_plane,
     points_along,
+    refuse_position,
     targets_of,
     task_and_axis,
     task_of,
@@ -68,14 +69,15 @@ def ik_all(
 ) -> Solutions | Modes:  # fmt: skip
     """Every configuration in which `frame` reaches `target`: the inverse geometric model with all its solutions.
 
-    `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3)) or a position (..., 3) (in
-    planar systems also (..., 2)). `task` says what of it counts: "pose", "position", "orientation", "direction" (of the
-    tool's z axis, or of another one in a pair such as ("direction", (1, 0, 0))), "position_axis" (both). Joints of
-    redundant chains are held by `fixed`, a dict of numbers, or of arrays of one for each target; others that are to
-    spare where `start` has them, and elsewhere for targets that have no solution inside the limits there:
-    `Solutions.held` says where. Solutions are sorted: inside the limits first, then by nearness to `start` (nq,), which
-    also chooses among turns; with `limits` others are dropped, and with ``limits="turns"`` every turn inside the limits
-    is listed. What violates one-sided constraints of the system is left out, and the status says so.
+    `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3), and, with
+    ``task="pose"``, x, y and angle (..., 3)) or a position (..., 3) (in planar systems also (..., 2)). `task` says
+    what of it counts: "pose", "position", "orientation", "direction" (of the tool's z axis, or of another one in a
+    pair such as ("direction", (1, 0, 0))), "position_axis" (both). Joints of redundant chains are held by `fixed`,
+    a dict of numbers, or of arrays of one for each target; others that are to spare where `start` has them, and
+    elsewhere for targets that have no solution inside the limits there: `Solutions.held` says where. Solutions are
+    sorted: inside the limits first, then by nearness to `start` (nq,), which also chooses among turns; with
+    `limits` others are dropped, and with ``limits="turns"`` every turn inside the limits is listed. What violates
+    one-sided constraints of the system is left out, and the status says so.
 
     Each solution is verified by the forward model to `tolerance` [m, rad] (1e-9, or to rounding, far away). What is not
     reached has no solutions and a `status` that says why; ``answer.expect()`` raises `NoSolutionError` for it. Of the
@@ -93,6 +95,7 @@ def ik_all(
     direction = axis_for(axis, said)
     targets, lead, is_position = targets_of(system, target, said, direction)
     task = task_of(said, is_position, bool(system.structure.table.at[name][2]))
+    refuse_position(task, is_position, system.dim)
     if lead == () and not np.isfinite(targets).all():
         raise InputError("target has entries that are not finite")
     known = held_by(fixed)

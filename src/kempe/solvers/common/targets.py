@@ -86,7 +86,8 @@ def targets_of(
     """Targets (N, 4, 4), their leading shape, and whether positions were given. Errors: `InputError`.
 
     Besides poses and positions: directions (..., 3) for the task "direction", rotations (..., 3, 3) for "orientation",
-    and (..., 6), position and direction, for "position_axis"; directions are those of the tool's axis.
+    and (..., 6), position and direction, for "position_axis"; directions are those of the tool's axis. In the plane
+    (..., 3), x, y and angle, for "pose".
     """
     try:
         shape = np.shape(target)
@@ -97,6 +98,8 @@ def targets_of(
         out = np.zeros((*shape[:-2], 4, 4))
         out[..., :3, :3], out[..., 3, 3] = numbers_of(target), 1.0
         return parse_targets(system, out)
+    if task == "pose" and system.dim == 2 and shape[-1:] == (3,):
+        target = _turned_in_plane(numbers_of(target))
     if width is None or shape[-1:] != (width,) or shape[-2:] == (4, 4):
         return parse_targets(system, target, task == "position")
     values = numbers_of(target)
@@ -112,6 +115,27 @@ def targets_of(
     if width == 6:
         out[:, :3, 3] = values[..., :3].reshape(-1, 3)
     return out, shape[:-1], False
+
+
+def _turned_in_plane(target: Array) -> Array:
+    """Poses (..., 4, 4) of x, y and an angle (..., 3); planar poses (..., 3, 3) are left as they are."""
+    if target.shape[-2:] == (3, 3) and np.all(target[..., 2, :] == [0.0, 0.0, 1.0]):
+        return target
+    x, y, angle = np.moveaxis(target, -1, 0)
+    out = np.zeros((*target.shape[:-1], 4, 4))
+    out[..., 0, 0] = out[..., 1, 1] = np.cos(angle)
+    out[..., 1, 0], out[..., 0, 1] = np.sin(angle), -np.sin(angle)
+    out[..., 0, 3], out[..., 1, 3], out[..., 2, 2], out[..., 3, 3] = x, y, 1.0, 1.0
+    return out
+
+
+def refuse_position(task: str, is_position: bool, dim: int) -> None:
+    """Refuse, with an `InputError`, positions where the task reads an orientation."""
+    if is_position and task != "position":
+        also = ", or x, y and angle (..., 3)" if dim == 2 and task == "pose" else ""
+        raise InputError(
+            f"target is a position, but task {task!r} asks for an orientation; give a pose (..., 4, 4){also}"
+        )
 
 
 def in_plane(target: Any, task: str | None, axis: object) -> tuple[Any, str]:
@@ -132,10 +156,7 @@ def in_plane(target: Any, task: str | None, axis: object) -> tuple[Any, str]:
     if math.hypot(x, y) < 1e-9 or (k == 3 and np.any(np.abs(d[..., 2]) > 1e-9)):
         raise InputError("in a planar system the axis of the tool and its direction must lie in the plane")
     angle = np.arctan2(d[..., 1], d[..., 0]) - math.atan2(y, x)
-    out = np.zeros((*shape[:-1], 4, 4))
-    out[..., 0, 0] = out[..., 1, 1] = np.cos(angle)
-    out[..., 1, 0], out[..., 0, 1] = np.sin(angle), -np.sin(angle)
-    out[..., 2, 2] = out[..., 3, 3] = 1.0
+    out = _turned_in_plane(np.stack([np.zeros_like(angle), np.zeros_like(angle), angle], axis=-1))
     if task != "direction":
         out[..., :k, 3] = values[..., :k]
     return out, full

@@ -31,6 +31,7 @@ from kempe.solvers.common.targets import (
     in_plane,
     not_a_pose,
     points_along,
+    refuse_position,
     targets_of,
     task_and_axis,
     task_of,
@@ -60,11 +61,12 @@ def ik(
     """A configuration in which `frame` reaches `target` (the inverse geometric model), always inside the limits.
 
     Without a frame `target` are tasks, see `kempe.solvers.tasks.ik_tasks.reach`.
-    `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3)), or a position (..., 3)
-    (in planar systems also (..., 2)), or an object or words that say one (`kempe.rigid.arrays`).
-    `task` says what of it counts: "pose", "position", "orientation", "direction" (of the tool's z axis, or of another
-    one in a pair such as ("direction", (1, 0, 0))), "position_axis" (both). `tolerance` is the largest position error
-    [m] and rotation angle [rad], by default 1e-6 each.
+    `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3), and, with
+    ``task="pose"``, x, y and angle (..., 3)), or a position (..., 3) (in planar systems also (..., 2)), or an
+    object or words that say one (`kempe.rigid.arrays`). `task` says what of it counts: "pose", "position",
+    "orientation", "direction" (of the tool's z axis, or of another one in a pair such as ("direction", (1, 0, 0))),
+    "position_axis" (both). `tolerance` is the largest position error [m] and rotation angle [rad], by default 1e-6
+    each.
     `start` (nq,) or (..., nq), or a dict by name, is the first start; what the chain does not move keeps its value
     there, else the neutral one, inside the limits.
 
@@ -251,8 +253,7 @@ def _checked(
     targets, lead, is_position = targets_of(system, target, task, direction)
     particle = bool(system.structure.table.at[frame][2])
     name = task_of(task, is_position, particle)
-    if is_position and name != "position":
-        raise InputError(f"target is a position, but task {name!r} asks for an orientation; give a pose (..., 4, 4)")
+    refuse_position(name, is_position, system.dim)
     if particle and task is None and not is_position:
         check_particle(targets, frame)
     return (name, direction), targets, lead

@@ -25,7 +25,7 @@ from kempe.solvers.analytic.redundant.sweep import Sweep
 from kempe.solvers.analytic.redundant.sweep_curves import ChainMotion, CurvePiece
 from kempe.solvers.analytic.redundant.sweep_net import arcs_through
 from kempe.solvers.common.problem import Problem, Solver, choose, chosen_by
-from kempe.solvers.common.targets import Z_AXIS, axis_for, targets_of, task_and_axis, task_of
+from kempe.solvers.common.targets import Z_AXIS, axis_for, refuse_position, targets_of, task_and_axis, task_of
 from kempe.spatial import Array, log_so3
 
 if TYPE_CHECKING:
@@ -78,6 +78,7 @@ def ik_sweep(
     if lead != () or not np.isfinite(targets).all():
         raise InputError("a sweep needs one target, of finite numbers")
     task = task_of(said, is_position, bool(system.structure.table.at[name][2]))
+    refuse_position(task, is_position, system.dim)
     given_near = near_of(system, start, None)
     base = system.neutral if given_near is None else given_near[0]
     lines = chain_lines(system, name, Z_AXIS)
