@@ -65,8 +65,7 @@ def ik(
     ``task="pose"``, x, y and angle (..., 3)), or a position (..., 3) (in planar systems also (..., 2)), or an
     object or words that say one (`kempe.rigid.arrays`). `task` says what of it counts: "pose", "position",
     "orientation", "direction" (of the tool's z axis, or of another one in a pair such as ("direction", (1, 0, 0))),
-    "position_axis" (both). `tolerance` is the largest position error [m] and rotation angle [rad], by default 1e-6
-    each.
+    "position_axis" (both). `tolerance` is the largest position error [m] and rotation angle [rad], 1e-6 each.
     `start` (nq,) or (..., nq), or a dict by name, is the first start; what the chain does not move keeps its value
     there, else the neutral one, inside the limits.
 
