@@ -4,27 +4,36 @@
 `KINDS` is the table.
 """
 
-from kempe.constraints.base import KINDS, Constraint, End, Op, Row, kind
-from kempe.constraints.contacts import Contact, NoSideslip, Rolls
-from kempe.constraints.curves import OnCurve
-from kempe.constraints.equations import Equation, Inequality, VelocityEquation
-from kempe.constraints.kinds import (
-    Distance,
-    HalfSpace,
-    InBox,
-    LookAt,
-    OnLine,
-    OnPlane,
-    OnSphere,
-    OnSurface,
-    Orientation,
-    Pointing,
-    Pose,
-    Position,
-    RelativePose,
-    RelativePosition,
-)
-from kempe.constraints.whole import CentreOfMass, CentreOfPoints, Function, Posture
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from kempe.constraints import base
+from kempe.constraints.base import Constraint, End, Op, Row
+
+if TYPE_CHECKING:
+    from kempe.constraints.base import KINDS, kind
+    from kempe.constraints.contacts import Contact, NoSideslip, Rolls
+    from kempe.constraints.curves import OnCurve
+    from kempe.constraints.equations import Equation, Inequality, VelocityEquation
+    from kempe.constraints.kinds import (
+        Distance,
+        HalfSpace,
+        InBox,
+        LookAt,
+        OnLine,
+        OnPlane,
+        OnSphere,
+        OnSurface,
+        Orientation,
+        Pointing,
+        Pose,
+        Position,
+        RelativePose,
+        RelativePosition,
+    )
+    from kempe.constraints.whole import CentreOfMass, CentreOfPoints, Function, Posture
 
 __all__ = [
     "KINDS", "CentreOfMass", "CentreOfPoints", "Constraint", "Contact", "Distance", "End", "Equation", "Function",
@@ -32,3 +41,16 @@ __all__ = [
     "OnSurface", "Op", "Orientation", "Pointing", "Pose", "Position", "Posture", "RelativePose", "RelativePosition",
     "Rolls", "Row", "VelocityEquation", "kind",
 ]  # fmt: skip
+MODULES = ("contacts", "curves", "equations", "kinds", "whole")
+"""Where kinds are declared; imported when the first one is used, for most systems have none."""
+
+
+def __getattr__(name: str) -> Any:
+    """A kind, `kind`, or the table of all."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    for module in MODULES:
+        import_module(f"{__name__}.{module}")
+    own = {cls.__name__: cls for cls in base.KINDS.values() if cls.__module__.startswith(f"{__name__}.")}
+    globals().update(own, KINDS=base.KINDS, kind=base.kind)
+    return globals()[name]

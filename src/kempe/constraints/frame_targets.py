@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from kempe.constraints.base import Constraint
-from kempe.constraints.kinds import Orientation, Pointing, Pose, Position
 from kempe.spatial import Array
 
 AXIS_TASKS = ("direction", "position_axis")
@@ -14,6 +13,8 @@ AXIS_TASKS = ("direction", "position_axis")
 
 def of_target(frame: str, task: str, axis: tuple[float, float, float], X: Array) -> list[Constraint]:
     """The constraints of a target (..., 4, 4) for "pose", "position", "orientation" or one of `AXIS_TASKS`."""
+    from kempe.constraints.kinds import Orientation, Pointing, Pose, Position
+
     out: list[Constraint] = []
     if task == "pose":
         out.append(Pose(frame, X))

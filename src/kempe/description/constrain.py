@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe import constraints
 from kempe.constraints.base import (
     Constraint,
     End,
@@ -20,7 +21,6 @@ from kempe.constraints.base import (
     numbers_in,
     with_numbers,
 )
-from kempe.constraints.kinds import Distance, OnLine, OnPlane
 from kempe.constraints.tape import POSE, TWIST
 from kempe.description import checks
 from kempe.description.parts import Body, Declared, Frame
@@ -32,7 +32,7 @@ from kempe.values import Expression, value
 if TYPE_CHECKING:
     from kempe.description.mechanism import Mechanism
 
-BETWEEN = {"distance": Distance, "point_on_line": OnLine, "point_on_plane": OnPlane}
+BETWEEN = {"distance": "distance", "point_on_line": "on_line", "point_on_plane": "on_plane"}
 """Kinds that are placed on bodies, by their names as methods of `Mechanism` and in files of format 1."""
 
 Placed = tuple[Any, object, Mapping[str, object]]
@@ -72,10 +72,10 @@ def between(
     if kind not in BETWEEN:
         checks.refuse(subject, str(UnknownNameError("kind of constraint", kind, BETWEEN)), where)
     A, B = (_placed(mechanism, p, subject, where) for p in (parent, child))
-    rod = BETWEEN[kind] is Distance
+    rod = BETWEEN[kind] == "distance"
     if A.body == B.body:
         checks.refuse(subject, f"it ties body {A.body!r} to itself", where, "it must tie two bodies")
-    if mechanism.dim == 2 and BETWEEN[kind] is OnPlane:
+    if mechanism.dim == 2 and BETWEEN[kind] == "on_plane":
         checks.refuse(subject, f"{kind} does not exist in the plane", where,
                       "planar systems take distance and point_on_line")  # fmt: skip
     if rod and length is None:
@@ -89,13 +89,14 @@ def between(
             if isinstance(error, DescriptionError):
                 raise
             checks.refuse(subject, str(error), where)
-        return declare(mechanism, Distance(B, A, length), name, where)
+        return declare(mechanism, constraints.Distance(B, A, length), name, where)
     direction: Any = (0.0, 0.0, 1.0)
     if mechanism.dim == 2 and kind == "point_on_line":
         checks.axis_in_plane(subject, A.X, "its line is z of the frame, out of the plane", where)
         A, direction = End(A.body, Placement(A.X.steps[:-1])), A.X.steps[-1][1]
-    turned = {"direction": direction} if BETWEEN[kind] is OnLine else {}
-    return declare(mechanism, BETWEEN[kind](B, other=A, **turned), name, where)
+    made: Any = constraints.KINDS[BETWEEN[kind]]
+    turned = {"direction": direction} if BETWEEN[kind] == "on_line" else {}
+    return declare(mechanism, made(B, other=A, **turned), name, where)
 
 
 def _placed(mechanism: Mechanism, placed: Placed, subject: str, where: Where | None) -> End:

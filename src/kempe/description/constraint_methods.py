@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from kempe.constraints import Constraint, Contact, Equation, Inequality, NoSideslip, Rolls, VelocityEquation
+from kempe import constraints
+from kempe.constraints.base import Constraint
 from kempe.description.constrain import between, declare
 from kempe.description.parts import Body, Declared, Frame
 from kempe.errors import Where
@@ -53,7 +54,7 @@ class ConstraintMethods:
 
     def no_sideslip(self: Any, name: str, frame: BodyLike | Frame, speed: Value | str = 0.0) -> Declared:
         """The origin of a frame has no velocity along its y axis, as a wheel whose axle is y, or has the `speed`."""
-        return self.constrain(NoSideslip(str(frame), speed=speed), name)
+        return self.constrain(constraints.NoSideslip(str(frame), speed=speed), name)
 
     def rolls(
         self: Any, name: str, frame: BodyLike | Frame, radius: Value | str, on: BodyLike | Frame | None = None,
@@ -65,14 +66,14 @@ class ConstraintMethods:
         may leave the plane.
         """
         other = None if on is None else str(on)
-        return self.constrain(Rolls(str(frame), other, radius, shape, spin, one_sided), name)
+        return self.constrain(constraints.Rolls(str(frame), other, radius, shape, spin, one_sided), name)
 
     def contact(
         self: Any, name: str, frame: BodyLike | Frame, on: BodyLike | Frame | None = None, radius: Value | str = 0.0,
         shape: str = "ball",
     ) -> Declared:  # fmt: skip
         """A point, or a ball or disc about a frame's origin, stays above the xy-plane of `on` (default: the ground)."""
-        return self.constrain(Contact(str(frame), None if on is None else str(on), radius, shape), name)
+        return self.constrain(constraints.Contact(str(frame), None if on is None else str(on), radius, shape), name)
 
     def equation(
         self: Any, name: str, expression: str | Sequence[str] | Callable[..., Any], of: Sequence[str] = (),
@@ -83,14 +84,14 @@ class ConstraintMethods:
         A function is called with a mapping from these names to numbers, with `time` also with the time t. Text finds
         its coordinates itself; other names are parameters.
         """
-        return self.constrain(Equation(expression, of, time, name=name), name)
+        return self.constrain(constraints.Equation(expression, of, time, name=name), name)
 
     def inequality(
         self: Any, name: str, expression: str | Sequence[str] | Callable[..., Any], of: Sequence[str] = (),
         time: bool = False,
     ) -> Declared:  # fmt: skip
         """An inequality f >= 0 of coordinates, or several, as `equation` takes it: ``"1.2 - A"``."""
-        return self.constrain(Inequality(expression, of, time, name=name), name)
+        return self.constrain(constraints.Inequality(expression, of, time, name=name), name)
 
     def velocity_equation(
         self: Any, name: str, matrix: Sequence[Sequence[Any]] | Callable[..., Any], of: Sequence[str], b: Any = 0,
@@ -100,4 +101,4 @@ class ConstraintMethods:
 
         `matrix` holds numbers and texts, or is a function that returns rows; so is `b`, one number for each row.
         """
-        return self.constrain(VelocityEquation(matrix, of, b, time, name=name), name)
+        return self.constrain(constraints.VelocityEquation(matrix, of, b, time, name=name), name)

@@ -10,7 +10,6 @@ import numpy as np
 
 from kempe.calls import explained, numbers
 from kempe.constraints.base import Constraint
-from kempe.constraints.equations import Call
 from kempe.constraints.tape import TIME
 from kempe.errors import InputError
 from kempe.model.kept import kept
@@ -77,6 +76,8 @@ def _plain(system: System, more: tuple[str, ...]) -> Mechanism:
 
 def _untimed(of: Any, more: tuple[str, ...]) -> Constraint:
     expression = of.expression
+    from kempe.constraints.equations import Call
+
     if isinstance(expression, Call):
         names = (*expression.inputs, TIME)
         expression = replace(expression, function=_with_time(expression.function), inputs=names,

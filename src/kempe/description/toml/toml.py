@@ -9,7 +9,8 @@ from dataclasses import replace
 from pathlib import Path as FilePath
 from typing import Any
 
-from kempe.constraints.base import FRAMES, KINDS, NUMBERS, End, fields_of, needed_by
+from kempe import constraints
+from kempe.constraints.base import FRAMES, NUMBERS, End, fields_of, needed_by
 from kempe.description.constrain import BETWEEN, between
 from kempe.description.dh.dh import add_dh, add_screws
 from kempe.description.mechanism import Mechanism
@@ -172,10 +173,10 @@ class _TomlReader:
             self.findings.add(str(error), subject, self.where(*path))
 
     def constraint(self, table: dict[str, Any], path: Path, subject: str, good: bool) -> None:
-        if "parent" in table or "child" in table or table.get("type") not in KINDS:
+        if "parent" in table or "child" in table or table.get("type") not in constraints.KINDS:
             self.between(table, path, subject, good)
             return
-        kind = KINDS[table["type"]]
+        kind = constraints.KINDS[table["type"]]
         how = fields_of(kind)
         given: dict[str, Any] = {}
         for key in needed_by(kind):
@@ -221,7 +222,7 @@ class _TomlReader:
                                   "it needs name, type, parent, child")  # fmt: skip
         kind = table.get("type")
         if kind is not None and kind not in BETWEEN:
-            said = self.findings.hint(str(kind), [*BETWEEN, *KINDS])
+            said = self.findings.hint(str(kind), [*BETWEEN, *constraints.KINDS])
             message = f"unknown type of constraint {shorten(kind)}{said}"
             self.findings.add(message, subject, self.where(*path, "type"))
             good = False

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
-from kempe.constraints.base import KINDS, fields_of
+from kempe import constraints
+from kempe.constraints.base import fields_of
 from kempe.description.source import Findings, Source, fail, shorten
 from kempe.description.toml.toml_fast import loads
 from kempe.description.toml.toml_places import Path, Places
@@ -163,8 +164,8 @@ class Document:
         """Whether a table has all keys that it must have and no others, with the right types."""
         before = len(self.findings.problems)
         known = KEYS[kind] + (joint_options() if kind == "joint" else ())
-        if kind == "constraint" and "parent" not in table and table.get("type") in KINDS:
-            known = ("name", "type", *fields_of(KINDS[table["type"]]))
+        if kind == "constraint" and "parent" not in table and table.get("type") in constraints.KINDS:
+            known = ("name", "type", *fields_of(constraints.KINDS[table["type"]]))
         for key, item in table.items():
             wanted, said = (object, "") if (kind, key) == ("constraint", "of") else _VALUES.get(key, (object, ""))
             if key not in known:

@@ -122,7 +122,7 @@ def _joint(joint: Joint, dim: int) -> dict[str, Any]:
 def _constraint(constraint: Declared, dim: int) -> dict[str, Any]:
     """A constraint; those that `Mechanism.constraint` places on bodies with the keys of joints."""
     out: dict[str, Any] = {"name": constraint.name}
-    placed = next((k for k, kind in BETWEEN.items() if type(constraint.of) is kind), "")
+    placed = next((k for k, kind in BETWEEN.items() if constraint.of.kind == kind), "")
     if placed and all(isinstance(e, End) for e in constraint.of.ends):
         out |= {"type": placed, "parent": constraint.parent, "child": constraint.child}
         if constraint.rod:
