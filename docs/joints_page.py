@@ -28,6 +28,7 @@ away: these are its constraints.
 """
 
 COORDINATES = """
+The last column is `forbids()`: axes of F. What a universal joint and a screw take away besides has no fixed axis.
 In the plane a revolute joint turns about z and a prismatic joint slides along its `axis=(x, y)`.
 
 ## Coordinates
@@ -70,7 +71,7 @@ not turn it, as their child.
 def page() -> str:
     """The page as Markdown."""
     counts = ("DoF", "constraints", "DoF in the plane", "constraints in the plane")
-    freedoms = table(("type", "motion", *counts), (freedom_row(t()) for t in TYPES.values()))
+    freedoms = table(("type", "motion", *counts, "forbids"), map(freedom_row, first_examples()))
     head = ("type", "options", "primitives", "coordinates", "velocities")
     coordinates = table(head, map(coordinate_row, examples()))
     particles = table(
@@ -89,6 +90,12 @@ def examples() -> Iterator[JointType]:
                 yield kind(**{f.name: True})
 
 
+def first_examples() -> Iterator[JointType]:
+    """Each type of the zoo once."""
+    for kind in TYPES.values():
+        yield next(k for k in examples() if isinstance(k, kind))
+
+
 def is_for_particles(kind: JointType) -> bool:
     """Whether the child can be a particle."""
     return all(p.kind == P for p in kind.layout(3, True)[1])
@@ -96,7 +103,8 @@ def is_for_particles(kind: JointType) -> bool:
 
 def freedom_row(kind: JointType) -> list[str]:
     """What a joint type leaves to a body and takes away, in space and in the plane."""
-    return [f"`{kind.type_name}`", kind.summary, str(kind.dof()), str(kind.constraints()), *in_the_plane(kind, False)]
+    counts = [str(kind.dof()), str(kind.constraints()), *in_the_plane(kind, False)]
+    return [f"`{kind.type_name}`", kind.summary, *counts, ", ".join(kind.forbids()) or "–"]
 
 
 def coordinate_row(kind: JointType) -> list[str]:

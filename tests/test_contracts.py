@@ -227,7 +227,7 @@ OF_RESULTS = {"at", "close", "sample", "components", "path"}
 """Verbs of results."""
 NO_RESULTS = {
     "assembler", "constraints", "plot", "plot_spaces", "query", "structure", "loops", "inverse", "reach", "symbolic",
-    "with_limits", "with_parameters",
+    "with_limits", "with_parameters", "opened",
 }  # fmt: skip
 """Members of `System` that give a system, a set, poses, a bound form or a drawing."""
 

@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+import kempe
 from kempe import Mechanism
 from kempe.description.toml.toml import read_toml
 from kempe.description.toml.toml_writer import write_toml
@@ -288,6 +289,44 @@ def test_zero_quaternions_are_refused_and_others_normalised(case):
 
 
 # ------------------------------------------------------------------ velocities
+
+
+@pytest.mark.parametrize("case", [c for c in CASES if not c.particle], ids=str)
+def test_what_a_joint_forbids_is_what_never_moves(case):
+    """Rows of the Jacobian in axes of F that are zero in all of many configurations; in the plane those of it."""
+    system = one_joint(case)
+    J = [system.jacobian(sample(system, np.random.default_rng(k)), "M", "world_aligned") for k in range(20)]
+    most = dict(zip(("x", "y", "z", "rx", "ry", "rz"), np.abs(J).max(axis=(0, 2), initial=0.0), strict=True))
+    still = [name for name in most if most[name] < 1e-9 and (case.dim == 3 or name in ("x", "y", "rz"))]
+    assert case.kind.forbids(case.dim) == tuple(still)
+    assert len(still) <= case.kind.constraints(case.dim)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [("two_link", "serial chain"), ("seven_bodies", "tree"), ("four_bar", "1 loop"), ("jansen", "3 loops")],
+)
+def test_kinds_of_systems(name, kind):
+    assert kempe.load(name).kind == kind
+
+
+def test_a_loop_is_opened():
+    """The lecture's two figures: the joint that closes the loop is taken out, and with it what was said of it."""
+    loop = kempe.load("four_bar")
+    tree = loop.opened("C")
+    assert (tree.kind, tree.joint_names, tree.mobility().dof) == ("tree", ("A", "B", "D"), 3)
+    q = dict(zip(loop.coordinate_names, loop.q("closed"), strict=True))
+    same = [q[name] for name in tree.coordinate_names]
+    assert tree.q("closed").tolist() == same
+    for body in loop.body_names:
+        np.testing.assert_allclose(tree.fk(same, body), loop.fk(loop.q("closed"), body), atol=1e-14)
+    assert kempe.load("jansen").opened().kind == "tree"
+    with pytest.raises(UnknownNameError, match="there are: 'A', 'B', 'C', 'D'"):
+        loop.opened("E")
+    with pytest.raises(InputError, match="no loop to open: it is a tree"):
+        tree.opened()
+    with pytest.raises(DescriptionError, match="no joints lead"):
+        loop.opened("A", "B")
 
 
 @both_ways

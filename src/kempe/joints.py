@@ -25,6 +25,10 @@ R, P, Q = TURN, SLIDE, BALL
 """Kinds of primitives in the table of the kernels: turn, slide, unit quaternion."""
 
 
+MOTIONS = ("x", "y", "z", "rx", "ry", "rz")
+"""Motions along and about axes."""
+
+
 class Primitive(NamedTuple):
     """One elementary motion: kind, axis of the frame reached so far, coordinate within the joint, multiplier."""
 
@@ -61,6 +65,27 @@ class JointType:
         """How many freedoms the joint takes away: of 6 (in the plane 3) for a body, of 3 (2) for a particle."""
         free = dim if particle else (6 if dim == 3 else 3)
         return free - self.dof(dim, particle)
+
+    def forbids(self, dim: int = 3) -> tuple[str, ...]:
+        """The motions of M that the joint never allows: 'x', 'y', 'z' along and 'rx', 'ry', 'rz' about axes of F.
+
+        In space a joint may take away more freedoms than these: along or about axes that move (universal), or by a
+        relation between those that it allows (helical). In the plane the axis of a slide counts as x.
+        """
+        primitives = self.layout(dim)[1]
+        if dim == 2:
+            primitives = tuple(p._replace(axis="x") if p.kind == P and p.axis == "z" else p for p in primitives)
+        slides, turns, turned = np.zeros((0, 3)), np.zeros((0, 3)), np.eye(3)
+        for k, p in enumerate(primitives, 1):  # at some configuration that is not special
+            own = np.eye(3) if p.kind == Q else p.multiplier * turned[:, "xyz".index(p.axis)][None]
+            if p.kind == P:
+                slides = np.vstack([slides, own, np.cross(turns, own)])
+            else:
+                turns = np.vstack([turns, own])
+                turned = spatial.exp_so3(0.3 * k * own.sum(axis=0)) @ turned
+        most = [x for of in (slides, turns) for x in np.abs(of).max(axis=0, initial=0.0).tolist()]
+        still = {name for name, x in zip(MOTIONS, most, strict=True) if x < 1e-9}
+        return tuple(name for name in (MOTIONS if dim == 3 else ("x", "y", "rz")) if name in still)
 
     def coordinates(self, dim: int = 3, particle: bool = False) -> tuple[str, ...]:
         """Names of the coordinates within the joint; a joint with one coordinate has the name ''."""

@@ -210,6 +210,14 @@ class Compiled:
         return Structure(m, self._topology, coordinates, self._table, coordinates.layout)
 
     @property
+    def kind(self) -> str:
+        """What the joints connect the bodies to: 'serial chain', 'tree', '1 loop', '2 loops', ..."""
+        loops, parent = len(self._topology.closures), self._topology.parent
+        if loops:
+            return f"{loops} loop{'s' * (loops > 1)}"
+        return "serial chain" if len(set(parent)) == len(parent) else "tree"
+
+    @property
     def body_names(self) -> tuple[str, ...]:
         """Names of the bodies in the order of their numbers; the ground is number 0."""
         return self._topology.bodies

@@ -56,7 +56,7 @@ def system_facts(system: System, degrees: bool = False) -> dict[str, Any]:
     closures = set(system.structure.closures)
     return {
         "name": system.name,
-        "dim": system.dim,
+        "dim": system.dim, "kind": system.kind,
         "angle_unit": "deg" if degrees else "rad",
         "parent": list(system.parent),
         "nq": system.nq,

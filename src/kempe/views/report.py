@@ -133,7 +133,7 @@ def tree(system: System) -> RenderableType:
 def _headline(data: dict[str, Any]) -> Text:
     place = "in the plane" if data["dim"] == 2 else "in space"
     counts = f"{count(len(data['bodies']) - 1, 'body', 'bodies')}, {count(len(data['joints']), 'joint')}"
-    return Text.assemble((clean(data["name"]), "bold green"), f": {counts}, {place}")
+    return Text.assemble((clean(data["name"]), "bold green"), f": {counts}, {place}; {data['kind']}")
 
 
 def _overview(data: dict[str, Any]) -> Table:
