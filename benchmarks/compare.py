@@ -38,19 +38,12 @@ VERBS = {
 SINGLE = """
 import json, statistics, time, timeit
 import numpy as np, kempe
-from kempe.kernels import compiled
-search = getattr(compiled, "schedule", None) or compiled.search  # the name that it has since, and the former one
 panda, puma, bar = kempe.load("panda"), kempe.load("puma560"), kempe.load("four_bar")
 hand = panda.frame_names[-1]
 query, q, X, out, J = panda.query(hand), panda.random(3), np.empty((4, 4)), np.empty((4, 4)), np.empty((6, panda.nv))
 targets = list(panda.fk(panda.random(5, 400), hand))
 Y = puma.fk(puma.random(1), "tool")
 panda.ik(targets[0], hand), puma.ik_all(Y, "tool")
-bound = next(v for k, v in panda._queries.items() if k[0] == "one")
-chain, answer = bound.chain, np.empty((1, bound.size + 5))
-front = chain.ints, chain.floats, chain.limits, bound.rows
-def kernel(X):
-    return search.reach(*front, X, chain.no_seed, 0, 0, 64, 40, 1e-6, 1e-6, 0.0, answer)
 def each(call, items):
     times = []
     for item in items * 3:
@@ -67,7 +60,6 @@ print(json.dumps({
     "query.jacobian(q)": one(lambda: query.jacobian(q)),
     "system.fk(q, frame)": one(lambda: panda.fk(q, hand)),
     "ik, 400 targets": each(lambda X: panda.ik(X, hand), targets),
-    "its kernel alone": each(lambda X: kernel(X), [X[None] for X in targets]),
     "ik_all of a Puma 560": one(lambda: puma.ik_all(Y, "tool"), 2000),
     "four-bar, bound: assembler(A)": one(lambda: assembler([0.9], closed), 2000),
     "four-bar: assemble(A)": one(lambda: bar.assemble({"A": 0.9}, closed), 1000),

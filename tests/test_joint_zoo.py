@@ -326,7 +326,7 @@ def test_a_loop_is_opened():
     with pytest.raises(InputError, match="no loop to open: it is a tree"):
         tree.opened()
     with pytest.raises(DescriptionError, match="no joints lead"):
-        loop.opened("A", "B")
+        loop.opened(["A", "B"])
 
 
 @both_ways

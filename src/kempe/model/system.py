@@ -371,11 +371,11 @@ class System(Compiled, Pictured, FormerNames):
 
         return with_parameters(self, numbers)
 
-    def opened(self, *joints: str) -> System:
+    def opened(self, joints: str | Iterable[str] | None = None) -> System:
         """The system without these joints: the open chain or tree that a loop is made of; see `kempe.model.opened`."""
         from kempe.model.opened import opened
 
-        return opened(self, *joints)
+        return opened(self, joints)
 
     def with_limits(self, limits: Any = None, velocity: Any = None) -> System:
         """A copy of the system with other limits, by coordinate name; see `kempe.kinematics.limits.with_limits`."""
