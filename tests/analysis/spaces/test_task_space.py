@@ -62,3 +62,9 @@ def test_wrong_calls():
         bar.task_space("coupler_point", np.full(4, 0.2))
     with pytest.raises(InputError, match="leave it out"):
         arm.task_space(tasks.Position("e", (0.1, 0.1)), task="pose")
+
+
+@pytest.mark.parametrize("wrong", [[1, [2, 3]], ["tool"], (None,)])
+def test_what_is_no_task_is_refused(wrong):
+    with pytest.raises(InputError, match="is no task; see kempe.tasks"):
+        kempe.load("bennett").task_space(wrong)

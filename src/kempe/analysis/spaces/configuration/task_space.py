@@ -12,7 +12,7 @@ from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods, generator
 from kempe.constraints import KINDS
 from kempe.constraints.base import Constraint
-from kempe.errors import InputError
+from kempe.errors import InputError, shown
 from kempe.kinematics import closure_rows
 from kempe.kinematics.common.result import Cells, Report
 from kempe.kinematics.configuration import as_q, has_loops, random
@@ -135,7 +135,10 @@ def _wanted(system: System, tasks: Any, task: str | None) -> tuple[list[Constrai
         if task is not None:
             raise InputError("task says what counts of a frame; with tasks of kempe.tasks leave it out")
         given: list[Any] = [tasks] if isinstance(tasks, Constraint) else list(name)
-        return given, ", ".join(getattr(t, "label", repr(t)) for t in given), None
+        wrong = [t for t in given if not isinstance(t, Constraint)]
+        if wrong:
+            raise InputError(f"{shown(wrong[0])} is no task; see kempe.tasks")
+        return given, ", ".join(t.label for t in given), None
     frame = system.structure.frame_name(name)
     kind = "pose" if task is None else task
     if kind not in OF_FRAMES:
