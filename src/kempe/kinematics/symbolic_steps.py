@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from kempe import spatial
 from kempe.calls import explained
 from kempe.errors import InputError, UnsupportedError, shown
@@ -150,8 +152,10 @@ def short_form(system: System, formula: Any) -> ShortForm:
     >>> short_form(arm, arm.symbolic.fk("e")[0, 3]).formula
     c1*l1 + c12*l2
     """
+    is_number: bool = isinstance(formula, np.generic)  # which older versions of sympy do not read
+    given: Any = np.asarray(formula).item() if is_number else formula
     try:
-        formula = sympy.sympify(formula, strict=True)  # text would be evaluated
+        formula = sympy.sympify(given, strict=True)  # text would be evaluated
     except sympy.SympifyError:
         raise InputError(f"formula is {shown(formula)}; it must be an expression or a matrix of sympy") from None
     if not isinstance(formula, (sympy.Basic, sympy.MatrixBase)):
