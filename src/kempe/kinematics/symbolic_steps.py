@@ -152,8 +152,8 @@ def short_form(system: System, formula: Any) -> ShortForm:
     >>> short_form(arm, arm.symbolic.fk("e")[0, 3]).formula
     c1*l1 + c12*l2
     """
-    is_number: bool = isinstance(formula, np.generic)  # which older versions of sympy do not read
-    given: Any = np.asarray(formula).item() if is_number else formula
+    number: Any = getattr(formula, "item", None)  # one of numpy, which older versions of sympy do not read
+    given: Any = number() if callable(number) and np.ndim(formula) == 0 else formula
     try:
         formula = sympy.sympify(given, strict=True)  # text would be evaluated
     except sympy.SympifyError:
