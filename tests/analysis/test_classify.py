@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import sympy
-from hunts import Hunt
+from hunts import Hunt, some
 from pfaffian import SYSTEMS, Pfaffian, growth_by_symbols
 from wheeled import KNOWN, close_by, on_plane, steered_car, trailers, two_axles
 
@@ -53,7 +53,7 @@ def test_mechanisms_of_the_literature(name: str, hunt: Hunt) -> None:
             assert found.velocity_dof == system.mobility(found.q, local=False).velocity_dof
 
 
-@pytest.mark.parametrize("name", [n for n in KNOWN if n not in ("five trailers", "ball that may jump")])
+@pytest.mark.parametrize("name", some([n for n in KNOWN if n not in ("five trailers", "ball that may jump")], 3))
 def test_reached_by_motions(name: str) -> None:
     """The dimension reached is the rank of the end of a motion by what is chosen on the way, by differences.
 

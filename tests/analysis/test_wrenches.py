@@ -5,6 +5,7 @@ from __future__ import annotations
 import closed_graphs
 import numpy as np
 import pytest
+from hunts import some
 from known_truths import bipartite
 
 import kempe
@@ -157,7 +158,7 @@ def test_a_contact_pushes_along_the_normal_and_a_wheel_across():
 # ---- self-stress
 
 
-@pytest.mark.parametrize("name", [n for n in library.names() if kempe.load(n).structure.closures])
+@pytest.mark.parametrize("name", some([n for n in library.names() if kempe.load(n).structure.closures], 3))
 def test_as_many_states_as_redundant_constraints(name):
     """The multipliers of maximal coordinates against the rank of screws; bodies and axes are in balance."""
     system = kempe.load(name)
