@@ -282,7 +282,7 @@ def about_center(s: System, q: np.ndarray, body: str, at: Screws) -> np.ndarray:
 def test_what_a_hinge_holds_already_is_redundant_in_a_pose(axis, rpy):
     """Of the six directions of a pose, in its own axes, only the turn about the hinge is needed."""
     m = Mechanism("door")
-    m.revolute("hinge", m.ground, m.body("door"), at=(0.4, 0.1, 0.2), axis=(0.6, 0.0, 0.8))
+    m.revolute("hinge", m.ground, m.body("door"), at=(0.4, 0.1, 0.2), rpy=(0.2, 0.3, 0.4))
     m.frame("knob", "door", at=(0, 0, 0.3), rpy=rpy)  # its `axis` is the hinge's
     s = m.build()
     m.constrain(c.Pose("knob", s.fk(s.q({"hinge": 0.7}), "knob")), "pose")
