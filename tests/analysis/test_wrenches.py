@@ -245,7 +245,7 @@ def carrying(dim: int, particle: bool) -> System:
 @pytest.mark.parametrize("particle", [False, True])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_what_an_arm_carries(dim, particle, moment):
-    """Motors hold -J^T W, and the first hinge with its motor the load and its moment; the ground carries what lies on it."""
+    """Motors hold -J^T W, the first hinge with its motor the load; the ground carries what lies on it."""
     s, rng = carrying(dim, particle), np.random.default_rng(2)
     q, frame = s.random(rng), "end" if particle else "tip"
     load = np.zeros(6)
