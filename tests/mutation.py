@@ -1,13 +1,15 @@
 """Mutations on the syntax tree of a module: small changes of its meaning that a test should notice.
 
 A mutation is a node and what stands in its place. Texts are left out: docstrings, messages, f-strings, what `__str__`
-gives, functions that make a sentence. So are annotations, decorators, assertions, and imports for type checking.
+gives, functions that make a sentence. So are annotations, decorators, assertions, imports for type checking, and what
+changes nothing by construction: `strict` of `zip`, and whether an array without entries holds zeros or ones.
 """
 
 from __future__ import annotations
 
 import ast
 import copy
+import re
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -54,7 +56,7 @@ class _Place(NamedTuple):
 
 
 def is_text(node: ast.AST) -> bool:
-    """Whether a node and what stands in it is a text, a type or an assertion."""
+    """Whether a node and what stands in it is a text, a type, or an assertion, such as `strict` of `zip`."""
     if isinstance(node, Function):
         spoken = node.returns is not None and ast.unparse(node.returns) in ("str", "str | None")
         return node.name in SPOKEN or spoken and any(isinstance(n, ast.JoinedStr) for n in ast.walk(node))
@@ -66,6 +68,8 @@ def is_text(node: ast.AST) -> bool:
         return any(_says(n) for n in (node.body, node.orelse))
     if isinstance(node, ast.Call):
         return isinstance(node.func, ast.Attribute) and (_says(node.func.value) or node.func.attr == "warn")
+    if isinstance(node, ast.keyword):
+        return node.arg == "strict"
     return isinstance(node, (ast.JoinedStr, ast.Assert, ast.Import, ast.ImportFrom))
 
 
@@ -143,7 +147,8 @@ def _counts(node: ast.AST) -> bool:
 def _calls(node: ast.Call) -> Iterator[ast.AST]:
     """A call with another function, with its first two arguments swapped, without one of those that have a name."""
     name = node.func.id if isinstance(node.func, ast.Name) else getattr(node.func, "attr", "")
-    if name in NAMES:
+    empty = name in ("zeros", "ones") and re.search(r"\b0\b", ast.unparse(node.args[0]))
+    if name in NAMES and not empty:
         field = "id" if isinstance(node.func, ast.Name) else "attr"
         yield _changed(node, func=_changed(node.func, **{field: NAMES[name]}))
     first = node.args[:2]
@@ -151,7 +156,7 @@ def _calls(node: ast.Call) -> Iterator[ast.AST]:
         if ast.dump(first[0]) != ast.dump(first[1]):
             yield _changed(node, args=[first[1], first[0], *node.args[2:]])
     for i, keyword in enumerate(node.keywords):
-        if keyword.arg:
+        if keyword.arg and not is_text(keyword):
             yield _changed(node, keywords=node.keywords[:i] + node.keywords[i + 1 :])
 
 

@@ -257,10 +257,3 @@ class Series:
         jet.jets(e.ints, e.floats, e.ties, e.numbers, self._q, self._v, first, last, self._poses, self._extra,
              self._frames, self._tapes, self.values)  # fmt: skip
         return self.values[:, last]
-
-    @property
-    def frames(self) -> Array:
-        """Series (n, 2 * number of ties, order + 1, 3, 4) of the frames that are tied."""
-        f = self._frames
-        R, p = f[..., :9].reshape(*f.shape[:-1], 3, 3), f[..., 9:, None]
-        return np.concatenate([R, p], axis=-1)
