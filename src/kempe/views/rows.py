@@ -13,8 +13,9 @@ from kempe.description.source import expanded, no_file
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.common.tabular import SUFFIXES, table_file, write_table
 from kempe.kinematics.configuration import as_q, closed_from, from_home
+from kempe.model.tree.coordinates import units
 from kempe.reals import reals
-from kempe.views.facts import DEGREE, in_degrees, pose_rows, units
+from kempe.views.facts import DEGREE, in_degrees, pose_rows
 
 if TYPE_CHECKING:
     from kempe.model.system import System
