@@ -8,7 +8,7 @@ import kempe
 from kempe.errors import InputError, UnknownNameError
 
 ARMS = {"panda": "hand", "ball": None, "four_bar": None, "two_link": None, "joint_free": None}
-FORMS = {"pose": 16, "3x4": 12, "position": 3, "position_quat_wxyz": 7}
+FORMS = {"matrix": 16, "3x4": 12, "position": 3, "position_quat_wxyz": 7}
 
 
 def arm(name):
@@ -21,7 +21,7 @@ def same(form, given, X):
         turned = Rotation.from_quat(given[..., 3:].reshape(-1, 4), scalar_first=True).as_matrix()
         assert np.abs(turned.reshape(*X.shape[:-2], 3, 3) - X[..., :3, :3]).max(initial=0.0) < 1e-6
         given, form = given[..., :3], "position"
-    wanted = {"pose": X, "3x4": X[..., :3, :], "position": X[..., :3, 3]}[form]
+    wanted = {"matrix": X, "3x4": X[..., :3, :], "position": X[..., :3, 3]}[form]
     assert given.shape == wanted.shape and np.abs(given - wanted).max(initial=0.0) < 1e-6
 
 

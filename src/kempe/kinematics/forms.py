@@ -49,7 +49,7 @@ def _position_quat_wxyz(X: Array) -> Array:
 
 
 FORMS = {
-    "pose": Form((4, 4), _pose), "3x4": Form((3, 4), _rows), "position": Form((3,), _position),
+    "matrix": Form((4, 4), _pose), "3x4": Form((3, 4), _rows), "position": Form((3,), _position),
     "position_quat_wxyz": Form((7,), _position_quat_wxyz),
 }  # fmt: skip
 """The forms by their names."""

@@ -199,14 +199,14 @@ def fk(
     that shape. Large batches run in `threads` threads (default: as many as there are processors).
 
     `form` says what takes the place of (4, 4): "3x4" the upper three rows, "position" three numbers,
-    "position_quat_wxyz" seven, "pose" (the same as None) all. `dtype` float32 halves what is written; it is computed in
+    "position_quat_wxyz" seven, "matrix" (the same as None) all. `dtype` float32 halves what is written; it is computed in
     float64. Only "position" of one frame is less work than a pose.
 
     A NaN, an infinity or a zero quaternion that a pose depends on is an `InputError`; in a batch the first three rows
     of such a pose are NaN and all others are right. Errors: `UnknownNameError` for names, `InputError` for shapes.
     """
     if form is not None or dtype is not None:
-        return in_form(system, q, frame, out, threads, "pose" if form is None else form, dtype)
+        return in_form(system, q, frame, out, threads, "matrix" if form is None else form, dtype)
     if frame is not None and not isinstance(frame, (list, tuple)):
         return _query(system, frame)(None, q, out, threads)
     key = None if frame is None else tuple(system.structure.frame_name(f) for f in frame)

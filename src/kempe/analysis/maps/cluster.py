@@ -32,18 +32,19 @@ def connected(client: Any) -> Any:
 
 
 class ClusterWorkers:
-    """The workers of a cluster, given at most `most` tasks at once."""
+    """The workers of a cluster, given at most `most` tasks at once, or else two a thread."""
 
     finishes = False
 
-    def __init__(self, client: Any, most: int):
-        self.client, self.most = client, most
+    def __init__(self, client: Any, most: int | None = None):
+        self.client, self.fixed, self.most = client, most, most or 2
 
     def wait(self, futures: list[Any]) -> set[Any]:
         """Those that are done, after a while perhaps none."""
         import distributed
 
         tasks: Any = distributed
+        self.most = self.fixed or max(2, 2 * sum(self.client.nthreads().values()))
         try:
             return tasks.wait(futures, timeout=LOOK, return_when="FIRST_COMPLETED").done
         except TimeoutError:

@@ -34,13 +34,17 @@ class PartLog:
     """The folder of the parts of what is made at a path.
 
     `said` is what the work is, as plain data, and `needed` the bytes that the disk must have free. After `begin`,
-    `done` are the parts that are whole, and `damaged` says how many were not.
+    `done` are the parts that are whole, `damaged` says how many were not, and `header` is what they were said to be.
     """
+
+    loose: tuple[str, ...] = ()
+    """What of the work may differ from what is there."""
 
     def __init__(self, path: Path, said: dict[str, Any], needed: int):
         self.path, self.folder, self.said, self.needed = path, path.with_name(path.name + ".parts"), said, needed
         self.done: list[Part] = []
-        self.damaged = 0
+        self.damaged, self.header = 0, said
+        self.keys = [key for key in said if key not in self.loose]
 
     def sound(self, part: Part) -> bool:
         """Whether what is on disk of a part is what was written."""
@@ -56,11 +60,12 @@ class PartLog:
         read: list[Any] = [_read(line) for line in lines]
         header, rest = read[:1], read[1:]
         whole = header != [None]  # else all is done anew
-        refuse_other(header[0] if whole and header else self.said, self.said, str(self.folder))
+        self.header = header[0] if whole and header else self.said
+        refuse_other(self.header, self.said, str(self.folder), self.keys)
         found: dict[int, Part] = {x[0]: Part(*x) for x in rest if x is not None} if whole else {}
         self._make()
         self.done = [part for part in sorted(found.values()) if self.sound(part)]
-        self.damaged = len(found) - len(self.done) + rest.count(None) if whole else 1
+        self.damaged += len(found) - len(self.done) + rest.count(None) if whole else 1
         if torn or self.damaged or not header:
             self.write_list()
 
