@@ -1,5 +1,7 @@
 """The forward model in other forms than whole poses."""
 
+import pickle
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -70,3 +72,33 @@ def test_wrong_forms_are_named():
         system.fk(system.mid, frame, form="3x4", dtype="int32")
     with pytest.raises(InputError, match=r"shape \(7,\)"):
         system.fk(system.mid, frame, np.empty(6), form="position_quat_wxyz")
+
+
+@pytest.mark.parametrize("dtype", [None, "float32"])
+@pytest.mark.parametrize("form", [None, *FORMS])
+def test_queries_have_forms(form, dtype):
+    system, frame = arm("panda")
+    query, q = system.query(frame, form, dtype), system.random(1, 30)
+    for some in (q, q[0], q[:0]):
+        assert np.array_equal(query(some), system.fk(some, frame, form=form, dtype=dtype))
+        assert np.array_equal(pickle.loads(pickle.dumps(query))(some), query(some))
+    out = np.empty((30, *query(q[0]).shape), dtype=dtype)
+    assert query(q, out) is out and np.array_equal(out, query(q))
+    assert np.array_equal(query.jacobian(q), system.jacobian(q, frame))
+
+
+def test_wrong_forms_of_queries_are_named_at_once():
+    system, frame = arm("panda")
+    with pytest.raises(UnknownNameError, match="position_quat_wxyz"):
+        system.query(frame, "quaternion")
+    with pytest.raises(InputError, match="float32"):
+        system.query(frame, dtype=int)
+    with pytest.raises(UnknownNameError, match="elbow"):
+        system.query("elbow", "position")
+
+
+def test_a_particle_has_the_unit_quaternion():
+    m = kempe.Mechanism("rail")
+    m.joint("x", "prismatic", m.ground, m.particle("bead"), axis="x")
+    found = m.build().fk([[0.5], [1.0]], "bead", form="position_quat_wxyz")
+    assert np.array_equal(found, [[0.5, 0, 0, 1, 0, 0, 0], [1.0, 0, 0, 1, 0, 0, 0]])
