@@ -36,7 +36,7 @@ FOLDERS: dict[str, list[set[str]]] = {
                 {"analytic"}, {"."}],
     "solvers.analytic": [{"plans"}, {"answers"}, {"."}, {"describe", "redundant"}],
     "analysis": [{"first_order"}, {"local"}, {"mobility"}, {"continuation"}, {"motion"}, {"manoeuvre"}, {"simulation"},
-                 {"spaces"}],
+                 {"maps"}, {"spaces"}],
     "analysis.spaces": [{"configuration", "planar", "singular", "workspace"}, {"reach"}],
     "views": [{"drawing"}, {"."}, {"input", "viewer"}],
 }  # fmt: skip

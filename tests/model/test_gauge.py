@@ -26,7 +26,7 @@ def differences(table, n=40):
         T, J = np.empty((n, 4, 4)), np.empty((n, 6, table.nv))
         table_sweep.jacobian(*packed, q, 0, T, J)
         C = np.empty((n, 4, 4))
-        chain.chain_poses(*packed, q, C)
+        chain.chain_poses(*packed, q, C.reshape(n, 16))
         results += [(T, J, C)]
     return after[0], [np.abs(a - b).max() / size for a, b in zip(*results, strict=True)]
 
