@@ -2,8 +2,8 @@
 
 Each interval is cut until on it every branch is proven to exist throughout, or nowhere, or to end once: where one of
 its functions has one simple root, which opposite signs at the ends of the interval and a slope that is not zero prove
-(Moore, Kearfott, Cloud, *Introduction to Interval Analysis*, 2009). A function that is convex on an interval, positive at
-its ends, and zero to rounding between them, only touches zero there, as at a change point of a parallelogram.
+(Moore, Kearfott, Cloud, *Introduction to Interval Analysis*, 2009). A function that is convex on an interval, positive
+at its ends, and zero to rounding between them, only touches zero there, as at a change point of a parallelogram.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from kempe.analysis.spaces.configuration.dyad_branches import SOUND, Branches
+from kempe.analysis.spaces.curves.branches import SOUND, Branches
 from kempe.kinematics.common.enclosures import interval
 from kempe.spatial import Array
 
@@ -26,7 +26,7 @@ SPLIT = 0.4871
 """Where intervals are cut: not in the middle, so that roots at round numbers do not fall on their ends."""
 COARSE, FINE = 1e-6, 1e-13
 """Widths, as parts of the whole, at which functions that touch zero are looked for, and at which it is given up."""
-MOST = 60_000
+MOST = 16_000
 """Intervals, times branches, at most."""
 TOUCHING = 4e-12
 """Size of a function, as a part of its largest, at which it counts as zero where it touches it."""

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from kempe.analysis.spaces.configuration.branch_intervals import (
+from kempe.analysis.spaces.curves.branch_intervals import (
     ALIVE,
     DEAD,
     LEFT,
@@ -25,12 +25,19 @@ from kempe.analysis.spaces.configuration.branch_intervals import (
     Cells,
     Decider,
 )
-from kempe.analysis.spaces.configuration.dyad_branches import LIMIT, Branches
+from kempe.analysis.spaces.curves.branches import LIMIT, Branches
+from kempe.analysis.spaces.curves.dyad_branches import dyad_branches
+from kempe.analysis.spaces.curves.skew_branches import skew_branches
+from kempe.model.kept import kept
 from kempe.spatial import Array
+from kempe.words import counted
 
 if TYPE_CHECKING:
+    from kempe.model.system import System
     from kempe.solvers.common.clock import TimeLimit
 
+TRIES = 4
+"""Coordinates over which is swept at most."""
 AT_LEFT, AT_RIGHT = (ALIVE, LEFT, TOUCH, OPEN), (ALIVE, RIGHT, TOUCH, OPEN)
 """States with which a branch is there, or may be, at the left and right ends of an interval."""
 
@@ -55,6 +62,15 @@ class Sweep:
         """Whether the number of components is proven, not only a lower bound."""
         return not bool(self.cells.open.any())
 
+    @property
+    def reason(self) -> str:
+        """What was proven, and how."""
+        k, name = len(self.signs), self.branches.name
+        over = f"{k} branch{'es' * (k > 1)} over {name!r}, bounded on {counted(len(self.label), 'interval')}"
+        touching = counted(len(self.crossings), "place") if len(self.crossings) else ""
+        over += f"; they touch in {touching}, to rounding" if touching else ""
+        return over if self.complete else f"{over}, and open where several of them meet"
+
     @cached_property
     def starts(self) -> Array:
         """A configuration (count, nq) on each component, in the middle of its widest interval."""
@@ -78,7 +94,8 @@ class Sweep:
         """The components (n,) of configurations (n, nq); -1 where it is not certain."""
         b, out = self.branches, np.full(len(q), -1)
         for i, row in enumerate(q):
-            x = row[b.place] - (2.0 * np.pi * np.floor((row[b.place] - b.low) / (2.0 * np.pi)) if b.closes else 0.0)
+            x = float(row[b.place])
+            x -= 2.0 * np.pi * np.floor((x - b.low) / (2.0 * np.pi)) if b.closes else 0.0
             cell = int(np.clip(np.searchsorted(self.cells.low, x, side="right") - 1, 0, len(self.label) - 1))
             near = b.signs_of(row[None])[0]
             same = np.all((self.signs == near) | (near == 0.0), axis=1) & (self.cells.state[cell] != DEAD)
@@ -89,38 +106,55 @@ class Sweep:
 
 def swept(branches: Branches, time: TimeLimit) -> Sweep:
     """The components of a curve."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     run = Decider(branches, time)
     cells = run.cells()
+    group = _joined(branches, run.signs, cells)
+    present = np.unique(group[(cells.state != DEAD) & (cells.state != OPEN)])
+    label = np.where(np.isin(group, present) & (cells.state != DEAD), np.searchsorted(present, group), -1)
+    stops = [label[np.isin(cells.state, (LEFT, RIGHT)) & (cells.kind == LIMIT)]]
+    if not branches.closes:
+        stops += [label[c][np.isin(cells.state[c], there)] for c, there in ((0, AT_LEFT), (-1, AT_RIGHT))]
+    ends = np.bincount(np.concatenate(stops) + 1, minlength=len(present) + 1)[1:]
+    return Sweep(branches, run.signs, cells, label, len(present), ends)
+
+
+def _joined(branches: Branches, signs: Array, cells: Cells) -> np.ndarray:
+    """The numbers (n, k) of what is joined, of each branch on each interval."""
+    from scipy.sparse import coo_matrix, csgraph
+
     (n, k), node = cells.state.shape, np.arange(cells.state.size).reshape(cells.state.shape)
-    following = np.roll(node, -1, axis=0)[: n if branches.closes else n - 1]
-    here, there = node[: len(following)], following
-    joined = np.isin(cells.state, AT_RIGHT)[: len(here)] & np.isin(np.roll(cells.state, -1, axis=0), AT_LEFT)[: len(here)]
-    pairs = [(here[joined], there[joined])]
-    flipped = np.array([[_number(s * np.where(np.arange(len(s)) == m, -1.0, 1.0)) for m in range(branches.signs)]
-                        for s in run.signs]).reshape(k, -1)  # fmt: skip
+    last = n if branches.closes else n - 1
+    goes_on = np.isin(cells.state, AT_RIGHT) & np.roll(np.isin(cells.state, AT_LEFT), -1, axis=0)
+    pairs = [(node[:last][goes_on[:last]], np.roll(node, -1, axis=0)[:last][goes_on[:last]])]
     i, j = np.nonzero(np.isin(cells.state, (LEFT, RIGHT, TOUCH, POINT)) & (cells.kind >= 0))
-    pairs.append((node[i, j], node[i, flipped[j, cells.kind[i, j]]]))
+    digit = 2 ** (branches.signs - 1 - cells.kind[i, j])
+    pairs.append((node[i, j], node[i, j + np.where(signs[j, cells.kind[i, j]] > 0.0, digit, -digit)]))
     for row in np.flatnonzero(cells.open):
         some = node[row][cells.state[row] == OPEN]
         pairs.append((some[:-1], some[1:]))
     a, b = (np.concatenate(x) for x in zip(*pairs, strict=True))
-    group = connected_components(coo_matrix((np.ones(len(a)), (a, b)), shape=(n * k, n * k)), directed=False)[1]
-    known = (cells.state != DEAD) & (cells.state != OPEN)
-    present = np.unique(group[known.ravel()])
-    label = np.where(cells.state.ravel() == DEAD, -1, np.searchsorted(present, group).clip(max=max(len(present) - 1, 0)))
-    label = np.where(np.isin(group, present), label, -1).reshape(n, k)
-    ends = np.zeros(len(present), dtype=int)
-    stops = label[np.isin(cells.state, (LEFT, RIGHT)) & (cells.kind == LIMIT)]
-    if not branches.closes:
-        first, last = (label[c][np.isin(cells.state[c], there)] for c, there in ((0, AT_LEFT), (-1, AT_RIGHT)))
-        stops = np.concatenate([stops, first, last])
-    np.add.at(ends, stops[stops >= 0], 1)
-    return Sweep(branches, run.signs, cells, label, len(present), ends)
+    graph: Any = coo_matrix((np.ones(len(a)), (a, b)), shape=(n * k, n * k))
+    label: np.ndarray = cast(Any, csgraph).connected_components(graph)[1]
+    return label.reshape(n, k)
 
 
-def _number(signs: Array) -> int:
-    """Place of a branch among all, + before -."""
-    return int(sum(2 ** (len(signs) - 1 - m) for m, s in enumerate(signs) if s < 0.0))
+@kept
+def _found(_system: System) -> list[Sweep | str]:
+    """Where what was found of a system is kept."""
+    return []
+
+
+def sweep_of(system: System, time: TimeLimit) -> Sweep | str:
+    """The sweep that proves most, over the coordinates that can be used; or why there is none."""
+    found = _found(system)
+    if not found:
+        branches = dyad_branches(system) if system.dim == 2 else skew_branches(system)
+        best: Sweep | str = branches if isinstance(branches, str) else ""
+        for way in branches[:TRIES] if not isinstance(branches, str) else ():
+            sweep = swept(way, time)
+            better = isinstance(best, str) or (sweep.complete, sweep.count) > (best.complete, best.count)
+            best = sweep if better else best
+            if sweep.complete:
+                break
+        found.append(best)
+    return found[0]

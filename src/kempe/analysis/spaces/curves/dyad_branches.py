@@ -9,57 +9,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.analysis.first_order.constraint_graph import structure
+from kempe.analysis.spaces.curves.branches import SOUND, Branches, Function, within, within_turn
 from kempe.kernels.dyads import dyads_layout as K
-from kempe.kinematics.common.enclosures import UNIT, Enclosure, constant, cos_sin
+from kempe.kinematics.common.enclosures import Enclosure, constant, cos_sin
 from kempe.kinematics.configuration import circles
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.kept import kept
 from kempe.solvers.dyads.assur_groups import Decomposition
 from kempe.solvers.dyads.decompose import NOWHERE, parts_of
-from kempe.solvers.dyads.dyads import Plan, closed_form
+from kempe.solvers.dyads.dyads import CLOSED, Plan, closed_form
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-LIMIT, SOUND = -1, -2
-"""Kinds of functions beside the numbers of the signs that flip where they are zero: a limit, and what is never zero."""
 MOST_SIGNS = 8
 """Branch signs up to which all branches are followed."""
-Function = tuple[Enclosure, int]
-"""A function that is positive where a branch exists, and its kind."""
+MEETING = 1e-7
+"""Height of a dyad, as a part of the mechanism's size, up to which its sign is not sure."""
 Vector = tuple[Enclosure, Enclosure]
-
-
-@dataclass(frozen=True, eq=False)
-class Branches:
-    """The branches of a mechanism over one coordinate `name` from `low` to `high`, which meet if it `closes`.
-
-    `signs` is the number of their signs, `functions(x, signs)` are those that are positive where branches exist, for
-    the coordinate as an enclosure of n intervals, and signs (n, signs).
-    """
-
-    system: System
-    name: str
-    low: float
-    high: float
-    closes: bool
-    signs: int
-    functions: Callable[[Enclosure, Array], list[Function]] = field(repr=False)
-    at: Callable[[Array, Array], Array] = field(repr=False)
-    """Configurations (n, nq) for values (n,) of the coordinate and signs (n, signs)."""
-    signs_of: Callable[[Array], Array] = field(repr=False)
-    """Signs (n, signs) of configurations (n, nq)."""
-
-    @property
-    def place(self) -> int:
-        """The place of the coordinate in q."""
-        return self.system.coordinate_names.index(self.name)
 
 
 @kept
@@ -70,26 +43,53 @@ def dyad_branches(system: System) -> tuple[Branches, ...] | str:
         return parts.trouble
     if one_sided_rows(system).declared or parts.misfit > 0.0:
         return "it has one-sided constraints, or fixed joints that close a loop"
+    aside = _aside(system)
     slots = [link.slot for link in parts.links if link.slot != NOWHERE]
-    if Decomposition(system, parts, []).freedom() - len(slots) + len({*slots}) != 1:
-        return "by counting, it has not one freedom"
+    if Decomposition(system, parts, []).freedom() - len(slots) + len({*slots}) != 1 + len(aside):
+        return "by counting, its loops have not one freedom"
     turns, layout = circles(system), system.structure.layout
     out: list[tuple[bool, Branches]] = []
-    for iq, iv in zip(layout.vector_q.tolist(), layout.vector_v.tolist(), strict=True):
-        name, (low, high) = system.coordinate_names[iq], system.structure.limits[iv].tolist()
-        plan = closed_form(system, name)
+    places = zip(map(int, layout.vector_q), map(int, layout.vector_v), strict=True)
+    for iq, iv in places:
+        name: str = system.coordinate_names[iq]
+        low, high = map(float, system.structure.limits[iv])
+        plan = closed_form(system, (name, *aside)) if name not in aside else None
         if isinstance(plan, Plan) and plan.signs <= MOST_SIGNS and (turns[iv] or math.isfinite(high - low)):
             walk = Walk(system, plan)
             if walk.sound:
                 ends = (0.1 - math.pi, 0.1 + math.pi + 1e-15) if turns[iv] else (low, high)
-                found = Branches(system, name, *ends, bool(turns[iv]), plan.signs, walk, _solved(plan), plan.branch_of)
+                found = Branches(system, name, *ends, bool(turns[iv]), plan.signs, walk, _solved(plan), _signs(plan))
                 out.append((bool(turns[iv]), found))
     out.sort(key=lambda x: (not x[0], x[1].signs))
     return tuple(x for _, x in out) or "no coordinate that is bounded gives all others by dyads"
 
 
+def _aside(system: System) -> list[str]:
+    """Coordinates of joints that are in no loop: they are what they are, whatever loops do."""
+    moved = {v for c in structure(system).clusters for v in c.velocities}
+    layout = system.structure.layout
+    pairs = zip(layout.vector_q.tolist(), layout.vector_v.tolist(), strict=True)
+    return [system.coordinate_names[iq] for iq, iv in pairs if iv not in moved]
+
+
 def _solved(plan: Plan) -> Callable[[Array, Array], Array]:
-    return lambda x, signs: plan.solve(x[:, None], signs)[0]
+    rest = plan.system.q_dict(plan.system.mid)
+
+    def at(x: Array, signs: Array) -> Array:
+        others = [np.full_like(x, rest[name]) for name in plan.known[1:]]
+        return plan.solve(np.stack([x, *others], axis=1), signs)[0]
+
+    return at
+
+
+def _signs(plan: Plan) -> Callable[[Array], Array]:
+    least = MEETING / CLOSED * plan.tolerance
+
+    def signs_of(q: Array) -> Array:
+        h = plan.heights(q)
+        return np.where(np.abs(h) > least, np.sign(h), 0.0)
+
+    return signs_of
 
 
 class Walk:
@@ -98,12 +98,15 @@ class Walk:
     def __init__(self, system: System, plan: Plan):
         ints, floats = (a.tolist() for a in plan.program)
         self.registers, self.first = ints[K.N_REGISTERS], ints[K.COORDINATES]
-        self.signs, self.known = ints[K.SIGNS], ints[K.HEADER]
+        self.signs = ints[K.SIGNS]
+        self.known, *aside = (self.first + slot for slot in ints[K.HEADER : K.HEADER + ints[K.N_KNOWN]])
+        self.aside = {place: float(system.mid[place - self.first]) for place in aside}
         start = K.HEADER + ints[K.N_KNOWN]
         self.ops = [(ints[start + K.OP_INTS * k :][: K.OP_INTS], floats[K.OP_FLOATS * k :][: K.OP_FLOATS])
                     for k in range(ints[K.N_OPS])]  # fmt: skip
         layout = system.structure.layout
-        self.limits = dict(zip(layout.vector_q.tolist(), system.structure.limits[layout.vector_v].tolist(), strict=True))
+        bounds = system.structure.limits[layout.vector_v].tolist()
+        self.limits = dict(zip(layout.vector_q.tolist(), bounds, strict=True))
         self.turns = dict(zip(layout.vector_q.tolist(), circles(system)[layout.vector_v].tolist(), strict=True))
         self.sound = all(self._understood(i, f) for i, f in self.ops)
 
@@ -117,7 +120,8 @@ class Walk:
                 return True
             return abs(f[2]) == 1.0 and (self.turns[slot] or f[6] - f[5] < 2.0 * math.pi * (1.0 - 1e-9))
         if code in (K.TURN, K.SLIDE):
-            return i[3] == self.first + self.known or (code == K.TURN and abs(f[0]) == 1.0)
+            given = i[3] == self.known or i[3] in self.aside
+            return given or (code == K.TURN and abs(f[0]) == 1.0)
         return code in (K.DIVIDE, K.CARRY, K.REBASE, K.CIRCLES, K.LINE_CIRCLE, K.LINES)
 
     def __call__(self, x: Enclosure, signs: Array) -> list[Function]:
@@ -126,15 +130,16 @@ class Walk:
         none, unit = (constant(np.array([value]), order) for value in (0.0, 1.0))
         poses: dict[int, Any] = {K.REGISTERS + 4 * k: (unit, none, none, none) for k in range(self.registers)}
         angles: dict[int, Vector] = {}
+        given = {self.known: x} | {k: constant(np.array([value]), order) for k, value in self.aside.items()}
         out: list[Function] = []
         for i, f in self.ops:
             code = i[0]
             if code == K.TURN:
-                c, s = cos_sin(x * f[0]) if i[3] == self.first + self.known else _scaled(angles[i[3]], f[0])
+                c, s = _scaled(angles[i[3]], f[0]) if i[3] in angles else cos_sin(given[i[3]] * f[0])
                 a = times(times(poses[i[2]], f[1:5]), (c, s, 0.0, 0.0))
                 poses[i[1]] = times(a, f[5:9])
             elif code == K.SLIDE:
-                poses[i[1]] = times(times(times(poses[i[2]], f[1:5]), (1.0, 0.0, x * f[0], 0.0)), f[5:9])
+                poses[i[1]] = times(times(times(poses[i[2]], f[1:5]), (1.0, 0.0, given[i[3]] * f[0], 0.0)), f[5:9])
             elif code == K.DIVIDE:
                 poses[i[1]] = times(poses[i[1]], inverted(poses[i[2]]))
             elif code == K.CARRY:
@@ -145,10 +150,10 @@ class Walk:
             elif code == K.READ_TURN:
                 if i[3] >= self.first:
                     angles[i[3]] = _read_turn(poses, i, f)
-                    out += _within_turn(angles[i[3]], f[5], f[6])
+                    out += within_turn(angles[i[3]], f[5], f[6])
             elif code == K.READ_SLIDE:
                 if i[3] >= self.first:
-                    out += _within(_read_slide(poses, i, f), *self.limits[i[3] - self.first])
+                    out += within(_read_slide(poses, i, f), *self.limits[i[3] - self.first])
             else:
                 group = {K.CIRCLES: _circles, K.LINE_CIRCLE: _line_circle, K.LINES: _lines}[code]
                 number = i[7] - self.signs
@@ -271,16 +276,3 @@ def _read_slide(poses: Any, i: list[int], f: list[float]) -> Enclosure:
     px, py, dx, dy = _rail(poses[i[1]], f)
     qx, qy, *_ = _rail(poses[i[2]], f[4:])
     return ((qx - px) * dx + (qy - py) * dy) * f[8] + f[9]
-
-
-def _within_turn(angle: Vector, low: float, high: float) -> list[Function]:
-    """What is positive where an angle is between two limits less than a turn apart."""
-    if not (math.isfinite(low) or math.isfinite(high)):
-        return []
-    mid, half = 0.5 * (low + high), 0.5 * (high - low)
-    edge = constant(np.array([math.cos(half)]), len(angle[0].mid) - 1, UNIT)
-    return [(angle[0] * math.cos(mid) + angle[1] * math.sin(mid) - edge, LIMIT)]
-
-
-def _within(value: Enclosure, low: float, high: float) -> list[Function]:
-    return [(x, LIMIT) for x, bound in ((value - low, low), (high - value, high)) if math.isfinite(bound)]
