@@ -59,7 +59,8 @@ MUTANTS = """
 
 Small changes of the source (a comparison turned round, a sign, a number, an argument or a statement left out), drawn by
 a seed, as many from each area, each run against the tests that reach it until one fails. Left out are texts, types,
-assertions (`strict` of `zip` among them), the values of arrays without entries, and the compiled kernels.
+assertions (`strict` of `zip` among them), the values of arrays without entries, defaults of arguments that are not
+read, and the compiled kernels.
 `python tests/mutants.py --seed {seed} -n {count}` does it again.
 
 """

@@ -2,7 +2,8 @@
 
 A mutation is a node and what stands in its place. Texts are left out: docstrings, messages, f-strings, what `__str__`
 gives, functions that make a sentence. So are annotations, decorators, assertions, imports for type checking, and what
-changes nothing by construction: `strict` of `zip`, and whether an array without entries holds zeros or ones.
+changes nothing by construction: `strict` of `zip`, whether an array without entries holds zeros or ones, defaults of
+arguments that a function does not read.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ NAMES = {
     a: b for p in ("min max", "any all", "minimum maximum", "argmin argmax", "sin cos", "zeros ones", "floor ceil")
     for a, b in (p.split(), p.split()[::-1])
 }  # fmt: skip
-SYMMETRIC = {"max", "min", "maximum", "minimum", "hypot", "allclose", "isclose", "gcd", "array_equal"}
+SYMMETRIC = {"max", "min", "maximum", "minimum", "hypot", "allclose", "isclose", "gcd", "array_equal", "parallel"}
 SKIPPED = {"annotation", "returns", "decorator_list", "exc", "cause"}
 SPOKEN = {"__repr__", "__str__", "_repr_html_", "__format__"}
 
@@ -96,12 +97,22 @@ def _walk(tree: ast.Module, starts: list[tuple[list[Any], int, str]]) -> Iterato
                     count[inside] = count.get(inside, -1) + 1
                     segment = f"{inside}:{count[inside]}"
                     starts.append((value, i, segment))
-                if isinstance(node, ast.AST) and not is_text(node):
+                if isinstance(node, ast.AST) and not is_text(node) and id(node) not in unread:
                     yield _Place(parent, field, i if isinstance(value, list) else None, node, inside, segment)
                     named = isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef))
                     yield from visit(node, f"{scope}{node.name}." if named else scope, inside, segment)
 
+    unread = {id(x) for f in ast.walk(tree) if isinstance(f, Function) for x in _unread(f)}
     yield from visit(tree, "", "", "")
+
+
+def _unread(function: Function) -> Iterator[ast.AST]:
+    """Defaults of arguments that a function does not read, but takes as others of its kind do."""
+    read = {n.id for s in function.body for n in ast.walk(s) if isinstance(n, ast.Name)}
+    given = [*function.args.posonlyargs, *function.args.args]
+    pairs = [*zip(given[::-1], function.args.defaults[::-1], strict=False)]
+    pairs += zip(function.args.kwonlyargs, function.args.kw_defaults, strict=True)
+    yield from (x for a, x in pairs if x is not None and a.arg not in read)
 
 
 def _changed(node: Any, **fields: Any) -> Any:

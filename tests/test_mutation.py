@@ -11,7 +11,7 @@ from __future__ import annotations
 
 SIZE: int = 3
 
-def size(x, least=0):
+def size(x, least=0, unread=5, *, other=7):
     """The size of 1 thing."""
     assert x >= 0, "negative"
     if x < least:

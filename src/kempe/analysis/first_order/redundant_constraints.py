@@ -261,7 +261,7 @@ def _choose(rows: Sequence[_JointReaction], count: int) -> list[list[_JointReact
             options = [(own, _independent(own, left, part)) for own in owners.values()]
             options = [(own, picked) for own, picked in options if picked]
             if options:
-                found = min(options, key=lambda o: (-len(o[1]) if o[0][0].edge else 0, o[0][0].rank))[1]
+                found = min(options, key=lambda o: (-len(o[1]) * bool(o[0][0].edge), o[0][0].rank))[1]
                 break
         if found is None:
             break

@@ -282,9 +282,9 @@ def _joint_curves(over: SweepProblem, parameter: str | None, samples: int) -> Jo
         )
     name = locked[0] if parameter is None else parameter
     others = {n: float(over.fixed[n]) for n in locked if n in over.fixed}
-    if len(others) + 1 < len(locked):
+    if left := [n for n in locked if n not in (name, *others)]:
         q = over.place()
-        others |= {n: float(q[lines.q_index[lines.names.index(n)]]) for n in locked if n not in (name, *others)}
+        others |= {n: float(q[lines.q_index[lines.names.index(n)]]) for n in left}
     i = lines.names.index(name)
     first, last = domains(lines)[:, i].tolist()
     domain: tuple[float, float] = first, last

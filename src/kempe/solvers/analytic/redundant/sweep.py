@@ -241,7 +241,7 @@ class Sweep(Answer):
         low, high = next((a, b) for a, b in self.intervals[best.branch] if a <= best.value <= b)
         step = (high - low) / (TRIES - 1)
         while step > 1e-10:
-            values = np.clip(best.value + step * np.linspace(-1.0, 1.0, 21), low, high)
+            values = np.clip(np.linspace(best.value - step, best.value + step, 21), low, high)
             best = self._best_of(score, best.branch, values, best) or best
             step *= 0.1
         return best
