@@ -57,7 +57,7 @@ class ClusterWorkers:
         return isinstance(future.exception(), KilledWorker)
 
     def give_up(self, futures: list[Any]) -> None:
-        """Cancel them."""
+        """Drop tasks that are not done."""
         self.client.cancel(futures)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kempe.analysis.maps.cluster import ClusterWorkers, connected
-from kempe.analysis.maps.part_log import Part
+from kempe.analysis.maps.part_log import DonePart
 from kempe.analysis.maps.row_sources import RowSource, open_rows
 from kempe.analysis.maps.row_store import RowStore
 from kempe.analysis.maps.row_verbs import VERBS, RowJob, job_of
@@ -137,7 +137,7 @@ def _chunk(job: RowJob, rows: RowSource) -> int:
 
 
 def _fill(store: RowStore, client: Any, threads: int, spend: Budget, clock: TimeLimit) -> None:
-    """Have all rows answered that are not. Errors: those of tasks, and what broke it off."""
+    """Answer all rows that are not answered. Errors: those of tasks, and what broke it off."""
     n, pace = store.source.n, Pace(spend.progress, 0, store.source.n)
 
     def checked(done: int) -> None:
@@ -158,11 +158,11 @@ def _fill(store: RowStore, client: Any, threads: int, spend: Budget, clock: Time
     store.finish()
 
 
-def _local(store: RowStore, tasks: list[tuple[int, int]], threads: int, clock: TimeLimit) -> Iterator[Part]:
+def _local(store: RowStore, tasks: list[tuple[int, int]], threads: int, clock: TimeLimit) -> Iterator[DonePart]:
     """The parts that threads of this process make of ranges of rows."""
     with ThreadWorkers(threads, spare=1) as workers:
 
-        def work(first: int, last: int, rows: Any) -> Part:
+        def work(first: int, last: int, rows: Any) -> DonePart:
             return store.made(first, last, rows, store.job.answers(rows))
 
         def begin(task: tuple[int, int], _: int) -> Any:
@@ -172,7 +172,7 @@ def _local(store: RowStore, tasks: list[tuple[int, int]], threads: int, clock: T
             yield part
 
 
-def _far(store: RowStore, tasks: list[tuple[int, int]], client: Any, clock: TimeLimit) -> Iterator[Part]:
+def _far(store: RowStore, tasks: list[tuple[int, int]], client: Any, clock: TimeLimit) -> Iterator[DonePart]:
     """The parts of which the workers of a cluster give the answers: rows go there, and answers come back."""
     sent: dict[int, Any] = {}
 

@@ -21,7 +21,7 @@ from kempe.errors import DiskError, InputError
 LIST = "parts.jsonl"
 
 
-class Part(NamedTuple):
+class DonePart(NamedTuple):
     """Number `first` to `last` of the work, the checksum of what was made, and that of what it was made of."""
 
     first: int
@@ -42,11 +42,11 @@ class PartLog:
 
     def __init__(self, path: Path, said: dict[str, Any], needed: int):
         self.path, self.folder, self.said, self.needed = path, path.with_name(path.name + ".parts"), said, needed
-        self.done: list[Part] = []
+        self.done: list[DonePart] = []
         self.damaged, self.header = 0, said
         self.keys = [key for key in said if key not in self.loose]
 
-    def sound(self, part: Part) -> bool:
+    def sound(self, part: DonePart) -> bool:
         """Whether what is on disk of a part is what was written."""
         raise NotImplementedError
 
@@ -62,7 +62,7 @@ class PartLog:
         whole = header != [None]  # else all is done anew
         self.header = header[0] if whole and header else self.said
         refuse_other(self.header, self.said, str(self.folder), self.keys)
-        found: dict[int, Part] = {x[0]: Part(*x) for x in rest if x is not None} if whole else {}
+        found: dict[int, DonePart] = {x[0]: DonePart(*x) for x in rest if x is not None} if whole else {}
         self._make()
         self.done = [part for part in sorted(found.values()) if self.sound(part)]
         self.damaged += len(found) - len(self.done) + rest.count(None) if whole else 1
@@ -82,7 +82,7 @@ class PartLog:
             raise DiskError(f"{self.folder}: {free / 1e6:.3g} MB are free on this disk; the map needs up to "
                             f"{self.needed / 1e6:.3g} MB while it is made")  # fmt: skip
 
-    def add(self, part: Part) -> None:
+    def add(self, part: DonePart) -> None:
         """Write down that one more part is done. Errors: `DiskError`."""
         try:
             with open(self.folder / LIST, "ab") as stream:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from kempe.analysis.maps.part_log import Part, PartLog, not_written, refuse_other
+from kempe.analysis.maps.part_log import DonePart, PartLog, not_written, refuse_other
 from kempe.analysis.maps.row_sources import DAMAGED, RowSource
 from kempe.analysis.maps.row_verbs import AXES, Arrays, RowJob, axes_of
 from kempe.analysis.maps.zarr_folders import (
@@ -33,7 +33,7 @@ SUMS = {
     "checksum": ("checksum", "checksum of the answers to a chunk"),
     "source_checksum": ("source", "checksum of the rows of a chunk"),
 }
-"""Arrays with an entry for each chunk, what of a `Part` they hold, and in words."""
+"""Arrays with an entry for each chunk, what of a `DonePart` they hold, and in words."""
 
 
 def checksum_of_arrays(arrays: Arrays) -> str:
@@ -93,7 +93,7 @@ class RowStore(PartLog):
             self.damaged = 1
             return False
         starts = range(0, self.source.n, self.chunk)
-        parts = [Part(at, min(at + self.chunk, self.source.n), f"{a:016x}", f"{b:016x}")
+        parts = [DonePart(at, min(at + self.chunk, self.source.n), f"{a:016x}", f"{b:016x}")
                  for at, a, b in zip(starts, *(s.tolist() for s in sums), strict=False)]  # fmt: skip
         self.done = [part for part in parts if self.sound(part)]
         self._refuse_changed()
@@ -110,11 +110,11 @@ class RowStore(PartLog):
         return False
 
     def _open(self, folder: Path, mode: str) -> None:
-        """Have the arrays of the group in a folder for those that are read and written."""
+        """Take the arrays of the group in a folder for those that are read and written."""
         group = zarr_library().open_group(str(folder), mode=mode)
         self.arrays = {name: group[name] for name in self.job.layout}
 
-    def sound(self, part: Part) -> bool:
+    def sound(self, part: DonePart) -> bool:
         """Whether the answers to a part are those that were written."""
         self.checked(part.first)
         try:
@@ -167,14 +167,14 @@ class RowStore(PartLog):
 
     # ---- what is done
 
-    def made(self, first: int, last: int, rows: Any, arrays: Arrays) -> Part:
+    def made(self, first: int, last: int, rows: Any, arrays: Arrays) -> DonePart:
         """Write the answers to the rows `first` to `last`; to be added when that is done. Errors: `DiskError`."""
         try:
             for name, array in arrays.items():
                 self.arrays[name][first:last] = array
         except OSError as error:
             raise not_written(self.folder / ROWS, error) from error
-        return Part(first, last, checksum_of_arrays(arrays), checksum_of_arrays({"rows": rows}))
+        return DonePart(first, last, checksum_of_arrays(arrays), checksum_of_arrays({"rows": rows}))
 
     def outcomes(self) -> dict[str, int]:
         """How many rows have which outcome, by its name, of those that are done."""

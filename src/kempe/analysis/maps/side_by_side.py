@@ -51,7 +51,7 @@ class Workers(Protocol):
         ...
 
     def give_up(self, futures: list[Any]) -> None:
-        """Have no more work done for these."""
+        """Drop these, or wait for them."""
         ...
 
 

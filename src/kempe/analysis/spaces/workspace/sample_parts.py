@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from kempe.analysis.maps.part_log import Part, PartLog, write_whole
+from kempe.analysis.maps.part_log import DonePart, PartLog, write_whole
 from kempe.errors import DiskError
 
 BLOCK = 2**18
@@ -32,15 +32,15 @@ class SampleParts(PartLog):
         super().__init__(path, said, 3 * 8 * entries)
         self.entries = entries
 
-    def file(self, part: Part) -> Path:
+    def file(self, part: DonePart) -> Path:
         """Where the counts of a part are."""
         return self.folder / f"{part.first}-{part.last}.npy"
 
-    def sound(self, part: Part) -> bool:
+    def sound(self, part: DonePart) -> bool:
         """Whether the counts are there, and those that were written."""
         return self.read(part) is not None
 
-    def read(self, part: Part) -> np.ndarray | None:
+    def read(self, part: DonePart) -> np.ndarray | None:
         """The counts of a part; None where they are not what was written."""
         try:
             counts = np.load(self.file(part), allow_pickle=False)
@@ -54,15 +54,15 @@ class SampleParts(PartLog):
         if len(self.done) > MANY:
             self._merge()
 
-    def _written(self, first: int, last: int, counts: np.ndarray) -> Part:
-        part = Part(first, last, checksum_of(counts))
+    def _written(self, first: int, last: int, counts: np.ndarray) -> DonePart:
+        part = DonePart(first, last, checksum_of(counts))
         write_whole(self.file(part), lambda stream: np.save(stream, counts))
         return part
 
     def _merge(self) -> None:
         """Put parts that follow each other into one file; the former ones go when the list no longer names them."""
         former = self.done
-        runs: list[list[Part]] = []
+        runs: list[list[DonePart]] = []
         for part in sorted(former):
             if runs and runs[-1][-1].last == part.first:
                 runs[-1].append(part)
@@ -75,7 +75,7 @@ class SampleParts(PartLog):
         for part in set(former) - set(self.done):
             self.file(part).unlink(missing_ok=True)
 
-    def total(self, parts: list[Part] | None = None) -> np.ndarray:
+    def total(self, parts: list[DonePart] | None = None) -> np.ndarray:
         """The sum (entries,) of parts, by default of all, of uint64. Errors: `DiskError`."""
         out = np.zeros(self.entries, dtype=np.uint64)
         for part in self.done if parts is None else parts:
