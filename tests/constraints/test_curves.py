@@ -109,6 +109,17 @@ def test_gradients_by_differences_of_the_judge(name, dim, hunt):
     assert np.median(off) < 1e-9
 
 
+@pytest.mark.parametrize("name", ["arc", "open eight"])
+def test_directions_across_a_curve_do_not_jump_where_pieces_join(name):
+    """Values beside the curve, just before and just after each of its points."""
+    points, closed = CURVES[name]
+    s = scipy_spline(points, closed)
+    for side in np.random.default_rng(4).normal(size=(3, 3)):
+        before, after = (s(s.x[1:-1] + h) + 0.02 * side for h in (-1e-8, 1e-8))
+        t = tape_of(points, closed, 3)
+        np.testing.assert_allclose(judged(t, before), judged(t, after), atol=1e-6)
+
+
 @pytest.mark.parametrize("dim", [2, 3])
 def test_series_by_values_along_a_line(dim):
     """Orders of the kernel's series, summed, against the numpy judge a little further on the line."""
