@@ -80,7 +80,7 @@ class ThreadWorkers:
         return False
 
     def give_up(self, futures: list[Future[Any]]) -> None:
-        """Wait for those that are begun."""
+        """Let those end that are begun."""
         wait(futures)
 
 
