@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from kempe.analysis.spaces.curves.branch_functions import LIMIT, BranchFunctions
 from kempe.analysis.spaces.curves.branch_intervals import (
     ALIVE,
     DEAD,
@@ -25,7 +26,6 @@ from kempe.analysis.spaces.curves.branch_intervals import (
     Cells,
     Decider,
 )
-from kempe.analysis.spaces.curves.branch_functions import LIMIT, BranchFunctions
 from kempe.analysis.spaces.curves.dyad_branches import dyad_branches
 from kempe.analysis.spaces.curves.skew_branches import skew_branches
 from kempe.model.kept import kept
