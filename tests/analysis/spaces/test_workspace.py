@@ -196,8 +196,7 @@ def test_the_time_limit_ends_it_with_what_was_done():
     workspace = two_bars(0.5, 0.3).workspace("tip", n=1e13, budget=budget)
     assert workspace.code is Status.OUT_OF_TIME and 0 < workspace.samples < 1e13 and not workspace
     assert workspace.map.counts.sum() == workspace.samples and "were requested" in workspace.status
-    done, of, rate, left = said[-1]
-    assert done == workspace.samples and of == 10**13 and rate > 0 and left > 0
+    assert said[-1] == (workspace.samples, 10**13)
 
 
 def free_slide():
@@ -218,7 +217,9 @@ BAD = {
     "box is": lambda s: s.workspace("tip", box=[(1, 0), (0, 1)]),
     "does not move": lambda s: s.workspace("ground"),
     "'rail' has no limits": lambda s: free_slide().workspace("tip"),
-    "'leg": lambda s: kempe.load("stewart").workspace("tool"),
+    "'leg6' have no limits, and so the frame 'tool' no end of places: give a box": lambda s: kempe.load(
+        "stewart"
+    ).workspace("tool"),
     "workspace does not read": lambda s: s.workspace("tip", budget=Budget(points=7)),
     "threads is 0": lambda s: s.workspace("tip", budget=Budget(threads=0)),
     "rng is -1": lambda s: s.workspace("tip", budget=Budget(rng=-1)),

@@ -22,20 +22,17 @@ WAKE = 0.2
 
 
 class Pace:
-    """Says how far the work is: calls `progress(done, total, samples a second, seconds left)` now and then."""
+    """Says how far the work is: calls `progress(done, total)` now and then."""
 
-    def __init__(self, progress: Callable[..., Any] | None, done: int, total: int):
-        self.progress, self.before, self.total = progress, done, total
-        self.begin = self.said = time.monotonic()
+    def __init__(self, progress: Callable[..., Any] | None, total: int):
+        self.progress, self.total, self.said = progress, total, time.monotonic()
 
     def __call__(self, done: int, at_once: bool = False) -> None:
         """Say that so many samples are done, if it is time, or at once."""
         now = time.monotonic()
-        if self.progress is None or (now - self.said < WAKE and not at_once):
-            return
-        self.said = now
-        rate = (done - self.before) / max(now - self.begin, 1e-9)
-        self.progress(done, self.total, rate, (self.total - done) / rate if rate > 0.0 else float("inf"))
+        if self.progress is not None and (now - self.said >= WAKE or at_once):
+            self.said = now
+            self.progress(done, self.total)
 
 
 class Threads:

@@ -76,7 +76,8 @@ def write_map(path: Path, stored: Stored) -> None:
         for name, middles in axes.items():
             array = group.create_array(
                 name, shape=middles.shape, dtype=np.float64, chunks=middles.shape, dimension_names=(name,),
-                attributes={"units": stored.map.unit, "long_name": f"{name} in the ground frame"},
+                attributes={"units": "1" if name == "height" else stored.map.unit,
+                            "long_name": f"{name} in the ground frame"},
             )  # fmt: skip
             array[...] = middles
         with warnings.catch_warnings():
@@ -119,7 +120,7 @@ def read_map(path: Path) -> Stored:
         group = zarr.open_group(str(path), mode="r", zarr_format=3)
         made = json.loads(group.attrs["kempe"])
         counts = np.asarray(group["counts"][...])
-        grid = Grid(**{k: tuple(made[k]) for k in ("low", "high", "cells", "axes")})
+        grid = Grid(**{k: tuple(made[k]) for k in ("low", "high", "cells", "axes", "names")})
     except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
         raise DamagedError(f"{path} is damaged ({type(error).__name__}: {error}); {again}") from error
     if counts.shape != grid.shape or checksum_of(counts) != made["checksum"]:
