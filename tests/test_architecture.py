@@ -34,7 +34,7 @@ FOLDERS: dict[str, list[set[str]]] = {
     "solvers.analytic": [{"plans"}, {"answers"}, {"."}, {"describe", "redundant"}],
     "analysis": [{"first_order"}, {"local"}, {"mobility"}, {"continuation"}, {"motion"}, {"manoeuvre"}, {"simulation"},
                  {"spaces"}],
-    "analysis.spaces": [{"configuration", "planar", "singular", "workspace"}, {"reach"}],
+    "analysis.spaces": [{"configuration", "kinds", "singular"}, {"planar"}, {"workspace"}, {"reach"}],
     "views": [{"drawing"}, {"."}, {"input", "viewer"}],
 }  # fmt: skip
 """In each package the order of its folders, and of single modules that stand apart; "." is what lies in no folder.

@@ -92,7 +92,7 @@ def test_slides():
 
 def grid(system, workspace, n=90):
     """The area by a grid of points, each decided by `ik` with limits, and the largest it can be wrong by."""
-    size = workspace.chain.size
+    size = workspace.region.size
     x = np.linspace(-size, size, n)
     points = np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1)
     return points.reshape(-1, 2), (x[1] - x[0]) ** 2

@@ -14,9 +14,9 @@ from reached_sets import ANNULUS, two_bars
 import kempe
 from kempe import Budget, Mechanism, Status
 from kempe.analysis.spaces.workspace.cell_map import Grid
-from kempe.analysis.spaces.workspace.legs import legs_of
+from kempe.analysis.spaces.kinds.legs import legs_of
 from kempe.analysis.spaces.workspace.outer_bounds import outer_measure
-from kempe.analysis.spaces.workspace.questions import coordinates_of, rotations_at, spread_rotations
+from kempe.analysis.spaces.kinds.questions import coordinates_of, rotations_at, spread_rotations
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 
 A, B, H = 0.5, 0.3, 0.1

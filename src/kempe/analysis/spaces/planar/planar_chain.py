@@ -11,19 +11,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from kempe.analysis.spaces.planar.planar_region import NOTHING, SAME, PlanarRegion
 from kempe.analysis.spaces.planar.plane_curves import TURN, PlanePiece, meetings, merged
-
-NOTHING = 1e-12
-SAME = 1e-10
-"""Difference, in sizes of the chain, up to which circles and lines are the same."""
-BESIDE = 1e-6
-"""How far beside a curve points are tried, in sizes of the chain, and at most as a part of the curve's length."""
-PART = 0.02
 
 
 @dataclass(frozen=True)
@@ -82,7 +76,7 @@ class PlanarJoint:
 
 
 @dataclass(frozen=True)
-class PlanarChain:
+class PlanarChain(PlanarRegion):
     """The joints of a chain from the ground on, and the point that they lead, all of them at zero."""
 
     joints: tuple[PlanarJoint, ...]
@@ -161,34 +155,25 @@ class PlanarChain:
             out.append((a * (c * t + d) + b, a * c * u))
         return out
 
-    # ---- which points are reached
+    @property
+    def counted(self) -> bool:
+        """Whether it says in how many ways a point is reached: two joints do."""
+        return len(self.joints) == 2
 
-    @cached_property
-    def ends(self) -> list[PlanePiece]:
-        """The boundary of the workspace: pieces that have the workspace to their left only."""
-        return [p for p, left, right in self.sides if left and not right]
+    @property
+    def limited(self) -> int:
+        """How many joints have limits."""
+        return sum(bool(j.limits) for j in self.joints)
 
-    @cached_property
-    def sides(self) -> list[tuple[PlanePiece, int, int]]:
-        """The candidates, cut where they meet, with how many solutions (of two joints; else 1) are on either side.
+    @property
+    def is_curve(self) -> bool:
+        """Whether it is a curve, without area."""
+        return len(self.joints) == 1
 
-        Each is turned so that it has more to its left.
-        """
-        out: list[tuple[PlanePiece, int, int]] = []
-        for i, piece in enumerate(self.candidates):
-            cuts = [meetings(piece, other) for j, other in enumerate(self.candidates) if j != i]
-            t = np.unique(np.concatenate([[0.0, 1.0], *cuts]).clip(0.0, 1.0))
-            t = t[np.concatenate([[True], np.diff(t) * piece.length > 10.0 * SAME * self.size])]
-            t[-1] = 1.0
-            for a, b in itertools.pairwise(t):
-                part = piece.part(a, b)
-                beside = min(BESIDE * self.size, PART * part.length) * 1j * part.tangent(0.47)
-                left, right = (self.solutions(complex(part.at(0.47)) + s * beside) for s in (1.0, -1.0))
-                if left >= right:
-                    out.append((part, left, right))
-                else:
-                    out.append((part.part(1.0, 0.0), right, left))
-        return out
+    def moved(self, by: complex) -> PlanarChain:
+        """The chain, moved as a whole."""
+        joints = [j if j.axis is None else replace(j, axis=j.axis + by) for j in self.joints]
+        return PlanarChain(tuple(joints), self.tip + by)
 
     def solutions(self, p: complex) -> int:
         """In how many ways two joints reach a point; of more whether they do, 0 or 1."""
@@ -201,12 +186,6 @@ class PlanarChain:
         t = np.unique(t.clip(0.0, 1.0))
         return int(any(self.tail.holds(complex(curve.at(0.5 * (a + b)))) for a, b in itertools.pairwise(t)))
 
-    def holds(self, p: complex) -> bool:
-        """Whether a point, which is not on the boundary, is inside it: by how often the boundary goes round it."""
-        if len(self.joints) == 1:
-            return False
-        return round(sum(_turn_about(piece, p) for piece in self.ends) / TURN) != 0
-
 
 def _carried(motion: tuple[complex, complex], z: complex) -> complex:
     return motion[0] * z + motion[1]
@@ -215,21 +194,3 @@ def _carried(motion: tuple[complex, complex], z: complex) -> complex:
 def _moved(piece: PlanePiece, motion: tuple[complex, complex]) -> PlanePiece:
     a, centre = motion[0], _carried(motion, piece.centre)
     return PlanePiece(centre, piece.radius, piece.start + float(np.angle(a)), piece.sweep, a * piece.way)
-
-
-def _turn_about(piece: PlanePiece, p: complex) -> float:
-    """The angle by which the way from p to a point turns as this goes along a piece."""
-    a, b = complex(piece.at(0.0)) - p, complex(piece.at(1.0)) - p
-    if not piece.is_arc:
-        return float(np.angle(b / a))
-    # along the arc the angle is that of the chord, and a full turn more where p lies between the two
-    parts = max(1, int(np.ceil(abs(piece.sweep) / 1.5)))
-    total = 0.0
-    for k in range(parts):
-        small = piece.part(k / parts, (k + 1) / parts)
-        a, b = complex(small.at(0.0)) - p, complex(small.at(1.0)) - p
-        angle = float(np.angle(b / a))
-        inside = abs(p - small.centre) < small.radius
-        beyond = np.imag((p - small.at(0.0)) * np.conj(small.at(1.0) - small.at(0.0))) * np.sign(small.sweep) < 0.0
-        total += angle + (TURN * np.sign(small.sweep) if inside and beyond else 0.0)
-    return total

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from kempe.analysis.spaces.kinds.questions import Question
 from kempe.analysis.spaces.workspace.cell_map import CellMap
-from kempe.analysis.spaces.workspace.questions import Question
 from kempe.errors import MissingExtraError
 from kempe.spatial import Array
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.analysis.spaces.kinds.questions import question_of
 from kempe.analysis.spaces.workspace.cell_map import CellMap
 from kempe.analysis.spaces.workspace.counting_runs import Pace, Threads
 from kempe.analysis.spaces.workspace.map_files import (
@@ -19,7 +20,6 @@ from kempe.analysis.spaces.workspace.map_files import (
     write_map,
     zarr_library,
 )
-from kempe.analysis.spaces.workspace.questions import question_of
 from kempe.analysis.spaces.workspace.recipe import Recipe, recipe_of
 from kempe.analysis.spaces.workspace.sample_parts import SampleParts, refuse_other
 from kempe.analysis.spaces.workspace.workspace import Workspace, of_stored

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe.analysis.spaces.kinds.legs import legs_of
 from kempe.analysis.spaces.workspace.cell_map import Grid
-from kempe.analysis.spaces.workspace.legs import legs_of
 from kempe.kernels.forward.table_layout import (
     COS_OFFSET,
     KIND,

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import __version__
+from kempe.analysis.spaces.kinds.questions import ORIENTATION, RANGES, TURNED, Question
 from kempe.analysis.spaces.workspace.cell_map import FEW_CELLS, USUAL_CELLS, Grid, cell_counts, grid_of
-from kempe.analysis.spaces.workspace.questions import ORIENTATION, RANGES, TURNED, Question
 from kempe.errors import InputError, KernelsError
 from kempe.kernels.compiled import VARIANT, lane_positions
 from kempe.kernels.forward.table_layout import Q_INDEX, rows_of

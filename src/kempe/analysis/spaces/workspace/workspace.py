@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.analysis.spaces.kinds.questions import DEXTEROUS, ORIENTATION, Question, coordinates_of, read_rotations
+from kempe.analysis.spaces.planar.planar_of_systems import planar_region
+from kempe.analysis.spaces.planar.planar_workspace import PlanarWorkspace
 from kempe.analysis.spaces.workspace import map_measures
 from kempe.analysis.spaces.workspace.cell_map import CellMap
 from kempe.analysis.spaces.workspace.map_files import Stored, description_of, read_map, write_map
 from kempe.analysis.spaces.workspace.outer_bounds import outer_measure
-from kempe.analysis.spaces.workspace.questions import DEXTEROUS, ORIENTATION, Question, coordinates_of, read_rotations
 from kempe.analysis.spaces.workspace.sample_parts import refuse_other
 from kempe.calls import explained, explained_methods
 from kempe.errors import InputError, UnsupportedError
@@ -30,6 +32,9 @@ if TYPE_CHECKING:
 
 MEASURES = {1: ("length", "m"), 2: ("area", "m^2"), 3: ("volume", "m^3")}
 """What is measured in one, two and three dimensions, and its unit."""
+MOST_LIMITED = 3
+ROUNDING = 1e-9
+"""Error of an exact area, in squares of the size of its chain."""
 
 
 @explained_methods
@@ -81,9 +86,31 @@ class Workspace(Report):
         return self.question.kind
 
     @cached_property
+    def exact(self) -> PlanarWorkspace | None:
+        """The exact workspace of a planar system, as `System.reach.planar` has it; None where that is not known.
+
+        It is not looked for where more than three joints of a chain have limits, which takes long, nor used where it is
+        not inside the box.
+        """
+        try:
+            region = planar_region(self.system, self.frame, self.question)
+        except (UnsupportedError, InputError):
+            return None
+        if region.limited > MOST_LIMITED or len(self.map.grid.axes) != 2:
+            return None
+        found, grid = PlanarWorkspace(self.system, self.frame, region, self.kind), self.map.grid
+        low, high = found.extent
+        return found if (low >= grid.low[:2]).all() and (high <= grid.high[:2]).all() else None
+
+    @cached_property
     def measure(self) -> tuple[float, float]:
-        """Length, area or volume of what is reached in the box, as it has dimensions, and the error."""
-        return self.estimate
+        """Length, area or volume of what is reached in the box, as it has dimensions, and the error.
+
+        It is the `estimate`, or where the workspace is known exactly its area, with an error that is rounding.
+        """
+        if self.exact is None:
+            return self.estimate
+        return self.exact.area, ROUNDING * self.exact.region.size**2
 
     @cached_property
     def estimate(self) -> tuple[float, float]:
@@ -105,9 +132,12 @@ class Workspace(Report):
         """A lower and an upper bound of the measure in the box.
 
         The lower one is the value less its error: each point that it counts is reached, so that only chance, which
-        points were drawn, makes it too large (in one of 40 cases). The upper one is proven, by lengths and limits.
+        points were drawn, makes it too large (in one of 40 cases). The upper one is proven, by lengths and limits, or
+        rounding away from an exact measure.
         """
         whole, (value, error) = math.prod(self.map.cell) * self.map.counts.size, self.measure
+        if self.exact is not None:
+            return value - error, value + error
         outer = whole if self.kind == ORIENTATION else outer_measure(self.system, self.frame, self.map.grid)
         return max(value - error, 0.0), max(outer, value - error)
 
@@ -138,26 +168,31 @@ class Workspace(Report):
     def contains(self, points: ArrayLike, check: bool = False) -> np.ndarray:
         """Whether points (..., d) in the ground frame [m] are reached (...); d is 2 or 3, as of the system.
 
-        In a cell that has samples, as all cells around it have, the map decides, unless `check` is True: that is no
-        proof for each point of it. All others are decided by the inverse model, which finds a configuration or not.
-        Of the kind "orientation" points are rotations (..., 3, 3), in the plane also angles (...).
+        The `exact` workspace decides where there is one, unless `check` is True. Else the map does in a cell that has
+        samples, as all cells around it have: that is no proof for each point of it. All others, and with `check` all,
+        are decided by the inverse model, which finds a configuration or not. Of the kind "orientation" points are
+        rotations (..., 3, 3), in the plane also angles (...).
         """
         flat, lead = self._points(points)
-        if check:
+        if self.exact is not None and not check:
+            found = self.exact.contains(flat)
+        elif check:
             found = self.question.reached(self.system, self.frame, flat, self.seed)
         else:
             found = map_measures.decided(self.system, self.frame, self.map, flat, self.seed, self.question)
         return found.reshape(lead)
 
     def distance(self, points: ArrayLike) -> Array:
-        """Distance (...) [m] of points (..., d) from the boundary of the map, negative outside.
+        """Distance (...) [m] of points (..., d) from the boundary, negative outside: of the `exact` one, or of the map.
 
-        It is measured to the middle of the nearest boundary cell, so it may be off by half the diagonal of a cell
-        (`resolution`), and by what the samples missed. Errors: `UnsupportedError` for orientations.
+        Of the map it is that of the middle of the nearest boundary cell, so it may be off by half the diagonal of a
+        cell (`resolution`), and by what the samples missed. Errors: `UnsupportedError` for orientations.
         """
         if self.kind == ORIENTATION:
             raise UnsupportedError("distances are those of places, not of orientations")
         flat, lead = self._points(points)
+        if self.exact is not None:
+            return (self.exact.distance(flat) * np.where(self.exact.contains(flat), 1.0, -1.0)).reshape(lead)
         return map_measures.to_boundary(self.map, flat[:, self.map.grid.kept]).reshape(lead)
 
     @property

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import spatial
-from kempe.analysis.spaces.workspace.legs import legs_of
+from kempe.analysis.spaces.kinds.legs import legs_of
 from kempe.budget import Budget
 from kempe.calls import known, numbers
 from kempe.errors import InputError, shown
@@ -61,6 +61,10 @@ class Question:
     def rotations(self) -> Array:
         """The orientations (k, 3, 3) that count."""
         return np.reshape(self.turns, (-1, 3, 3))
+
+    def all_turns(self, dim: int) -> bool:
+        """Whether the orientations stand for all of them."""
+        return len(self.turns) == TURNS[dim] and np.array_equal(self.rotations, spread_rotations(TURNS[dim], dim))
 
     @property
     def noun(self) -> str:

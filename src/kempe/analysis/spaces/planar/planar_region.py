@@ -1,0 +1,91 @@
+"""Regions of the plane that are bounded by arcs and segments: of candidates those with the region on one side only."""
+
+from __future__ import annotations
+
+import itertools
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from kempe.analysis.spaces.planar.plane_curves import TURN, PlanePiece, meetings
+
+NOTHING = 1e-12
+SAME = 1e-10
+"""Difference, in sizes of a region, up to which circles and lines are the same."""
+BESIDE = 1e-6
+"""How far beside a curve points are tried, in sizes of a region, and at most as a part of the curve's length."""
+PART = 0.02
+
+
+class PlanarRegion:
+    """A region by the curves on which it can end, and by what it says of single points."""
+
+    size: Any
+    """A length of it in metres."""
+    candidates: Any
+    """Pieces of all curves on which it can end: a list of `PlanePiece`."""
+    counted: Any
+    """Whether `solutions` counts, or else is 0 or 1."""
+    is_curve: Any
+    """Whether it is a curve, without area."""
+
+    @property
+    def limited(self) -> int:
+        """How many joints with limits one chain has at most: the work grows with a power of that."""
+        raise NotImplementedError
+
+    def solutions(self, p: complex) -> int:
+        """In how many ways a point that is on no candidate is reached."""
+        raise NotImplementedError
+
+    @cached_property
+    def ends(self) -> list[PlanePiece]:
+        """The boundary of the workspace: pieces that have the workspace to their left only."""
+        return [p for p, left, right in self.sides if left and not right]
+
+    @cached_property
+    def sides(self) -> list[tuple[PlanePiece, int, int]]:
+        """The candidates, cut where they meet, with how many solutions are on either side.
+
+        Each is turned so that it has more to its left.
+        """
+        out: list[tuple[PlanePiece, int, int]] = []
+        for i, piece in enumerate(self.candidates):
+            cuts = [meetings(piece, other) for j, other in enumerate(self.candidates) if j != i]
+            t = np.unique(np.concatenate([[0.0, 1.0], *cuts]).clip(0.0, 1.0))
+            t = t[np.concatenate([[True], np.diff(t) * piece.length > 10.0 * SAME * self.size])]
+            t[-1] = 1.0
+            for a, b in itertools.pairwise(t):
+                part = piece.part(a, b)
+                beside = min(BESIDE * self.size, PART * part.length) * 1j * part.tangent(0.47)
+                left, right = (self.solutions(complex(part.at(0.47)) + s * beside) for s in (1.0, -1.0))
+                if left >= right:
+                    out.append((part, left, right))
+                else:
+                    out.append((part.part(1.0, 0.0), right, left))
+        return out
+
+    def holds(self, p: complex) -> bool:
+        """Whether a point, which is not on the boundary, is inside it: by how often the boundary goes round it."""
+        if self.is_curve:
+            return False
+        return round(sum(_turn_about(piece, p) for piece in self.ends) / TURN) != 0
+
+
+def _turn_about(piece: PlanePiece, p: complex) -> float:
+    """The angle by which the way from p to a point turns as this goes along a piece."""
+    a, b = complex(piece.at(0.0)) - p, complex(piece.at(1.0)) - p
+    if not piece.is_arc:
+        return float(np.angle(b / a))
+    # along the arc the angle is that of the chord, and a full turn more where p lies between the two
+    parts = max(1, int(np.ceil(abs(piece.sweep) / 1.5)))
+    total = 0.0
+    for k in range(parts):
+        small = piece.part(k / parts, (k + 1) / parts)
+        a, b = complex(small.at(0.0)) - p, complex(small.at(1.0)) - p
+        angle = float(np.angle(b / a))
+        inside = abs(p - small.centre) < small.radius
+        beyond = np.imag((p - small.at(0.0)) * np.conj(small.at(1.0) - small.at(0.0))) * np.sign(small.sweep) < 0.0
+        total += angle + (TURN * np.sign(small.sweep) if inside and beyond else 0.0)
+    return total
