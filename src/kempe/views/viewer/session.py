@@ -13,9 +13,9 @@ from kempe.errors import InputError, KempeError
 from kempe.kinematics.closure_rows import evaluate
 from kempe.kinematics.configuration import as_q, distance, has_loops, mid, random
 from kempe.kinematics.measure import judge
+from kempe.model.tree.coordinates import units
 from kempe.solvers.assembly.charts import Chart, independent
 from kempe.spatial import Array
-from kempe.views.facts import units
 
 if TYPE_CHECKING:
     from kempe.model.system import System

@@ -184,7 +184,7 @@ class PlanarChain(PlanarRegion):
             return len(meetings(curve, self.joints[1].curve(self.tip), 0.0))
         t = np.concatenate([[0.0, 1.0], *[meetings(curve, end) for end in self.tail.ends]])
         t = np.unique(t.clip(0.0, 1.0))
-        return int(any(self.tail.holds(complex(curve.at(0.5 * (a + b)))) for a, b in itertools.pairwise(t)))
+        return int(self.tail.holds(curve.at(0.5 * (t[1:] + t[:-1]))).any())
 
 
 def _carried(motion: tuple[complex, complex], z: complex) -> complex:

@@ -8,7 +8,6 @@ Mechanism and Machine Theory 33 (1998).
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -85,7 +84,7 @@ class Surrounded(PlanarRegion):
         """1 for a point that it holds, else 0."""
         circle = PlanePiece(p, self.radius, 0.0, TURN)
         t = np.unique(np.concatenate([[0.0, 1.0], *[meetings(circle, end) for end in self.inner.ends]]).clip(0.0, 1.0))
-        return int(all(self.inner.holds(complex(circle.at(0.5 * (a + b)))) for a, b in itertools.pairwise(t)))
+        return int(self.inner.holds(circle.at(0.5 * (t[1:] + t[:-1]))).all())
 
 
 def wrist_of(chain: PlanarChain) -> tuple[PlanarChain, complex] | None:

@@ -66,26 +66,25 @@ class PlanarRegion:
                     out.append((part.part(1.0, 0.0), right, left))
         return out
 
-    def holds(self, p: complex) -> bool:
-        """Whether a point, which is not on the boundary, is inside it: by how often the boundary goes round it."""
-        if self.is_curve:
-            return False
-        return round(sum(_turn_about(piece, p) for piece in self.ends) / TURN) != 0
+    def holds(self, p: Any) -> Any:
+        """Whether points (...), which are not on the boundary, are inside it: by how often this goes round them."""
+        z = np.asarray(p)
+        turns = sum((_turn_about(piece, z) for piece in self.ends), np.zeros(z.shape))
+        return np.round(turns / TURN) != 0
 
 
-def _turn_about(piece: PlanePiece, p: complex) -> float:
-    """The angle by which the way from p to a point turns as this goes along a piece."""
+def _turn_about(piece: PlanePiece, p: np.ndarray) -> np.ndarray:
+    """The angles by which the way from points (...) to a point turns as this goes along a piece."""
     a, b = complex(piece.at(0.0)) - p, complex(piece.at(1.0)) - p
     if not piece.is_arc:
-        return float(np.angle(b / a))
+        return np.angle(b * a.conj())
     # along the arc the angle is that of the chord, and a full turn more where p lies between the two
     parts = max(1, int(np.ceil(abs(piece.sweep) / 1.5)))
-    total = 0.0
+    total = np.zeros(p.shape)
     for k in range(parts):
         small = piece.part(k / parts, (k + 1) / parts)
-        a, b = complex(small.at(0.0)) - p, complex(small.at(1.0)) - p
-        angle = float(np.angle(b / a))
-        inside = abs(p - small.centre) < small.radius
-        beyond = np.imag((p - small.at(0.0)) * np.conj(small.at(1.0) - small.at(0.0))) * np.sign(small.sweep) < 0.0
-        total += angle + (TURN * np.sign(small.sweep) if inside and beyond else 0.0)
+        ends = complex(small.at(0.0)), complex(small.at(1.0))
+        inside, side = np.abs(p - small.centre) < small.radius, np.sign(small.sweep)
+        beyond = np.imag((p - ends[0]) * np.conj(ends[1] - ends[0])) * side < 0.0
+        total += np.angle((ends[1] - p) * (ends[0] - p).conj()) + TURN * side * (inside & beyond)
     return total

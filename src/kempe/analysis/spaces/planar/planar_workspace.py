@@ -99,17 +99,16 @@ class PlanarWorkspace(Report):
         return tuple(loop for loop in loops if _area(loop) < 0.0)
 
     def contains(self, points: ArrayLike) -> Any:
-        """Whether points (..., 2) or (..., 3) are reached, by the inverse model; on the boundary rounding decides.
+        """Whether points (..., 2) or (..., 3) are reached: the boundary goes round them. On it rounding decides.
 
         Of a curve they are those within 1e-9 of its length.
         """
         p = self._points(points)
         if self.region.is_curve:
-            on = self.distance(points) <= 1e-9 * self.region.size
-            return bool(on) if p.ndim == 0 else on
-        out = np.zeros(p.shape, dtype=bool)
-        for i in np.ndindex(p.shape):
-            out[i] = bool(np.isfinite(p[i])) and self.region.solutions(complex(p[i])) > 0
+            out = np.asarray(self.distance(points) <= 1e-9 * self.region.size)
+        else:
+            finite = np.isfinite(p)
+            out = finite & self.region.holds(np.where(finite, p, 0.0))
         return bool(out) if out.ndim == 0 else out
 
     def solutions(self, points: ArrayLike) -> Any:

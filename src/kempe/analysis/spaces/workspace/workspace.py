@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.analysis.maps.part_log import refuse_other
+from kempe.analysis.maps.zarr_folders import description_of
 from kempe.analysis.spaces.kinds.questions import DEXTEROUS, ORIENTATION, Question, coordinates_of, read_rotations
-from kempe.analysis.spaces.planar.planar_of_systems import planar_region
-from kempe.analysis.spaces.planar.planar_workspace import PlanarWorkspace
+from kempe.analysis.spaces.planar.planar_workspace import PlanarWorkspace, planar_answer
 from kempe.analysis.spaces.workspace import map_measures
 from kempe.analysis.spaces.workspace.cell_map import CellMap
-from kempe.analysis.spaces.workspace.map_files import Stored, description_of, read_map, write_map
+from kempe.analysis.spaces.workspace.map_files import Stored, read_map, write_map
 from kempe.analysis.spaces.workspace.outer_bounds import outer_measure
-from kempe.analysis.spaces.workspace.sample_parts import refuse_other
 from kempe.calls import explained, explained_methods
 from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.common.result import Cells, Report
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 MEASURES = {1: ("length", "m"), 2: ("area", "m^2"), 3: ("volume", "m^3")}
 """What is measured in one, two and three dimensions, and its unit."""
-MOST_LIMITED = 3
+MOST_LIMITED = 4
 ROUNDING = 1e-9
 """Error of an exact area, in squares of the size of its chain."""
 
@@ -89,16 +89,16 @@ class Workspace(Report):
     def exact(self) -> PlanarWorkspace | None:
         """The exact workspace of a planar system, as `System.reach.planar` has it; None where that is not known.
 
-        It is not looked for where more than three joints of a chain have limits, which takes long, nor used where it is
+        It is not looked for where more than four joints of a chain have limits, which takes long, nor used where it is
         not inside the box.
         """
         try:
-            region = planar_region(self.system, self.frame, self.question)
+            found = planar_answer(self.system, self.frame, self.question)
         except (UnsupportedError, InputError):
             return None
-        if region.limited > MOST_LIMITED or len(self.map.grid.axes) != 2:
+        grid = self.map.grid
+        if found.region.limited > MOST_LIMITED or len(grid.axes) != 2:
             return None
-        found, grid = PlanarWorkspace(self.system, self.frame, region, self.kind), self.map.grid
         low, high = found.extent
         return found if (low >= grid.low[:2]).all() and (high <= grid.high[:2]).all() else None
 
