@@ -10,7 +10,7 @@ of manipulator workspaces", J. Mechanical Design 118 (1996).
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -75,12 +75,49 @@ class PlanarJoint:
         return out
 
 
+    def with_next(self, other: PlanarJoint) -> PlanarJoint | None:
+        """One joint for this and the next, where they turn about one axis or slide along one way; else None."""
+        if self.axis is None or other.axis is None:
+            if self.axis is not other.axis or abs(np.imag(self.way * np.conj(other.way))) > NOTHING * abs(
+                self.way * other.way):  # fmt: skip
+                return None
+            rates = 1.0, float(np.real(other.way / self.way))
+        elif abs(self.axis - other.axis) > NOTHING * (abs(self.axis) + abs(other.axis)):
+            return None
+        else:
+            rates = self.rate, other.rate
+        ends = [sorted((r * j.low, r * j.high)) for r, j in zip(rates, (self, other), strict=True)]
+        low, high = (sum(x) for x in zip(*ends, strict=True))
+        return replace(self, rate=1.0 if self.axis is not None else self.rate, low=low, high=high)
+
+
 @dataclass(frozen=True)
 class PlanarChain(PlanarRegion):
-    """The joints of a chain from the ground on, and the point that they lead, all of them at zero."""
+    """The joints of a chain from the ground on, and the point that they lead, all of them at zero.
+
+    `spare` joints more move it no further than these do.
+    """
 
     joints: tuple[PlanarJoint, ...]
     tip: complex
+    spare: int = 0
+
+    @classmethod
+    def of(cls, joints: Iterable[PlanarJoint], tip: complex) -> PlanarChain:
+        """The chain of joints, of which those that turn about one axis or slide along one way are one.
+
+        A joint with the tip on its axis is left out.
+        """
+        kept: list[PlanarJoint] = []
+        given = tuple(joints)
+        for joint in given:
+            one = kept[-1].with_next(joint) if kept else None
+            kept[len(kept) - (one is not None) :] = [one or joint]
+        chain = cls(tuple(kept), tip, len(given) - len(kept))
+        last = kept[-1].axis if kept else None
+        if last is not None and abs(tip - last) <= NOTHING * max(chain.size, abs(tip)):
+            return cls(chain.joints[:-1], tip, chain.spare + 1)
+        return chain
 
     @cached_property
     def size(self) -> float:
@@ -107,9 +144,13 @@ class PlanarChain(PlanarRegion):
     def _of(self, choice: tuple[float | None, ...]) -> list[PlanePiece]:
         """The pieces with joints at these limits, the others (None) singular."""
         free = [i for i, x in enumerate(choice) if x is None]
+        if not free:
+            return []
         last = free[-1]
         tip = _carried(self._fixed(choice, last + 1, len(choice)), self.tip)
         states = self._first_state(last, tip)
+        if not states:  # the tip is on the axis, and stays there
+            return self._of((*choice[:last], 0.0, *choice[last + 1 :]))
         for i, k in zip(free[-2::-1], free[:0:-1], strict=True):
             a, b = self._fixed(choice, i + 1, k)
             states = [s for t, u in states for s in self._before(i, k, a, b, t, u)]
@@ -146,7 +187,7 @@ class PlanarChain(PlanarRegion):
         else:
             line = 1j * first.way if first.axis is None else a * joint.axis + b - first.axis
             if abs(line) < NOTHING * self.size:
-                return []  # axes that coincide
+                return [] if joint.limits or first.limits else [(a * t + b, a * u)]  # axes that coincide: one joint
             turn = line / abs(line) / (a * u)
             values = joint.turned_to([turn, -turn])
         out: list[tuple[complex, complex]] = []
@@ -158,7 +199,7 @@ class PlanarChain(PlanarRegion):
     @property
     def counted(self) -> bool:
         """Whether it says in how many ways a point is reached: two joints do."""
-        return len(self.joints) == 2
+        return len(self.joints) == 2 and not self.spare
 
     @property
     def limited(self) -> int:
@@ -173,7 +214,7 @@ class PlanarChain(PlanarRegion):
     def moved(self, by: complex) -> PlanarChain:
         """The chain, moved as a whole."""
         joints = [j if j.axis is None else replace(j, axis=j.axis + by) for j in self.joints]
-        return PlanarChain(tuple(joints), self.tip + by)
+        return replace(self, joints=tuple(joints), tip=self.tip + by)
 
     def solutions(self, p: complex) -> int:
         """In how many ways two joints reach a point; of more whether they do, 0 or 1."""

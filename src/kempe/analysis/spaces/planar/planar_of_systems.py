@@ -38,7 +38,7 @@ def planar_region(system: System, frame: str, question: Question) -> PlanarRegio
         legs = (system,)
     chains = [planar_chain(leg, frame) for leg in legs]
     if question.kind == REACHABLE:
-        own = chains if len(chains) == 1 else _meeting_at_a_point(system, frame, chains)
+        own = _moving(chains[0], system, frame) if len(chains) == 1 else _meeting_at_a_point(system, frame, chains)
         return _together(own, all(p.counted for p in own))
     if question.all_turns(2):
         return _together([_held(x, system, frame) for x in map(in_all_orientations, chains)], False)
@@ -58,8 +58,17 @@ def _held(part: PlanarRegion | None, system: System, frame: str) -> PlanarRegion
     """The part. Errors: `UnsupportedError` where there is none."""
     if part is None:
         raise UnsupportedError(f"the last joint before {frame!r} of {system.name}, or of a leg of it, does not turn "
-                               "without limits: where orientations count, its workspace has other curves")  # fmt: skip
+                               "without limits, or is all that moves it: where orientations count, its workspace has "
+                               "other curves")  # fmt: skip
     return part
+
+
+def _moving(chain: PlanarChain, system: System, frame: str) -> list[PlanarChain]:
+    """The chain without joints that do not move the frame's origin. Errors: `InputError` where none does."""
+    found = PlanarChain.of(chain.joints, chain.tip)
+    if not found.joints:
+        raise InputError(f"frame {frame!r} of {system.name} turns in its place: it does not move")
+    return [found]
 
 
 def _together(parts: Sequence[PlanarRegion], counted: bool) -> PlanarRegion:
@@ -95,13 +104,18 @@ def planar_chain(system: System, frame: str) -> PlanarChain:
         )
     if len(names) > MOST:
         raise UnsupportedError(f"the chain of {frame!r} has {len(names)} joints; it may have {MOST}")
-    q = system.neutral
+    q, (low, high) = system.neutral.copy(), (system.lower[v_index], system.upper[v_index])
+    held = low == high
+    q[q_index[held]] = low[held]
     tip, J = complex(*system.fk(q, frame)[:2, 3]), system.jacobian(q, frame)[:, v_index]
     joints: list[PlanarJoint] = []
-    for label, iv, (vx, vy, w) in zip(names, v_index, J[[0, 1, 5]].T, strict=True):
-        low, high = float(system.lower[iv]), float(system.upper[iv])
-        if w == 0.0 and not np.isfinite(high - low):
+    for label, a, b, (vx, vy, w) in zip(names, low.tolist(), high.tolist(), J[[0, 1, 5]].T, strict=True):
+        if a == b:
+            continue
+        if w == 0.0 and not np.isfinite(b - a):
             raise InputError(f"slide {label!r} has no limits, so the workspace has no end: give it some")
         axis = None if w == 0.0 else tip + 1j * complex(vx, vy) / w
-        joints.append(PlanarJoint(axis, float(w), complex(vx, vy) if w == 0.0 else 0j, low, high))
+        joints.append(PlanarJoint(axis, float(w), complex(vx, vy) if w == 0.0 else 0j, a, b))
+    if not joints:
+        raise InputError(f"frame {frame!r} of {system.name} does not move: all its joints are held by their limits")
     return PlanarChain(tuple(joints), tip)

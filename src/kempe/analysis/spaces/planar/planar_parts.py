@@ -93,9 +93,10 @@ def wrist_of(chain: PlanarChain) -> tuple[PlanarChain, complex] | None:
     The last joint must turn without limits: then the orientation is free, wherever the axis is.
     """
     last = chain.joints[-1]
-    if last.axis is None or last.limits or len(chain.joints) < 2:
+    if last.axis is None or last.limits:
         return None
-    return PlanarChain(chain.joints[:-1], last.axis), chain.tip - last.axis
+    inner = PlanarChain.of(chain.joints[:-1], last.axis)
+    return (inner, chain.tip - last.axis) if inner.joints else None
 
 
 def in_all_orientations(chain: PlanarChain) -> PlanarRegion | None:
