@@ -214,7 +214,7 @@ def test_turns_about_one_axis_are_one_turn():
 
 def test_a_five_bar_reaches_what_both_legs_reach():
     """Two annuli about the ground joints; see Cervantes-Sanchez, Rendon-Sanchez, "A simplified approach for obtaining
-    the workspace of a class of 2-dof planar parallel manipulators", Mechanism and Machine Theory 34 (1999)."""  # fmt: skip
+    the workspace of a class of 2-dof planar parallel manipulators", Mech. Mach. Theory 34 (1999)."""  # fmt: skip
     system = kempe.load("five_bar")
     w = planar_workspace(system, "tip")
     circles = {(round(p.centre.real, 9), round(p.centre.imag, 9), round(p.radius, 9)) for p in w.boundary}

@@ -74,7 +74,6 @@ class PlanarJoint:
             out += x[:1].tolist()
         return out
 
-
     def with_next(self, other: PlanarJoint) -> PlanarJoint | None:
         """One joint for this and the next, where they turn about one axis or slide along one way; else None."""
         if self.axis is None or other.axis is None:

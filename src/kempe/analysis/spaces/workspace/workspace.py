@@ -258,10 +258,16 @@ class Workspace(Report):
         unit = unit.replace("m", self.map.unit)
         box = ", ".join(f"{a} {grid.low[k]:.6g} to {grid.high[k]:.6g}{'' if a == 'height' else f' {self.map.unit}'}"
                         for a, k in zip(grid.axes, grid.kept, strict=True))  # fmt: skip
-        rows = [("box", box), (name, f"{value:.6g} +- {error:.2g} {unit}, estimated with the inverse model")]
-        rows += [
-            ("bounds", f"at least {low:.6g} {unit} but for chance, at most {high:.6g} {unit} by lengths and limits")
-        ]
+        if self.exact is not None:
+            said = [(name, f"{value:.9g} {unit}, exact but for rounding")]
+        else:
+            least, most = (
+                f"at least {low:.6g} {unit} but for chance",
+                f"at most {high:.6g} {unit} by lengths and limits",
+            )
+            said = [(name, f"{value:.6g} +- {error:.2g} {unit}, estimated with the inverse model"),
+                    ("bounds", f"{least}, {most}")]  # fmt: skip
+        rows = [("box", box), *said]
         rows += [("outside the box", counted(self.outside, "sample"))] * bool(self.outside)
         rows += [("left out", f"{counted(self.left_out, 'sample')} that could not be closed within all limits and "
                   "constraints")] * bool(self.left_out and not self.question.tried)  # fmt: skip
@@ -275,7 +281,8 @@ class Workspace(Report):
         numbers = {k: getattr(self, k) for k in ("samples", "requested", "outside", "left_out", "seed", "redone")}
         return {"system": self.system.name, "frame": self.frame, "kind": self.kind, "box": box,
                 "cells": list(grid.shape), "occupied": int(self.map.occupied.sum()),
-                name: value, f"{name}_error": error, f"{name}_bounds": list(self.bounds), **numbers,
+                "exact": self.exact is not None, name: value, f"{name}_error": error,
+                f"{name}_bounds": list(self.bounds), **numbers,
                 "kernels": self.said["variant"], "version": self.said["version"]}  # fmt: skip
 
 
