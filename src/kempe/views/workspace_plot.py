@@ -85,9 +85,9 @@ def _slice(workspace: Workspace, ax: Axes, counts: np.ndarray, right: int, up: i
     x, y = (_around(grid.centres(names[k]), float(grid.size[k])) for k in (right, up))
     if filled.any():
         ax.contour(x, y, filled, levels=[0.5], colors=style.INK, linewidths=0.8)
-    for write, name in ((ax.set_xlabel, names[right]), (ax.set_ylabel, names[up])):
-        unit = _unit(workspace, name).strip()
-        write(f"{name} [{unit}]" if unit else name, size=style.FONT, color=style.INK)
+    units = {name: f" [{unit}]" if (unit := _unit(workspace, name).strip()) else "" for name in names}
+    ax.set_xlabel(f"{names[right]}{units[names[right]]}", size=style.FONT, color=style.INK)
+    ax.set_ylabel(f"{names[up]}{units[names[up]]}", size=style.FONT, color=style.INK)
     ax.tick_params(labelsize=style.FONT - 1, colors=style.GROUND)
     ax.set_aspect("equal" if workspace.map.unit == "m" else "auto")
 

@@ -249,3 +249,13 @@ def test_dexterous_places_of_three_links():
         planar_workspace(arm(("R", 0.0, None), ("R", 0.6, None), ("R", 0.4, (0.0, 1.0))), "tool", kind="dexterous")
     with pytest.raises(UnsupportedError, match="one of places"):
         planar_answer(w.system, "tool", question_of(w.system, "tool", None, None, (0.1, 0.2)))
+
+
+@pytest.mark.parametrize("over", [1e-2, 1e-3, 3e-4, 1e-4])
+def test_curves_that_nearly_coincide(over):
+    """A slide that goes just over the place where it is nearest to the axis: the hole stays one, however thin the ring
+    of two solutions is."""  # fmt: skip
+    w = planar_workspace(arm(("R", 0.0, None), ("P", 0.5, (-0.8, over)), tool=0.0), "tool")
+    assert w.area == pytest.approx(np.pi * 0.64, abs=1e-8) and not w.contains([0.1, 0.2])
+    assert w.contains([[0.6, 0.0], [0.0, -0.6]]).all() and [r.solutions for r in w.regions] == [1, 2]
+    assert w.regions[1].area == pytest.approx(np.pi * over**2, rel=1e-6)

@@ -14,7 +14,8 @@ NOTHING = 1e-12
 SAME = 1e-10
 """Difference, in sizes of a region, up to which circles and lines are the same."""
 BESIDE = 1e-6
-"""How far beside a curve points are tried, in sizes of a region, and at most as a part of the curve's length."""
+"""How far beside a curve points are tried, in sizes of a region, at most as a part of the curve's length, and nearer
+where another curve is near."""
 PART = 0.02
 
 
@@ -58,8 +59,11 @@ class PlanarRegion:
             t[-1] = 1.0
             for a, b in itertools.pairwise(t):
                 part = piece.part(a, b)
-                beside = min(BESIDE * self.size, PART * part.length) * 1j * part.tangent(0.47)
-                left, right = (self.solutions(complex(part.at(0.47)) + s * beside) for s in (1.0, -1.0))
+                middle = complex(part.at(0.47))
+                others = (float(c.distance(np.asarray(middle))) for c in self.candidates if c is not piece)
+                thin = min((0.3 * x for x in others if x > 0.1 * SAME * self.size), default=np.inf)
+                beside = min(BESIDE * self.size, PART * part.length, thin) * 1j * part.tangent(0.47)
+                left, right = (self.solutions(middle + s * beside) for s in (1.0, -1.0))
                 if left >= right:
                     out.append((part, left, right))
                 else:

@@ -128,14 +128,7 @@ class PlanarWorkspace(Report):
         p = self._points(points)
         best = np.full(p.shape, np.inf)
         for piece in self.boundary:
-            d = p - piece.centre
-            with np.errstate(invalid="ignore", divide="ignore"):
-                foot = piece.centre + piece.radius * d / np.abs(d) if piece.is_arc else p
-            inner = piece.parameters(foot)
-            near = np.abs(d) if piece.is_arc else np.zeros(p.shape)
-            near = np.abs(near - piece.radius) if piece.is_arc else np.abs(p - piece.at(inner[0]))
-            ends = np.minimum(np.abs(p - piece.at(0.0)), np.abs(p - piece.at(1.0)))
-            best = np.minimum(best, np.where(inner[1], near, ends))
+            best = np.minimum(best, piece.distance(p))
         return float(best) if best.ndim == 0 else best
 
     def _points(self, points: ArrayLike) -> np.ndarray:

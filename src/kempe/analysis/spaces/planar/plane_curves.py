@@ -64,6 +64,12 @@ class PlanePiece:
         t = turn / size
         return t, (t > -slack) & (t < 1.0 + slack)
 
+    def distance(self, p: np.ndarray) -> np.ndarray:
+        """Distances (...) of points (...) from it."""
+        t, on = self.parameters(p)
+        near = np.abs(np.abs(p - self.centre) - self.radius) if self.is_arc else np.abs(p - self.at(t))
+        return np.where(on, near, np.minimum(np.abs(p - self.at(0.0)), np.abs(p - self.at(1.0))))
+
     @property
     def extremes(self) -> np.ndarray:
         """Its ends, and where x or y is largest or least on it (k,)."""
