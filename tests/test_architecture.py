@@ -37,7 +37,7 @@ FOLDERS: dict[str, list[set[str]]] = {
     "solvers.analytic": [{"plans"}, {"answers"}, {"."}, {"describe", "redundant"}],
     "analysis": [{"first_order"}, {"local"}, {"mobility"}, {"continuation"}, {"motion"}, {"manoeuvre"}, {"simulation"},
                  {"maps"}, {"spaces"}],
-    "analysis.spaces": [{"curves", "planar", "singular", "workspace"}, {"configuration"}, {"reach"}],
+    "analysis.spaces": [{"curves", "kinds", "singular"}, {"planar"}, {"configuration", "workspace"}, {"reach"}],
     "views": [{"drawing"}, {"."}, {"input", "viewer"}],
 }  # fmt: skip
 """In each package the order of its folders, and of single modules that stand apart; "." is what lies in no folder.
