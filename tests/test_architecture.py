@@ -346,7 +346,7 @@ UNPACKED = {
     "solvers/dyads/decompose.py": {"HEADER"},
     "solvers/tasks/effort.py": {"AT_PLACES", "AT_VARS", "PLACE_INTS"},
 }
-"""Modules outside of kernels and model that know such places: those that pack arrays of their own, or walk programs of them."""
+"""Modules outside of kernels and model that know such places: they pack arrays of their own, or walk such programs."""
 
 
 def test_packed_layouts_are_read_where_they_are_written():
