@@ -214,6 +214,7 @@ def leg_lines(arm, q):
     return np.column_stack([d, np.cross(feet, d)])
 
 
+@pytest.mark.slow
 def test_a_hexapod_is_singular_with_its_platform_turned_by_90_degrees():
     """Fichter, "A Stewart platform-based manipulator", Int. J. Robotics Research 5 (1986): similar hexagons, turned."""
     arm = kempe.load("stewart")
