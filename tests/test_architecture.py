@@ -45,7 +45,7 @@ LATER = {
     "description.mechanism": {"write"}, "description.formats": {"toml", "urdf"},
     "solvers.one_frame.inverse": {"tasks", "analytic"}, "solvers.one_frame.sharpen": {"analytic"},
     "solvers.one_frame.shut_out": {"analytic"}, "solvers.one_frame.solution": {"tasks"},
-    "solvers.tasks.reached": {"velocity"}, "solvers.analytic.answers.solutions": {"."},
+    "solvers.tasks.reached": {"velocity"}, "analysis.mobility.mobility": {"motion"}, "solvers.analytic.answers.solutions": {"."},
 }  # fmt: skip
 """Modules that import to the right inside functions: another solver answers, or what is required of an answer later."""
 

@@ -49,15 +49,15 @@ class Symbolic(Namespace):
     @explained
     def fk(
         self, frame: FrameLike, *, relative_to: FrameLike | None = None, symbols: Mapping[str, Any] | None = None,
-        snap: float = 0.0,
+        snap: float = 0.0, short: bool = False,
     ) -> Any:  # fmt: skip
         """The forward model in symbols (sympy Matrix 4x4), in the ground frame or in another one.
 
-        See `kempe.kinematics.symbolic.symbolic_fk`.
+        With `short` a `ShortForm`: l1 c1 + l2 c12, and the legend. See `kempe.kinematics.symbolic.symbolic_fk`.
         """
-        from kempe.kinematics.symbolic import symbolic_fk
+        from kempe.kinematics.symbolic_steps import short_fk
 
-        return symbolic_fk(self.system, frame, relative_to=relative_to, symbols=symbols, snap=snap)
+        return short_fk(self.system, frame, short, relative_to=relative_to, symbols=symbols, snap=snap)
 
     @explained
     def steps(

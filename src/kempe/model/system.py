@@ -126,18 +126,19 @@ class System(Compiled, Pictured, FormerNames):
 
     def fk(
         self, q: Any, frame: FrameLike | list[Any] | tuple[Any, ...] | None = None, out: Array | None = None,
-        threads: int | None = None, form: str | None = None, dtype: Any = None,
+        threads: int | None = None, form: str | None = None, dtype: Any = None, relative_to: FrameLike | None = None,
     ) -> Array:  # fmt: skip
         """Poses in the ground frame: (..., 4, 4) of one frame, (..., k, 4, 4) of several or of all bodies (None).
 
-        `form` "3x4", "position" or "position_quat_wxyz" gives less of each; see `kempe.kinematics.forward.fk`.
+        `form` "3x4", "position" or "position_quat_wxyz" gives less of each, `relative_to` another frame in place of the
+        ground; see `kempe.kinematics.forward.fk`.
         """
-        query = self._queries.get(frame) if frame.__class__ is str and form is dtype is None else None
+        query = self._queries.get(frame) if frame.__class__ is str and form is dtype is relative_to is None else None
         if query is not None and q.__class__ is np.ndarray:  # the import below alone would double the time
             return query(None, q, out, threads)
         from kempe.kinematics.forward import fk
 
-        return fk(self, q, frame, out, threads, form, dtype)
+        return fk(self, q, frame, out, threads, form, dtype, relative_to)
 
     def jacobian(self, q: Any, frame: FrameLike, in_frame: str = "world_aligned", threads: int | None = None) -> Array:
         """Jacobian (..., 6, nv), rows [linear; angular], of a frame; see `kempe.kinematics.forward.jacobian`."""

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from kempe.analysis.mobility.mobility import Mobility
     from kempe.analysis.spaces.configuration.components import Components
     from kempe.analysis.spaces.configuration.connection import Connection
+    from kempe.analysis.spaces.configuration.parametrizations import Parametrizations
     from kempe.analysis.spaces.configuration.sampling import Sample
     from kempe.budget import Budget
     from kempe.model.system import System
@@ -88,6 +89,12 @@ class ConfigurationSpace(Report):
         from kempe.analysis.spaces.configuration.connection import path
 
         return path(self.system, q0, q1, budget=budget)
+
+    def parametrizations(self, q: Any = None) -> Parametrizations:
+        """Pairs (r, R) with constraints, and generalized positions; see `spaces.configuration.parametrizations`."""
+        from kempe.analysis.spaces.configuration.parametrizations import parametrizations
+
+        return parametrizations(self.system, q)
 
     # ---- what it is
 
