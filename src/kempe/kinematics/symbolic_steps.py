@@ -70,7 +70,8 @@ class SymbolicSteps:
                      for (a, b), T in zip(ways, self.T, strict=True)]  # fmt: skip
             place = _left(*ways[-1], "p")
             for a, b in reversed(ways[:-1]):
-                place = rf"{_left(a, b, 'p')} + {_left(a, b, 'R')} \left({place}\right)"
+                place = rf"\left({place}\right)" if "+" in place else place
+                place = f"{_left(a, b, 'p')} + {_left(a, b, 'R')} {place}"
             lines.append(f"{_left(ground, tip, 'p')} &= {place} = {sympy.latex(self.merged[:3, 3])}")
             lines.append(f"{_left(ground, tip, 'R')} &= {_product(ways, 'R')} = {sympy.latex(self.merged[:3, :3])}")
             return aligned(lines)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from kempe.analysis.spaces.reach.reached_poses import ReachStudy
     from kempe.budget import Budget
     from kempe.kinematics.closure_rows import SystemConstraint
+    from kempe.kinematics.symbolic_closure import SymbolicClosure
     from kempe.kinematics.symbolic_steps import ShortForm, SymbolicSteps
     from kempe.model.system import System
     from kempe.solvers.analytic.describe.describe import Recognised
@@ -74,6 +75,13 @@ class Symbolic(Namespace):
         from kempe.kinematics.symbolic_steps import symbolic_jacobian
 
         return symbolic_jacobian(self.system, frame, symbols=symbols, snap=snap)
+
+    @explained
+    def closure(self, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0) -> SymbolicClosure:
+        """The equations f(q) = 0 of all loops; see `kempe.kinematics.symbolic_closure.symbolic_closure`."""
+        from kempe.kinematics.symbolic_closure import symbolic_closure
+
+        return symbolic_closure(self.system, symbols=symbols, snap=snap)
 
     @explained
     def ik(self, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None) -> InverseFormulas:
