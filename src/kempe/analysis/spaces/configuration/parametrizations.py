@@ -1,4 +1,4 @@
-"""The two ways to say where all bodies are: pairs (r, R) that constraints tie, and generalized positions without any."""
+"""Two ways to say where all bodies are: pairs (r, R) that constraints tie, and generalized positions without any."""
 
 from __future__ import annotations
 

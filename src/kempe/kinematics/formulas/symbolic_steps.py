@@ -12,8 +12,8 @@ import numpy as np
 from kempe import spatial
 from kempe.calls import explained, flag, known
 from kempe.errors import InputError, UnsupportedError, shown
-from kempe.kinematics.symbolic import SymbolLeaves, aligned, oriented_way, symbolic_fk
-from kempe.kinematics.symbolic_turns import pose_of, sympy, unwrapped
+from kempe.kinematics.formulas.symbolic import SymbolLeaves, aligned, oriented_way, symbolic_fk
+from kempe.kinematics.formulas.symbolic_turns import pose_of, sympy, unwrapped
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -66,8 +66,10 @@ class SymbolicSteps:
         ways = list(zip(self.names[:-1], self.names[1:], strict=True))
         form = known("form", form, FORMS)
         if form == "separate":
-            lines = [f"{_left(a, b, 'p')} &= {sympy.latex(T[:3, 3])}, \quad {_left(a, b, 'R')} = {sympy.latex(T[:3, :3])}"
-                     for (a, b), T in zip(ways, self.T, strict=True)]  # fmt: skip
+            lines: list[str] = []
+            for (a, b), T in zip(ways, self.T, strict=True):
+                p, R = sympy.latex(T[:3, 3]), sympy.latex(T[:3, :3])
+                lines.append(f"{_left(a, b, 'p')} &= {p}, \\quad {_left(a, b, 'R')} = {R}")
             place = _left(*ways[-1], "p")
             for a, b in reversed(ways[:-1]):
                 place = rf"\left({place}\right)" if "+" in place else place
@@ -98,8 +100,8 @@ def symbolic_steps(
     """The matrices whose product is the forward model of a body or frame, one for each joint on the way.
 
     A frame that is not a body adds a last matrix, of its place on the body. `symbols`, `snap` and errors are those of
-    `kempe.kinematics.symbolic.symbolic_fk`; besides, `UnsupportedError` for a frame of a particle, which has no
-    orientation.
+    `kempe.kinematics.formulas.symbolic.symbolic_fk`; besides, `UnsupportedError` for a frame of a particle, which has
+    no orientation.
 
     >>> from kempe import Mechanism
     >>> arm = Mechanism("arm", dim=2)

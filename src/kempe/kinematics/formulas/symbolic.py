@@ -1,6 +1,6 @@
 """The forward geometric model in symbols: formulas such as l1 cos q1 + l2 cos(q1 + q2), from the same description.
 
-The chain is walked as a product of turns and slides, see `kempe.kinematics.symbolic_turns`.
+The chain is walked as a product of turns and slides, see `kempe.kinematics.formulas.symbolic_turns`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from kempe.calls import explained
 from kempe.description.parts import Joint
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.joints import Q, R
-from kempe.kinematics.symbolic_turns import AXES, SymbolicStep, pose_of, sympy
+from kempe.kinematics.formulas.symbolic_turns import AXES, SymbolicStep, pose_of, sympy
 from kempe.model.tree.coordinates import coordinate_names
 from kempe.placement import Placement
 from kempe.values import FUNCTIONS, Expression, Value

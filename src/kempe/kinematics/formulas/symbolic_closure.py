@@ -12,8 +12,8 @@ from kempe.calls import explained
 from kempe.constraints.base import Op, held, position_rows, with_numbers
 from kempe.description.parts import Declared, Joint
 from kempe.errors import UnsupportedError
-from kempe.kinematics.symbolic import SymbolLeaves, aligned, inverse_of, joint_motions, placement_steps, way_to
-from kempe.kinematics.symbolic_turns import SymbolicStep, pose_of, sympy
+from kempe.kinematics.formulas.symbolic import SymbolLeaves, aligned, inverse_of, joint_motions, placement_steps, way_to
+from kempe.kinematics.formulas.symbolic_turns import SymbolicStep, pose_of, sympy
 from kempe.model.closures.implicit_form import ImplicitForm, implicit_form, slides_along_z
 from kempe.model.closures.packed_loops import must_be_explicit
 from kempe.placement import placement_of_pose
@@ -62,7 +62,8 @@ def symbolic_closure(
     this joint are not needed for that they do not occur. Places are in metres, in axes of the ground where all of them
     are held, else in those of F; turns are sines of angles, so that they are zero half a turn off, too. A rod gives
     the difference of the squares of two lengths. `symbols` and `snap` are those of
-    `kempe.kinematics.symbolic.symbolic_fk`; besides its errors, `UnsupportedError` for constraints of other kinds.
+    `kempe.kinematics.formulas.symbolic.symbolic_fk`; besides its errors, `UnsupportedError` for constraints of other
+    kinds.
 
     >>> import kempe
     >>> symbolic_closure(kempe.load("four_bar"))["C"][0]
