@@ -38,8 +38,10 @@ def as_q(system: System, q: Any) -> Array:
 def as_start(system: System, q: Any) -> Array:
     """Start of a search (..., nq), read as by `as_q`.
 
-    Coordinates that are not named are as at home; no loop is closed.
+    Coordinates that are not named are as at home; no loop is closed. A text is the name of a posture.
     """
+    if isinstance(q, str):
+        return q_from_dict(system, q, home_of(system))
     return _read(system, q, from_home)
 
 

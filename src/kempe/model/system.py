@@ -166,17 +166,22 @@ class System(Compiled, Pictured, FormerNames):
     def ik(
         self, target: Any, frame: FrameLike | None = None, start: Any = None, *,
         task: str | tuple[str, ArrayLike] | None = None, prefer: Any = None, method: str | None = None,
-        tolerance: float | tuple[float, float] | None = None, budget: Budget | None = None,
+        tolerance: float | tuple[float, float] | None = None, budget: Budget | None = None, history: bool = False,
     ) -> Solution:  # fmt: skip
         """A configuration that reaches a target or holds tasks; see `solvers.inverse.ik` and `solvers.tasks.reach`."""
-        if frame.__class__ is str and prefer is method is tolerance is budget and target.__class__ is ARRAY:
+        if (
+            frame.__class__ is str
+            and prefer is method is tolerance is budget
+            and target.__class__ is ARRAY
+            and not history
+        ):
             bound = self._queries.get((frame, task if task is None else str(task), target.ndim))
             if bound is not None and budget is None and (answer := bound(target, start)) is not None:
                 return answer
         from kempe.solvers.one_frame.inverse import ik
 
         return ik(self, target, frame, start, task=task, prefer=prefer, method=method, tolerance=tolerance,
-                  budget=budget)  # fmt: skip
+                  budget=budget, history=history)  # fmt: skip
 
     @explained
     def ik_all(

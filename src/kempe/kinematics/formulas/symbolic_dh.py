@@ -181,7 +181,7 @@ def joint_lines(
 
 
 def _first(axis: JointLine) -> tuple[Any, Any]:
-    """Origin and x axis of frame 0: where the first axis passes the ground's origin, and x of the ground if it can be."""
+    """Origin and x axis of frame 0: nearest to the ground on the first axis, with x of the ground if it can be."""
     h, foot = axis.along, axis.point - axis.along * axis.along.dot(axis.point)
     ground = sympy.Matrix([1, 0, 0] if abs(float(h[0])) < 0.9 else [0, 1, 0])
     x = ground - h * h.dot(ground)

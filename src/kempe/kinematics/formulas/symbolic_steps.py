@@ -197,6 +197,7 @@ def short_form(system: System, formula: Any) -> ShortForm:
     return ShortForm(formula.xreplace({found: symbol for symbol, found in legend.items()}), legend)
 
 
+@explained
 def short_fk(system: System, frame: FrameLike, short: bool, **options: Any) -> Any:
     """`symbolic_fk`, or its `short_form`."""
     formula = symbolic_fk(system, frame, **options)

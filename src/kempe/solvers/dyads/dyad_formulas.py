@@ -186,7 +186,7 @@ class _Writing:
         return False
 
     def _learn(self, g: _Geometry, value: Any) -> None:
-        """The coordinate of which the value of a joint is a multiple, plus an offset."""
+        """Note the coordinate of which the value of a joint is a multiple, plus an offset."""
         unknown = list(g.value.free_symbols & self.unknown)
         if len(unknown) == 1:
             rate = sympy.diff(g.value, unknown[0])
@@ -282,7 +282,7 @@ class _Writing:
         return g, still, _Place(minus(at, turned(own[body].of(point), turn)), turn), along
 
     def _line_circle(self, n: Names, k: int, joints: Three, slider: Bodies, bar: Bodies) -> None:
-        """A slider on what is placed, and a bar from it to a hinge on what is placed."""
+        """Place a slider on what is placed, and a bar from it to a hinge on what is placed."""
         rail, middle, pin = joints
         g, still, start, along = self._slid(rail, slider)
         two = self._cluster(bar)
@@ -295,12 +295,12 @@ class _Writing:
         self._place(bar[0], turn - at_bar, c2, fixed)
 
     def _slide(self, g: _Geometry, body: str, u: Any) -> None:
-        """Learn how far a joint slides, and place what is beyond it."""
+        """Note how far a joint slides, and place what is beyond it."""
         self._learn(g, u)
         self._beyond(g, body, g.value)
 
     def _turning(self, n: Names, k: int, joints: Three, first: Bodies, second: Bodies) -> None:
-        """Two links on hinges with a slide between them."""
+        """Place two links on hinges with a slide between them."""
         x, y, z = joints
         g, body = self._rail(y, dict.fromkeys(first, self.places[self.system.body_names[0]]))
         if g.joint.parent != body:
@@ -320,7 +320,7 @@ class _Writing:
         self._place(first[0], angle - rail, a, A)
 
     def _both_slide(self, n: Names, k: int, joints: Three, first: Bodies, second: Bodies) -> None:
-        """Two sliders on what is placed, joined by a hinge."""
+        """Place two sliders on what is placed, joined by a hinge."""
         ways = [self._slid(rail, bodies) for rail, bodies in ((joints[0], first), (joints[2], second))]
         pins = [way[2].of(self._pin(joints[1], self._cluster(bodies)))
                 for way, bodies in zip(ways, (first, second), strict=True)]  # fmt: skip
@@ -331,7 +331,7 @@ class _Writing:
             self._slide(g, still, u)
 
     def _slide_on_slide(self, n: Names, k: int, joints: Three, near: Bodies, far: Bodies) -> None:
-        """A slider on what is placed, and one on it that a hinge holds to what is placed."""
+        """Place a slider on what is placed, and one on it that a hinge holds."""
         rail, middle, pin = joints
         g1, still, start, d1 = self._slid(rail, near)
         before, own = self.places, self._cluster(near)

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
 
 TASKS = {2: "position", 3: "pose"}
-"""What a planar chain of so many joints can be asked for."""
+"""What a planar chain of so many joints can reach."""
 ELBOW = "-1 is elbow up, +1 elbow down"
 
 
@@ -182,7 +182,7 @@ def _solved(
         rest = minus(to, plus(two.at, turned(minus(end, two.at), angle)))
         steps, u1, u3 = two_lines(n, rest, one.along, turned(arm[2].along, angle))
         return steps, [u1, two.sense * angle, u3]
-    raise UnsupportedError("formulas need a joint that turns where an angle is asked for; ik_all gives numbers")
+    raise UnsupportedError("formulas need a joint that turns where an angle is wanted; ik_all gives numbers")
 
 
 def _turns(arm: list[_PlaneJoint], turns: list[Any], angle: Any) -> list[Any]:
