@@ -14,6 +14,7 @@ from kempe.joints import JointType, P
 from kempe.placement import Placement
 from kempe.spatial import Array
 from kempe.values import Value
+from kempe.words import verb
 
 Limits = tuple[float, float]
 """Lower and upper bound of one velocity coordinate; an infinity where there is none."""
@@ -86,7 +87,7 @@ class Joint:
         parts = [f"{verb} {' or '.join(filter(None, (', '.join(group[:-1]), group[-1])))}"
                  for verb, group in zip(("slide along", "turn about"), groups, strict=True) if group]  # fmt: skip
         said = f"cannot {', nor '.join(parts)} of {of}" if parts else "can move freely"
-        total = f"{taken} of {whole} freedoms {'is' if taken == 1 else 'are'} taken away"
+        total = f"{taken} of {whole} freedoms {verb(taken, 'is', 'are')} taken away"
         more = taken - len(names)
         more_said = f", {more} of them by a relation or about an axis that moves" if more else ""
         return f"{self.child} {said}: {total}{more_said}"

@@ -15,6 +15,7 @@ from kempe.kinematics.common.tabular import SUFFIXES, table_file, write_table
 from kempe.kinematics.configuration import as_q, closed_from, from_home
 from kempe.reals import reals
 from kempe.views.facts import DEGREE, in_degrees, pose_rows, units
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -173,7 +174,7 @@ def _read_csv(path: Path) -> tuple[list[str] | None, spatial.Array]:
     out = np.empty((len(table), width))
     for row, (line, cells) in zip(out, table, strict=True):
         if len(cells) != width:
-            raise InputError(f"{path}:{line}: {len(cells)} values; the first line has {width}")
+            raise InputError(f"{path}:{line}: {counted(len(cells), 'value')}; the first line has {width}")
         row[:] = _numbers(cells, f"{path}:{line}")
     return names, out
 

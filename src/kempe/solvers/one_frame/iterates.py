@@ -13,6 +13,7 @@ from kempe.kinematics.common.result import Report
 from kempe.solvers.one_frame import multi_start
 from kempe.solvers.one_frame.solution import Solution
 from kempe.spatial import Array
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,7 +55,7 @@ class IkHistory(Report):
         last = f"{self.position_error[-1]:.2g} m" + f" and {self.orientation_error[-1]:.2g} rad" * self._turns
         kept = "" if self.starts <= MOST_STARTS else f", the first {MOST_STARTS} of {self.starts}"
         count = int(self.start[-1]) + 1
-        return f"{len(self.q) - count} steps of {count} start{'s' * (count > 1)}{kept}: at last {last}"
+        return f"{counted(len(self.q) - count, 'step')} of {counted(count, 'start')}{kept}: at last {last}"
 
     @property
     def _turns(self) -> bool:

@@ -86,7 +86,7 @@ class Component:
         kind = "closed curve" if first.closed else "curve"
         turns = [f"{counted(abs(k), 'turn')} of {n!r}" for n, k in first.turns.items()]
         text = f"{kind} of length {first.length:.6g}" if len(self.paths) == 1 else \
-            f"{len(self.paths)} curves of total length {self.length:.6g}"  # fmt: skip
+            f"{counted(len(self.paths), 'curve')} of total length {self.length:.6g}"  # fmt: skip
         text += f", {', '.join(turns)}" if turns and len(self.paths) == 1 else ""
         points = len(self.singular_points)
         return text + (f", {counted(points, 'singular point')}" if points else "")
@@ -197,7 +197,10 @@ def components(system: System, *, budget: Budget | None = None) -> Components:
         return Components(system, len(modes), modes.complete, f"a structure, {modes.status}", 0)
     singular = np.empty((0, system.nq)) if isinstance(polygon, str) else polygon.aligned()
     if mobility.useful != 1:
-        count, why = known or (1, f"no theorem is known here for {mobility.dof} freedoms; one configuration is known")
+        count, why = known or (
+            1,
+            f"no theorem is known here for {counted(mobility.dof or 0, 'freedom')}; one configuration is known",
+        )
         return Components(system, count, known is not None, why, mobility.dof, mobility.idle, (), singular)
     parts, late = _traced(system, mobility.q, spend, time)
     points = [e.q for part in parts for e in part.singular_points]

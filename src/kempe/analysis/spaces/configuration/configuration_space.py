@@ -13,6 +13,7 @@ from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import difference, distance, has_loops, integrate, interpolate
 from kempe.spatial import Array
 from kempe.status import Status
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.analysis.mobility.mobility import Mobility
@@ -136,8 +137,7 @@ class ConfigurationSpace(Report):
         text = str(self.ambient) + (f", {self.limited} of them within limits" if self.limited else "")
         if not self.constraints:
             return text
-        equations = "1 constraint equation" if self.constraints == 1 else f"{self.constraints} constraint equations"
-        return f"the subset of {text}, that satisfies {equations}"
+        return f"the subset of {text}, that satisfies {counted(self.constraints, 'constraint equation')}"
 
     @property
     def code(self) -> Status:  # type: ignore[override]
