@@ -149,7 +149,8 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
     if m.control is not None:
         out.append(("control", str(m.control).split("\n")))
         if m.dof is not None and (m.rank_dof or 0) > m.dof:
-            out[-1][1].append(f"counted to first order, where the rank sees {counted(m.rank_dof or 0, 'freedom')}; truly {_are(m.dof)}")
+            seen = counted(m.rank_dof or 0, "freedom")
+            out[-1][1].append(f"counted to first order, where the rank sees {seen}; truly {_are(m.dof)}")
     return out
 
 
