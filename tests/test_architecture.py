@@ -31,7 +31,7 @@ FOLDERS: dict[str, list[set[str]]] = {
                 {"elimination", "series", "tasks"}, {"."}],
     "description": [{"."}, {"dh"}, {"toml", "urdf"}, {"read", "write"}],
     "model": [{"kept"}, {"tree"}, {"closures"}, {"."}],
-    "kinematics": [{"common"}, {"."}, {"velocity"}, {"tasks"}],
+    "kinematics": [{"common"}, {"."}, {"velocity", "formulas"}, {"tasks"}],
     "solvers": [{"common"}, {"one_frame", "dyads"}, {"assembly"}, {"modes"}, {"tasks"}, {"velocity"}, {"paths"},
                 {"analytic"}, {"."}],
     "solvers.analytic": [{"plans"}, {"answers"}, {"."}, {"describe", "redundant"}],
@@ -48,7 +48,8 @@ LATER = {
     "description.mechanism": {"write"}, "description.formats": {"toml", "urdf"},
     "solvers.one_frame.inverse": {"tasks", "analytic"}, "solvers.one_frame.sharpen": {"analytic"},
     "solvers.one_frame.shut_out": {"analytic"}, "solvers.one_frame.solution": {"tasks"},
-    "solvers.tasks.reached": {"velocity"}, "solvers.analytic.answers.solutions": {"."},
+    "solvers.tasks.reached": {"velocity"}, "analysis.mobility.mobility": {"motion"},
+    "solvers.analytic.answers.solutions": {"."},
 }  # fmt: skip
 """Modules that import to the right inside functions: another solver answers, or what is required of an answer later."""
 

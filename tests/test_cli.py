@@ -321,7 +321,7 @@ def test_wrong_configurations(arm, q, said):
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b"", "no rows"), (b"shoulder\n", "no rows"), (b"1,2\n3\n", ":2: 1 values"), (b"1,2\n3,x\n", ":2: 'x'"),
+        (b"", "no rows"), (b"shoulder\n", "no rows"), (b"1,2\n3\n", ":2: 1 value;"), (b"1,2\n3,x\n", ":2: 'x'"),
         (b"1,x\n", ":1: 'x'"), (b"shoulder,arm\n1,2\n", "'arm'"), (b"elbow,elbow\n1,2\n", "twice"),
         (b"1,2,3\n", "arm needs 2"), (b"\xff\xfe,1\n", "UTF-8"),
     ],

@@ -480,7 +480,7 @@ SAID = {
         "1 parameter, 1 DoF, 5 constraints", "12 - 10 = 2 DoF", "says 2, which is the truth",
         "says -2, the truth is 1: 3 constraints are redundant", "universal    2 DoF  R(x) R(y)",
         "cylindrical  2 DoF  R(z) P(z)", "planar       3 DoF  P(x) P(y) R(z)", "7 coordinates, 6 DoF",
-        "T^2, dimension 2", "(7,) -> (7, 4, 4)", "42 - 35 = 7", "1 independent coordinates: A",
+        "T^2, dimension 2", "(7,) -> (7, 4, 4)", "42 - 35 = 7", "1 independent coordinate: A",
         "2 coordinates are given, but it has 1 freedom", "2 configurations of four_bar; complete",
         "(0, 1, 2, 1, 4, 4, 2)", "(0, 1, 2, 1, 4, 4, 2) ('J6',)", "says 2, the truth is 5: 3 constraints are redundant",
         "('J1', 'J2', 'J3', 'J7', 'J8')", "[0. 0. 0. 1.]",
@@ -514,9 +514,9 @@ SAID = {
         "the upper limit 2 of 'D'", "to 2.0",
     ],
     "exercise": [
-        "7 x (3 - 2) - 3 x 2 = 1", "(20,) True", "(7, 4, 4) 21 20 rank 20", "1 independent coordinates: O",
+        "7 x (3 - 2) - 3 x 2 = 1", "(20,) True", "(7, 4, 4) 21 20 rank 20", "1 independent coordinate: O",
         "agree all round", "-++ meets -++ and -+- - the crank swings", "conditioning", "[0.7]", "18 - 20 = -2",
-        "the truth is 1", "20 equations", "18 numbers, 20 constraints of rank 17", "1 independent coordinates: q1",
+        "the truth is 1", "20 equations", "18 numbers, 20 constraints of rank 17", "1 independent coordinate: q1",
         "[0.7]", "seven_bodies_loop    7       42",
     ],
 }  # fmt: skip

@@ -11,6 +11,7 @@ from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
 
 from kempe import spatial
+from kempe.errors import InputError
 
 vectors = arrays(float, 3, elements=st.floats(-1e3, 1e3))
 angles = arrays(float, 3, elements=st.floats(-np.pi, np.pi))
@@ -255,3 +256,52 @@ def test_nan_stays_nan():
     X = np.eye(4)
     X[:3] = np.nan
     assert np.isnan(spatial.log_se3(X)).all() and np.isnan(spatial.xyz_rpy_from_pose(X)).any()
+
+
+# ---- poses from particles
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_pose_is_found_from_its_particles(dim):
+    """Without noise exactly; with noise no pose nearby is better, and scipy finds the same rotation."""
+    rng = np.random.default_rng(3)
+    X = spatial.pose(spatial.rot_z(rng.uniform(-3, 3, 20)), np.pad(rng.normal(size=(20, 2)), ((0, 0), (0, 1))))
+    if dim == 3:
+        X = spatial.pose(spatial.exp_so3(rng.normal(size=(20, 3))), rng.normal(size=(20, 3)))
+    body = rng.normal(size=(5, dim))
+    places = body @ np.swapaxes(X[:, :dim, :dim], -1, -2) + X[:, None, :dim, 3]
+    fit = spatial.fit_pose(body, places)
+    np.testing.assert_allclose(fit.X, X, atol=1e-12)
+    np.testing.assert_allclose(fit.residual, 0.0, atol=1e-12)
+    noisy = places + 0.05 * rng.normal(size=places.shape)
+    fit = spatial.fit_pose(body, noisy)
+    np.testing.assert_allclose(fit.distances.shape, (20, 5))
+    for _ in range(50):
+        twist = 1e-3 * rng.normal(size=6) * ([1, 1, 0, 0, 0, 1] if dim == 2 else 1)
+        other = fit.X @ spatial.exp_se3(twist)
+        off = body @ np.swapaxes(other[:, :dim, :dim], -1, -2) + other[:, None, :dim, 3] - noisy
+        assert (np.sqrt((off**2).sum(axis=-1).mean(axis=-1)) >= fit.residual - 1e-12).all()
+    if dim == 3:
+        from scipy.spatial.transform import Rotation
+
+        a, b = body - body.mean(axis=0), noisy[0] - noisy[0].mean(axis=0)
+        np.testing.assert_allclose(fit.X[0, :3, :3], Rotation.align_vectors(b, a)[0].as_matrix(), atol=1e-9)
+
+
+def test_particles_that_do_not_fix_a_pose():
+    line = [[0, 0, 0], [1, 0, 0], [2, 0, 0]]
+    triangle = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
+    for particles, places, match in (
+        (line, line, "one line"), (triangle, line, "one line"), (triangle[:2], triangle[:2], "at least 3"),
+        (triangle, [[0, 0]] * 3, "shape"), (triangle, [[np.nan, 0, 0], *triangle[1:]], "not finite"),
+        ("x", triangle, "x"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=match):
+            spatial.fit_pose(particles, places)
+    many = spatial.fit_pose(triangle, [triangle, [[np.nan, 0, 0], *triangle[1:]], line])
+    np.testing.assert_allclose(many.X[0], np.eye(4), atol=1e-15)
+    assert np.isnan(many.X[1:, :3]).all() and np.isnan(many.residual[1:]).all()
+    assert spatial.fit_pose(triangle, np.zeros((0, 3, 3))).X.shape == (0, 4, 4)
+    corners = np.vstack([np.eye(3), np.zeros(3)])
+    mirrored = spatial.fit_pose(corners, -corners)
+    assert np.linalg.det(mirrored.X[:3, :3]) == pytest.approx(1.0) and mirrored.residual > 0.1

@@ -1,4 +1,4 @@
-"""A system and its configurations in other coordinates: the poses of all bodies, which the joints tie together.
+"""A system in other coordinates: the poses of all bodies, which the joints tie together; turns and slides alone.
 
 >>> import kempe
 >>> robot = kempe.load("two_link")
@@ -9,7 +9,8 @@ True
 'two_link, maximal'
 """
 
+from kempe.kinematics.expanded import expanded
 from kempe.kinematics.maximal import maximal, maximal_q, to_maximal
 from kempe.solvers.assembly.poses import from_maximal
 
-__all__ = ["from_maximal", "maximal", "maximal_q", "to_maximal"]
+__all__ = ["expanded", "from_maximal", "maximal", "maximal_q", "to_maximal"]

@@ -58,6 +58,12 @@ class Placement:
         """The inverse placement, step by step, so that expressions stay expressions."""
         return Placement(tuple(_inverse_step(*step) for step in reversed(self.steps)))
 
+    def __str__(self) -> str:
+        """The motions in their order: 'x = l1, rz = 0.5'; 'nothing' where they coincide."""
+        said = (", ".join(x.text if isinstance(x, Expression) else f"{x:g}" for x in xs) for _, xs in self.steps)
+        named = zip(self.steps, said, strict=True)
+        return ", ".join(f"{m} = {f'({text})' if len(xs) > 1 else text}" for (m, xs), text in named) or "nothing"
+
     def __matmul__(self, other: Placement) -> Placement:
         return Placement(self.steps + other.steps)
 

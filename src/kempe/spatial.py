@@ -6,7 +6,7 @@ order that the function's name says. Angles are radians.
 
 from __future__ import annotations
 
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -251,3 +251,53 @@ def xyz_rpy_from_pose(X: ArrayLike) -> Array:
     """x, y, z, roll, pitch, yaw (..., 6) of poses."""
     given = numbers(X, "X", 4, 4)
     return np.concatenate([given[..., :3, 3], matrix_to_rpy(given[..., :3, :3])], axis=-1)
+
+
+class PoseFit(NamedTuple):
+    """The pose of a body that fits measured places of its particles best, and how far these are off."""
+
+    X: Array
+    """Pose (..., 4, 4)."""
+    residual: Array
+    """Root mean square (...) of the distances, in metres."""
+    distances: Array
+    """Distance (..., n) of each particle from where the pose puts it, in metres."""
+
+
+def fit_pose(particles: ArrayLike, places: ArrayLike) -> PoseFit:
+    """The pose of a body from where its particles are, by least squares of distances (Arun, Huang, Blostein, 1987).
+
+    `particles` (..., n, 3) are points of the body in its frame, `places` (..., n, 3) where they were measured; n is at
+    least 3, and they do not lie on a line. In the plane both are (..., n, 2), and n is at least 2. Batch axes
+    broadcast. Errors: `InputError` for shapes, NaN, and particles that leave the orientation open; among many these
+    give NaN.
+
+    >>> round(float(fit_pose([[0, 0], [1, 0]], [[2, 1], [2, 2.2]]).residual), 12)
+    0.1
+    """
+    given, there = numbers(particles, "particles"), numbers(places, "places")
+    for name, x in (("particles", given), ("places", there)):
+        if x.ndim < 2 or x.shape[-1] not in (2, 3) or x.shape[-2:] != given.shape[-2:] or x.shape[-2] < x.shape[-1]:
+            need = "(..., n, 3) with at least 3 points, or, in the plane, (..., n, 2) with at least 2"
+            raise InputError(f"{name} have shape {x.shape}; both must be {need}")
+    dim = given.shape[-1]
+    given, there = np.broadcast_arrays(given, there)
+    centre, target = given.mean(axis=-2), there.mean(axis=-2)
+    a, b = given - centre[..., None, :], there - target[..., None, :]
+    bad = ~(np.isfinite(a) & np.isfinite(b)).all(axis=(-1, -2))
+    U, S, Vt = np.linalg.svd(np.where(bad[..., None, None], 0.0, np.swapaxes(b, -1, -2) @ a))
+    sense = np.ones((*bad.shape, dim))
+    sense[..., -1] = np.sign(np.linalg.det(U @ Vt))
+    size = np.linalg.norm(a, axis=(-1, -2)) * np.linalg.norm(b, axis=(-1, -2))
+    loose = ~bad & ~(S[..., -2] + sense[..., -1] * S[..., -1] > 1e-12 * size)
+    if bad.ndim == 0 and (bad or loose):
+        open_ = "the particles lie on one line or in one point, which leaves the orientation open"
+        raise InputError("particles or places have entries that are not finite" if bad else open_)
+    X = np.zeros((*bad.shape, 4, 4))
+    X[...] = np.eye(4)
+    X[..., :dim, :dim] = (U * sense[..., None, :]) @ Vt
+    X[..., :dim, 3] = target - np.einsum("...ij,...j->...i", X[..., :dim, :dim], centre)
+    X[bad | loose, :3] = np.nan
+    moved = given @ np.swapaxes(X[..., :dim, :dim], -1, -2) + X[..., None, :dim, 3]
+    distances = np.linalg.norm(moved - there, axis=-1)
+    return PoseFit(X, np.sqrt((distances**2).mean(axis=-1)), distances)

@@ -16,14 +16,37 @@ SMALL = ("no", "one", "two", "three", "four", "five", "six")
 """Numbers that are written out."""
 
 
+PLURALS = {"body": "bodies", "axis": "axes", "branch": "branches", "mesh": "meshes"}
+"""Nouns whose plural has more than an s."""
+
+
+def plural(n: int, what: str) -> str:
+    """A noun for a number of things, perhaps with words before it: 'start', 'planar joints', 'bodies'."""
+    if n == 1:
+        return what
+    before, _, noun = what.rpartition(" ")
+    return f"{before} {PLURALS.get(noun, f'{noun}s')}".lstrip()
+
+
 def counted(n: int, what: str) -> str:
-    """A number of things in digits: '3 starts', '1 start'."""
-    return f"{n} {what}{'' if n == 1 else 's'}"
+    """A number of things in digits: '3 starts', '1 start', '2 bodies'."""
+    return f"{n} {plural(n, what)}"
+
+
+def verb(n: int, one: str, more: str) -> str:
+    """The form of a verb for a number of things: ``verb(n, "is", "are")``."""
+    return one if n == 1 else more
+
+
+def of_many(good: int, n: int, what: str) -> str:
+    """How many of several: '2 of 3 targets reached', '1 of 1 target reached'; the first word of `what` is a plural."""
+    first, _, rest = what.partition(" ")
+    return f"{good} of {n} {first.removesuffix('s') if n == 1 else first} {rest}".rstrip()
 
 
 def in_words(n: int, what: str) -> str:
     """A number of things with small numbers written out: 'two joints'."""
-    return f"{SMALL[n] if n < len(SMALL) else n} {what}{'' if n == 1 else 's'}"
+    return f"{SMALL[n] if n < len(SMALL) else n} {plural(n, what)}"
 
 
 def cut(lines: list[str], most: int) -> list[str]:

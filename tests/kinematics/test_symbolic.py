@@ -21,8 +21,8 @@ from kempe import Mechanism, System
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 
 sympy = pytest.importorskip("sympy")
-from kempe.kinematics.symbolic import symbolic_fk  # noqa: E402
-from kempe.kinematics.symbolic_turns import TURN_LIMIT  # noqa: E402
+from kempe.kinematics.formulas.symbolic import symbolic_fk  # noqa: E402
+from kempe.kinematics.formulas.symbolic_turns import TURN_LIMIT  # noqa: E402
 
 
 def numbers(formula, system: System, q, **parameters) -> np.ndarray:

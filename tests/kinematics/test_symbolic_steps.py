@@ -11,7 +11,7 @@ from kempe import Mechanism, spatial
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 
 sympy = pytest.importorskip("sympy")
-from kempe.kinematics.symbolic_steps import short_form  # noqa: E402
+from kempe.kinematics.formulas.symbolic_steps import short_form  # noqa: E402
 
 ARM = kempe.load("two_link")
 SYSTEMS = ["two_link", "seven_bodies", "puma560", "ur5", "panda", "four_bar", "four_links", "joint_helical",

@@ -404,8 +404,8 @@ def test_wrong_arguments_are_named():
     target = robot.fk(robot.q("qn"), "tool")
     with pytest.raises(InputError, match="starts is"):
         robot.ik(target, "tool", budget=kempe.Budget(starts=10**30))
-    with pytest.raises(InputError, match=r"it must be \(6,\)$"):
-        robot.ik(target, "tool", start=np.zeros((2, 6)))
+    with pytest.raises(InputError, match=r"leading shapes do not fit together: \(3,\) of target, \(2,\) of start"):
+        robot.ik(np.stack([target] * 3), "tool", start=np.zeros((2, 6)))
     with pytest.raises(kempe.KempeError, match="frame of expression"):
         robot.jacobian(robot.neutral, "tool", ["body"])
     assert robot.ik(target, "tool", tolerance=np.array([1e-6, 1e-6]))
@@ -421,3 +421,63 @@ def test_a_ball_joint_leads_a_point_on_a_sphere(p, distance):
     s = m.build().ik(p, "tip")
     assert s.code == Status.OUT_OF_REACH and f"outside the workspace by at least {distance:g} m" in s.status
     np.testing.assert_allclose(s.position_error, distance, atol=1e-6)
+
+
+def test_starts_and_targets_broadcast():
+    """Each answer of a batch is the answer to its pair alone; the elbow is on the side on which its start is."""
+    arm = kempe.load("two_link")
+    starts = np.stack([np.full(9, 0.5), np.linspace(-1.0, 1.1, 9)], axis=-1)
+    p = np.array([[0.6, 0.3], [0.4, -0.5]])
+    many = arm.ik(p[:, None], "e", start=starts)
+    assert many.q.shape == (2, 9, 2) and many.success.all()
+    for i, j in np.ndindex(2, 9):
+        np.testing.assert_array_equal(many.q[i, j], arm.ik(p[i], "e", start=starts[j]).q)
+    assert arm.ik(p[0], "e", start=np.zeros((0, 2))).q.shape == (0, 2)
+
+
+def test_names_stand_for_starts_and_targets():
+    arm = kempe.load("two_link")
+    p = arm.fk(arm.neutral, "p")[:2, 3]
+    np.testing.assert_array_equal(arm.ik(p, "e", start="elbow_up").q, arm.ik(p, "e", start=arm.q("elbow_up")).q)
+    np.testing.assert_array_equal(arm.ik("p", "e", task="position").q, arm.ik(p, "e").q)
+    assert len(arm.ik_all("p", "e", task="position")) == 2
+    with pytest.raises(InputError, match="'e', which moves"):
+        arm.ik("e", "e")
+    with pytest.raises(kempe.KempeError, match="no frame 'x'"):
+        arm.ik("x", "e")
+    with pytest.raises(kempe.KempeError, match="no posture 'x'"):
+        arm.ik(p, "e", start="x")
+
+
+@pytest.mark.parametrize(("name", "frame"), [("puma560", "tool"), ("panda", "panda_hand_tcp"), ("two_link", "e")])
+def test_a_history_leads_from_the_start_to_the_answer(name, frame):
+    robot = kempe.load(name)
+    q0, X = robot.random(1), robot.fk(robot.random(2), frame)
+    target = X if robot.dim == 3 else X[:2, 3]
+    s = robot.ik(target, frame, start=q0, history=True)
+    history = s.history
+    np.testing.assert_array_equal(s.q, robot.ik(target, frame, start=q0).q)
+    np.testing.assert_array_equal(history.q[-1], s.q)
+    np.testing.assert_allclose(history.q[0], q0, rtol=0, atol=1e-12)
+    assert history.start[-1] == s.starts - 1 and (np.diff(history.start) >= 0).all()
+    Y = robot.fk(history.q, frame)
+    np.testing.assert_allclose(history.position_error, np.linalg.norm(Y[:, :3, 3] - X[:3, 3], axis=-1), atol=1e-12)
+    energy = history.position_error**2 + history.orientation_error**2
+    assert energy[-1] < 1e-12 < energy[0] and str(history).startswith(f"{len(history.q) - s.starts} steps of ")
+
+
+def test_a_history_of_what_converges_not_at_first():
+    """Stretched, the arm is singular: the first start is stuck; of a target out of reach no start arrives."""
+    arm = kempe.load("two_link")
+    s = arm.ik([-0.6, 0.0], "e", start=[0.0, 0.0], history=True)
+    assert s and s.starts > 1 and (s.history.position_error[s.history.start == 0] > 1.4).all()
+    far = kempe.load("unreachable").ik([0.8, 0.6], "e", history=True)
+    assert not far and far.history.starts == 1000 and far.history.start.max() == 63
+    assert "the first 64 of 1000" in far.history.status
+    axes = s.plot_history()
+    assert {line.get_gid() for line in axes.lines} == {f"position:{k}" for k in range(s.starts)}
+    for call in (lambda: arm.ik([[0.6, 0.3]], "e", history=True), lambda: arm.ik([0.6, 0.3], "e").plot_history(),
+                 lambda: arm.ik([0.6, 0.3], "e", method="analytic", history=True),
+                 lambda: arm.ik([kempe.tasks.Position("e", [0.6, 0.3])], history=True)):  # fmt: skip
+        with pytest.raises(InputError, match="history"):
+            call()

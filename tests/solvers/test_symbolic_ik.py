@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import itertools
 
 import numpy as np
 import pytest
@@ -55,7 +56,7 @@ def test_the_signs_are_the_elbows_of_all_solutions():
 
 def test_what_is_printed():
     formulas = ARM.symbolic.ik("e")
-    assert "s_{2} &= sign \\sqrt{1 - c_{2}^{2}}" in formulas.latex() and formulas.latex() in formulas._repr_latex_()
+    assert "s_{2} &= \\pm \\sqrt{1 - c_{2}^{2}}" in formulas.latex() and formulas.latex() in formulas._repr_latex_()
     code = formulas.code()
     assert "def inverse(p_x, p_y, sign, l1, l2):" in code and "    s2 = sign*numpy.sqrt(1 - c2**2)" in code
     assert code.endswith("    return q1, q2\n")
@@ -66,8 +67,14 @@ def test_other_chains_are_refused():
     for name, frame in (("puma560", "tool"), ("slider", "B5"), ("four_bar", kempe.load("four_bar").body_names[2])):
         with pytest.raises(UnsupportedError, match="ik_all"):
             kempe.load(name).symbolic.ik(frame)
-    with pytest.raises(UnsupportedError, match="about z"):
-        arm(0.7, 0.4, axis=-1).symbolic.ik("tip")
+    with pytest.raises(UnsupportedError, match="two joints to a position"):
+        ARM.symbolic.ik("e", "pose")
+    with pytest.raises(UnsupportedError, match="held"):
+        kempe.load("panda").inverse.plan("panda_hand_tcp").formulas()
+    with pytest.raises(UnsupportedError, match="one axis"):
+        arm(0.0, 0.4).symbolic.ik("tip", symbols={"first": 0})
+    with pytest.raises(UnsupportedError, match="not called"):
+        arm(0.7, 0.4).symbolic.ik("tip", symbols={"first": sympy.Symbol("beta")})
     with pytest.raises(InputError, match="sign"):
         ARM.symbolic.ik("e")([0.6, 0.3], 0)
     with pytest.raises(InputError, match="shape"):
@@ -92,3 +99,60 @@ def test_code_has_names_of_its_own_for_all_that_it_computes(names):
     for i, line in enumerate(lines):  # what is computed before, and the arguments
         used = {x.id for x in ast.walk(line.value) if isinstance(x, ast.Name)} - {"numpy"}
         assert used <= {*known[: 4 + i]}
+
+
+# ---- all planar chains of two and three joints
+
+
+def chain(kinds, rng, dim):
+    """Joints at offset places, turned bases, axes along z and -z, slides in any direction."""
+    m = Mechanism("chain", dim=dim)
+    here = m.ground
+    for i, kind in enumerate(kinds):
+        length = m.parameter(f"l{i}", float(rng.uniform(0.2, 1.0)))
+        at = (length, float(rng.uniform(-0.5, 0.5)), *([0.3] if dim == 3 else []))
+        body, across = m.body(f"b{i}"), [0.0] if dim == 3 else []
+        if kind == "P":
+            m.prismatic(f"q{i}", here, body, at=at, axis=(*rng.uniform(-1, 1, 2), *across))
+        elif dim == 3:
+            m.revolute(f"q{i}", here, body, at=at, axis=(0, 0, -1) if i == 0 else "z")
+        else:
+            m.revolute(f"q{i}", here, body, at=at, angle=0.3)
+        here = f"b{i}"
+    m.frame("tip", here, at=("l0", 0.1, *across), **({"angle": 0.2} if dim == 2 else {}))
+    return m.build()
+
+
+KINDS = [k for n in (2, 3) for k in map("".join, itertools.product("RP", repeat=n)) if k != "PPP"]
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("kinds", KINDS)
+def test_formulas_of_any_planar_chain_reach_the_target_and_miss_no_solution(kinds, dim, hunt):
+    rng = hunt.rng()
+    system, n, turns = chain(kinds, rng, dim), len(kinds), np.array(list(kinds)) == "R"
+    q = rng.uniform(-2, 2, (20, n))
+    X = system.fk(q, "tip")
+    target = X[:, :2, 3] if n == 2 else np.column_stack([X[:, :2, 3], np.arctan2(X[:, 1, 0], X[:, 0, 0])])
+    formulas = system.inverse.plan("tip", "position" if n == 2 else "pose").formulas()
+    assert len(formulas.signs) == (kinds.count("R") > n - 2 or kinds == "RP")
+    off = []
+    for sign in (-1, 1):
+        found = formulas(target, sign)
+        Y = system.fk(found, "tip")
+        np.testing.assert_allclose(*((Y, X) if n == 3 else (Y[:, :2, 3], X[:, :2, 3])), atol=1e-9)
+        off.append(np.where(turns, (found - q + np.pi) % (2 * np.pi) - np.pi, found - q))
+    assert np.abs(off).max(axis=-1).min(axis=0).max() < 1e-6
+
+
+@pytest.mark.parametrize("kinds", ["RR", "PRR", "RPR"])
+def test_code_computes_what_the_formulas_say(kinds):
+    system = chain(kinds, np.random.default_rng(4), 2)
+    formulas = system.symbolic.ik("tip")
+    names: dict = {}
+    exec(formulas.code(), names)
+    X = system.fk([0.3, 0.4, 0.5][: len(kinds)], "tip")
+    p = [*X[:2, 3], np.arctan2(X[1, 0], X[0, 0])][: len(kinds)]
+    lengths = [system.structure.parameters[str(s)] for s in sorted(formulas._lengths(), key=str)]
+    np.testing.assert_allclose(names["inverse"](*p, 1, *lengths), formulas(p, 1), atol=1e-12)
+    assert np.isfinite(formulas(p, 1)).all()

@@ -16,6 +16,7 @@ from kempe.joints import TYPES, JointType, P, Product, Q, R
 from kempe.placement import Placement
 from kempe.reals import is_mapping, is_real, is_sequence
 from kempe.values import Expression, value
+from kempe.words import counted, verb
 
 SAME_DIRECTION = 1e-12
 """How far two unit vectors may be apart and still be one direction."""
@@ -63,7 +64,7 @@ def body(
             refuse(subject, f"center is {center!r}", where, "it must have 2 or 3 numbers")
         lengths = [number(c, f"{subject}: center") for c in coordinates]
         if len(lengths) not in (2, 3):
-            refuse(subject, f"center has {len(lengths)} numbers", where, "it must have 2 or 3")
+            refuse(subject, f"center has {counted(len(lengths), 'number')}", where, "it must have 2 or 3")
         center = (*lengths, 0.0)[:3]
     return Body(given, particle, mass, center, tuple(visuals), where)  # type: ignore[arg-type]
 
@@ -115,7 +116,8 @@ def fault_of(type_: JointType, dim: int, particle: bool) -> str:
         if what not in (R, P, Q) or axis not in ("x", "y", "z"):
             return f"{primitives[k]} is not R, P or Q about or along x, y or z"
         if not 0 <= first <= len(names) - size:
-            return f"{primitives[k]} is of coordinate {first}, but there are {len(names)} coordinates"
+            there = f"there {verb(len(names), 'is', 'are')} {counted(len(names), 'coordinate')}"
+            return f"{primitives[k]} is of coordinate {first}, but {there}"
         if not math.isfinite(multiplier) or (what == Q and multiplier != 1.0):
             return f"{primitives[k]} has the multiplier {multiplier:g}"
         for i in range(first, first + size):

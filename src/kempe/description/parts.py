@@ -10,10 +10,11 @@ import numpy as np
 
 from kempe.constraints.base import Constraint, Op, content, one_sided, position_rows, with_numbers
 from kempe.errors import Where
-from kempe.joints import JointType
+from kempe.joints import JointType, P
 from kempe.placement import Placement
 from kempe.spatial import Array
 from kempe.values import Value
+from kempe.words import verb
 
 Limits = tuple[float, float]
 """Lower and upper bound of one velocity coordinate; an infinity where there is none."""
@@ -70,6 +71,41 @@ class Joint:
     cut: bool = False
     where: Where | None = field(default=None, compare=False, repr=False)
     unstated: bool = field(default=False, compare=False, repr=False)
+
+    def forbids(self, dim: int = 3, particle: bool = False) -> str:
+        """What the joint forbids in words: "B5 cannot slide along y or z, nor turn about x, y or z of B0: ...".
+
+        Axes are those of the parent where the joint is aligned with them, else those of the joint's frame F. `dim` is
+        2 in a planar system; `particle` says that the child is a particle. `JointType.forbids` has the names alone.
+        """
+        taken, whole = self.type.constraints(dim, particle), dim if particle else 3 * (dim - 1)
+        names = [name for name in self.type.forbids(dim) if not (particle and name[0] == "r")]
+        axes, of = self._axes(dim)
+        groups = [sorted(axes[n[-1]] for n in names if (n[0] == "r") == turning) for turning in (False, True)]
+        if all(len(group) in (0, 3) for group in groups):
+            of = self.parent
+        parts = [f"{verb} {' or '.join(filter(None, (', '.join(group[:-1]), group[-1])))}"
+                 for verb, group in zip(("slide along", "turn about"), groups, strict=True) if group]  # fmt: skip
+        said = f"cannot {', nor '.join(parts)} of {of}" if parts else "can move freely"
+        total = f"{taken} of {whole} freedoms {verb(taken, 'is', 'are')} taken away"
+        more = taken - len(names)
+        more_said = f", {more} of them by a relation or about an axis that moves" if more else ""
+        return f"{self.child} {said}: {total}{more_said}"
+
+    def _axes(self, dim: int) -> tuple[dict[str, str], str]:
+        """For x, y, z of frame F the axis of the parent along which it lies, and the parent; F's own if oblique.
+
+        In the plane x of a joint that slides along z of F is its slide, as in `JointType.forbids`.
+        """
+        turns = Placement(tuple(step for step in self.X_PF.steps if step[0] not in ("x", "y", "z")))
+        R = np.eye(3) if turns.names else turns.evaluate({})[:3, :3]
+        if dim == 2 and any(p.kind == P and p.axis == "z" for p in self.type.layout(2)[1]):
+            rail = R[:, 2]
+            R = np.stack([rail, np.cross((0.0, 0.0, 1.0), rail), (0.0, 0.0, 1.0)], axis=1)
+        nearest = np.abs(R)
+        if turns.names or not np.allclose(nearest, np.rint(nearest), atol=1e-9):
+            return {name: name for name in "xyz"}, f"the frame of {self.name}"
+        return {name: "xyz"[k] for name, k in zip("xyz", nearest.argmax(axis=0).tolist(), strict=True)}, self.parent
 
     def __str__(self) -> str:
         return self.name

@@ -16,6 +16,7 @@ from kempe.model.tree.coordinates import returning
 from kempe.model.tree.topology import natural
 from kempe.reals import converted, is_plain, is_real, named, reals, rows_of
 from kempe.spatial import Array
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -38,8 +39,10 @@ def as_q(system: System, q: Any) -> Array:
 def as_start(system: System, q: Any) -> Array:
     """Start of a search (..., nq), read as by `as_q`.
 
-    Coordinates that are not named are as at home; no loop is closed.
+    Coordinates that are not named are as at home; no loop is closed. A text is the name of a posture.
     """
+    if isinstance(q, str):
+        return q_from_dict(system, q, home_of(system))
     return _read(system, q, from_home)
 
 
@@ -57,7 +60,7 @@ def _read(system: System, q: Any, complete: Callable[[System, Mapping[str, Any]]
         array = np.require(reals(q, "q", WANTED), np.float64, ["C", "A"])
     if array.ndim == 0 or array.shape[-1] != system.nq:
         names = ", ".join(system.coordinate_names[:12]) + (", ..." if system.nq > 12 else "")
-        got = "a single number" if array.ndim == 0 else f"{array.shape[-1]} coordinates"
+        got = "a single number" if array.ndim == 0 else counted(array.shape[-1], "coordinate")
         raise InputError(f"q has {got}; {system.name} needs {system.nq}: {names}")
     return array
 
@@ -234,8 +237,8 @@ def integrate(system: System, q: Any, v: ArrayLike) -> Array:
     """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv) in one unit of time."""
     v = numbers(v, "v")
     if v.ndim == 0 or v.shape[-1] != system.nv:
-        got = "a single number" if v.ndim == 0 else f"{v.shape[-1]} coordinates"
-        raise InputError(f"v has {got}; {system.name} has {system.nv} velocity coordinates")
+        got = "a single number" if v.ndim == 0 else counted(v.shape[-1], "coordinate")
+        raise InputError(f"v has {got}; {system.name} has {counted(system.nv, 'velocity coordinate')}")
     q = as_q(system, q)
     if q.shape != v.shape and q.ndim + v.ndim > 2:
         together({"q": q.shape[:-1], "v": v.shape[:-1]})

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from kempe import spatial
 from kempe.calls import known
 from kempe.errors import InputError, shown
 from kempe.kernels.compiled import chain
@@ -63,7 +64,8 @@ def chain_table(system: System, frame: str) -> tuple[np.ndarray, Array]:
 
 
 def in_form(
-    system: System, q: Any, frame: Any, out: Array | None, threads: int | None, form: str | None, dtype: Any
+    system: System, q: Any, frame: Any, out: Array | None, threads: int | None, form: str | None, dtype: Any,
+    relative_to: Any = None,
 ) -> Array:  # fmt: skip
     """Poses of a frame in a chosen form and number type; arguments and errors as in `forward.fk`."""
     from kempe.kinematics.forward import fk
@@ -78,21 +80,30 @@ def in_form(
     q = as_q(system, q)
     one: Any = frame
     several = frame is None or isinstance(frame, (list, tuple))
+    base = None if relative_to is None else system.structure.frame_name(relative_to)
+
+    def poses(at: Array) -> Array:
+        X = fk(system, at, one, threads=1)
+        if base is None:
+            return X
+        back = spatial.inverse(fk(system, at, base, threads=1))
+        return (back[..., None, :, :] if several else back) @ X
+
     lead = q.shape[:-1] + ((len(system.body_names if frame is None else one),) if several else ())
     out = _taken(out, (*lead, *wanted.shape), kind)
     if q.ndim == 1:
-        out[...] = wanted.of(fk(system, q, one))
+        out[...] = wanted.of(poses(q))
         return out
     flat = q.reshape(math.prod(q.shape[:-1]), system.nq)
     rows = out.reshape(len(flat), *out.shape[q.ndim - 1 :])
     if np.may_share_memory(q, out):
         flat = flat.copy()
-    table = None if several else chain_table(system, system.structure.frame_name(one))
+    table = None if several or base is not None else chain_table(system, system.structure.frame_name(one))
     width = math.prod(wanted.shape)
 
     def some(start: int, stop: int) -> int:
         if table is None:
-            rows[start:stop] = wanted.of(fk(system, flat[start:stop], one, threads=1))
+            rows[start:stop] = wanted.of(poses(flat[start:stop]))
             return 0
         made = rows[start:stop] if kind == np.float64 else np.empty((stop - start, *wanted.shape))
         bad = chain.chain_poses(*table, flat[start:stop], made.reshape(stop - start, width))

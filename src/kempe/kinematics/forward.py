@@ -197,9 +197,9 @@ def _packed(system: System, frames: tuple[str, ...] | None) -> tuple[np.ndarray,
 @explained
 def fk(
     system: System, q: Any, frame: FrameLike | list[Any] | tuple[Any, ...] | None = None, out: Array | None = None,
-    threads: int | None = None, form: str | None = None, dtype: Any = None,
+    threads: int | None = None, form: str | None = None, dtype: Any = None, relative_to: FrameLike | None = None,
 ) -> Array:  # fmt: skip
-    """Poses in the ground frame (the forward geometric model).
+    """Poses in the ground frame, or in the frame `relative_to` (the forward geometric model).
 
     `q` is (..., nq) in radians and metres, or a dict by coordinate name. `frame` is the name of a body or frame:
     then the result is (..., 4, 4); a list of names gives (..., k, 4, 4) in their order; None gives all bodies by
@@ -213,8 +213,8 @@ def fk(
     A NaN, an infinity or a zero quaternion that a pose depends on is an `InputError`; in a batch the first three rows
     of such a pose are NaN and all others are right. Errors: `UnknownNameError` for names, `InputError` for shapes.
     """
-    if form is not None or dtype is not None:
-        return in_form(system, q, frame, out, threads, form, dtype)
+    if form is not None or dtype is not None or relative_to is not None:
+        return in_form(system, q, frame, out, threads, form, dtype, relative_to)
     if frame is not None and not isinstance(frame, (list, tuple)):
         return _query(system, frame)(None, q, out, threads)
     key = None if frame is None else tuple(system.structure.frame_name(f) for f in frame)

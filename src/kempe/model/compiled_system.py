@@ -17,6 +17,7 @@ from kempe.model.tree.coordinates import Coordinates, Relation, coordinate_names
 from kempe.model.tree.primitive_table import Table, lower
 from kempe.model.tree.topology import Topology, spanning_tree
 from kempe.spatial import Array
+from kempe.words import counted
 
 FrameLike = Body | Frame | str
 
@@ -138,9 +139,9 @@ class Structure:
         return _digest((m.dim, self.topology, joints, constraints, self.coordinates.names, tuple(m.frames)))
 
     def __repr__(self) -> str:
-        counts = f"{len(self.topology.parent)} bodies, {len(self._mechanism.joints)} joints"
+        counts = f"{counted(len(self.topology.parent), 'body')}, {counted(len(self._mechanism.joints), 'joint')}"
         cut = f", loops closed by {', '.join(map(repr, self.closures))}" if self.closures else ""
-        tied = f", {len(self.relations)} relations" if self.relations else ""
+        tied = f", {counted(len(self.relations), 'relation')}" if self.relations else ""
         return f"Structure of {self._mechanism.name!r}: {counts}{cut}{tied}"
 
 

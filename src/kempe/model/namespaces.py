@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from kempe.analysis.spaces.reach.reached_poses import ReachStudy
     from kempe.budget import Budget
     from kempe.kinematics.closure_rows import SystemConstraint
-    from kempe.kinematics.symbolic_steps import ShortForm, SymbolicSteps
+    from kempe.kinematics.formulas.symbolic_closure import SymbolicClosure
+    from kempe.kinematics.formulas.symbolic_dh import DHTable
+    from kempe.kinematics.formulas.symbolic_steps import ShortForm, SymbolicSteps
     from kempe.model.system import System
     from kempe.solvers.analytic.describe.describe import Recognised
     from kempe.solvers.analytic.describe.symbolic_ik import InverseFormulas
@@ -49,46 +51,65 @@ class Symbolic(Namespace):
     @explained
     def fk(
         self, frame: FrameLike, *, relative_to: FrameLike | None = None, symbols: Mapping[str, Any] | None = None,
-        snap: float = 0.0,
+        snap: float = 0.0, short: bool = False,
     ) -> Any:  # fmt: skip
         """The forward model in symbols (sympy Matrix 4x4), in the ground frame or in another one.
 
-        See `kempe.kinematics.symbolic.symbolic_fk`.
+        With `short` a `ShortForm`: l1 c1 + l2 c12, and the legend; see `kempe.kinematics.formulas.symbolic`.
         """
-        from kempe.kinematics.symbolic import symbolic_fk
+        from kempe.kinematics.formulas.symbolic_steps import short_fk
 
-        return symbolic_fk(self.system, frame, relative_to=relative_to, symbols=symbols, snap=snap)
+        return short_fk(self.system, frame, short, relative_to=relative_to, symbols=symbols, snap=snap)
 
     @explained
     def steps(
         self, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
     ) -> SymbolicSteps:  # fmt: skip
-        """The matrices whose product is the forward model; see `kempe.kinematics.symbolic_steps.symbolic_steps`."""
-        from kempe.kinematics.symbolic_steps import symbolic_steps
+        """The matrices whose product is the forward model; see `kempe.kinematics.formulas.symbolic_steps`."""
+        from kempe.kinematics.formulas.symbolic_steps import symbolic_steps
 
         return symbolic_steps(self.system, frame, symbols=symbols, snap=snap)
 
     @explained
     def jacobian(self, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0) -> Any:
-        """The Jacobian in symbols (sympy Matrix 6 x nv); see `kempe.kinematics.symbolic_steps.symbolic_jacobian`."""
-        from kempe.kinematics.symbolic_steps import symbolic_jacobian
+        """The Jacobian in symbols (sympy Matrix 6 x nv); see `kempe.kinematics.formulas.symbolic_steps`."""
+        from kempe.kinematics.formulas.symbolic_steps import symbolic_jacobian
 
         return symbolic_jacobian(self.system, frame, symbols=symbols, snap=snap)
 
     @explained
-    def ik(self, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None) -> InverseFormulas:
-        """The inverse model of a planar two-link arm as formulas.
+    def closure(self, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0) -> SymbolicClosure:
+        """The equations f(q) = 0 of all loops; see `kempe.kinematics.formulas.symbolic_closure.symbolic_closure`."""
+        from kempe.kinematics.formulas.symbolic_closure import symbolic_closure
+
+        return symbolic_closure(self.system, symbols=symbols, snap=snap)
+
+    @explained
+    def to_dh(
+        self, frame: FrameLike, convention: str = "standard", *, symbols: Mapping[str, Any] | None = None,
+        snap: float = 0.0,
+    ) -> DHTable:  # fmt: skip
+        """The Denavit-Hartenberg table of a frame's chain; see `kempe.kinematics.formulas.symbolic_dh.to_dh`."""
+        from kempe.kinematics.formulas.symbolic_dh import to_dh
+
+        return to_dh(self.system, frame, convention, symbols=symbols, snap=snap)
+
+    @explained
+    def ik(
+        self, frame: FrameLike, task: str | None = None, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
+    ) -> InverseFormulas:  # fmt: skip
+        """The inverse model of a planar arm of two or three joints as formulas.
 
         See `kempe.solvers.analytic.describe.symbolic_ik.symbolic_ik`.
         """
         from kempe.solvers.analytic.describe.symbolic_ik import symbolic_ik
 
-        return symbolic_ik(self.system, frame, symbols=symbols)
+        return symbolic_ik(self.system, frame, task, symbols=symbols, snap=snap)
 
     @explained
     def short(self, formula: Any) -> ShortForm:
-        """A formula with c12 for cos(q1 + q2), and the legend; see `kempe.kinematics.symbolic_steps.short_form`."""
-        from kempe.kinematics.symbolic_steps import short_form
+        """A formula with c12 for cos(q1 + q2), and the legend; see `kempe.kinematics.formulas.symbolic_steps`."""
+        from kempe.kinematics.formulas.symbolic_steps import short_form
 
         return short_form(self.system, formula)
 

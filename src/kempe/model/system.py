@@ -131,18 +131,19 @@ class System(Compiled, Pictured, FormerNames):
 
     def fk(
         self, q: Any, frame: FrameLike | list[Any] | tuple[Any, ...] | None = None, out: Array | None = None,
-        threads: int | None = None, form: str | None = None, dtype: Any = None,
+        threads: int | None = None, form: str | None = None, dtype: Any = None, relative_to: FrameLike | None = None,
     ) -> Array:  # fmt: skip
         """Poses in the ground frame: (..., 4, 4) of one frame, (..., k, 4, 4) of several or of all bodies (None).
 
-        `form` "3x4", "position" or "position_quat_wxyz" gives less of each; see `kempe.kinematics.forward.fk`.
+        `form` "3x4", "position" or "position_quat_wxyz" gives less of each, `relative_to` another frame in place of the
+        ground; see `kempe.kinematics.forward.fk`.
         """
-        query = self._queries.get(frame) if frame.__class__ is str and form is dtype is None else None
+        query = self._queries.get(frame) if frame.__class__ is str and form is dtype is relative_to is None else None
         if query is not None and q.__class__ is np.ndarray:  # the import below alone would double the time
             return query(None, q, out, threads)
         from kempe.kinematics.forward import fk
 
-        return fk(self, q, frame, out, threads, form, dtype)
+        return fk(self, q, frame, out, threads, form, dtype, relative_to)
 
     def jacobian(self, q: Any, frame: FrameLike, in_frame: str = "world_aligned", threads: int | None = None) -> Array:
         """Jacobian (..., 6, nv), rows [linear; angular], of a frame; see `kempe.kinematics.forward.jacobian`."""
@@ -173,17 +174,22 @@ class System(Compiled, Pictured, FormerNames):
     def ik(
         self, target: Any, frame: FrameLike | None = None, start: Any = None, *,
         task: str | tuple[str, ArrayLike] | None = None, prefer: Any = None, method: str | None = None,
-        tolerance: float | tuple[float, float] | None = None, budget: Budget | None = None,
+        tolerance: float | tuple[float, float] | None = None, budget: Budget | None = None, history: bool = False,
     ) -> Solution:  # fmt: skip
         """A configuration that reaches a target or holds tasks; see `solvers.inverse.ik` and `solvers.tasks.reach`."""
-        if frame.__class__ is str and prefer is method is tolerance is budget and target.__class__ is ARRAY:
+        if (
+            frame.__class__ is str
+            and prefer is method is tolerance is budget
+            and target.__class__ is ARRAY
+            and not history
+        ):
             bound = self._queries.get((frame, task if task is None else str(task), target.ndim))
             if bound is not None and budget is None and (answer := bound(target, start)) is not None:
                 return answer
         from kempe.solvers.one_frame.inverse import ik
 
         return ik(self, target, frame, start, task=task, prefer=prefer, method=method, tolerance=tolerance,
-                  budget=budget)  # fmt: skip
+                  budget=budget, history=history)  # fmt: skip
 
     @explained
     def ik_all(

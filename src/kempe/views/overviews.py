@@ -178,7 +178,7 @@ def plot_joints(names: Sequence[str] = ()) -> tuple[Axes, ...]:
 
 def notebook_page(system: System) -> str:
     """The system as HTML: a picture, its freedoms, its tree. What cannot be had is left out."""
-    count = f"{len(system.parent)} {'body' if len(system.parent) == 1 else 'bodies'}"
+    count = counted(len(system.parent), "body")
     kind = "in the plane" if system.dim == 2 else "in space"
     head = f"{system.name}: {count}, {counted(len(system.joint_names), 'joint')}, {kind}"
     parts = [f"<p>{html.escape(head)}</p>", _picture(system)]

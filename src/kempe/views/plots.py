@@ -227,6 +227,31 @@ def _neighbours(system: System, q: Array) -> Array:
     return np.concatenate([integrate(system, q, sign * steps) for sign in (-1.0, 1.0)])
 
 
+def plot_history(history: Any, ax: Axes | None = None) -> Axes:
+    """Axes with the errors of an `IkHistory` over its steps, on a logarithmic scale: a line for each start.
+
+    Position errors [m] are drawn with circles, orientation errors [rad] dashed.
+    """
+    ax = page.new_figure(6.0, 4.0).add_axes((0.13, 0.12, 0.84, 0.84)) if ax is None else page.axes_given(ax)[0]
+    least = 1e-17
+    for start in np.unique(history.start):
+        rows = history.start == start
+        how: dict[str, Any] = {"color": style.link_colour(int(start) + 1), "lw": 1.4}
+        for name, unit, line in (("position", "m", "o-"), ("orientation", "rad", "s--")):
+            errors = getattr(history, f"{name}_error")[rows]
+            if errors.any():
+                label = f"start {start}: {name} [{unit}]"
+                ax.plot(
+                    history.step[rows], np.maximum(errors, least), line, ms=4, gid=f"{name}:{start}", label=label, **how
+                )
+    ax.set_yscale("log")
+    page.light_axes(ax)
+    ax.set_xlabel("step", size=style.FONT, color=style.INK)
+    ax.set_ylabel("error", size=style.FONT, color=style.INK)
+    ax.legend(fontsize=style.FONT - 1, frameon=False)
+    return ax
+
+
 def _usual(system: System, configurations: Array | None) -> Array:
     """The configuration that is drawn unless one is given."""
     q = home_of(system)

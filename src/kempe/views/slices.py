@@ -14,6 +14,7 @@ import numpy as np
 from kempe.kinematics.measure import Judgement, judge
 from kempe.solvers.common.answer import Answer
 from kempe.spatial import Array
+from kempe.words import counted, of_many, verb
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -63,9 +64,9 @@ class Slices(Answer):
         return super().__bool__() and not self.interrupted
 
     def __str__(self) -> str:
-        what = self.answers[0].what if self.answers else "targets reached"
-        left = f" (interrupted: {self.requested - len(self)} targets were not solved)" if self.interrupted else ""
-        return f"{int(np.sum(self.success))} of {len(self)} {what}{left}"
+        what, more = self.answers[0].what if self.answers else "targets reached", self.requested - len(self)
+        left = f" (interrupted: {counted(more, 'target')} {verb(more, 'was', 'were')} not solved)"
+        return of_many(int(np.sum(self.success)), len(self), what) + left * self.interrupted
 
 
 def in_slices(

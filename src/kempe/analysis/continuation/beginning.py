@@ -21,6 +21,7 @@ from kempe.model.tree.coordinates import coordinate_names
 from kempe.reals import is_mapping, is_real
 from kempe.solvers.common.tracing import RANK, Node, node
 from kempe.spatial import Array
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -245,7 +246,7 @@ def too_free(equations: Closure, matrix: Array, drivers: Sequence[str]) -> str:
     many = len(null_space) - (not drivers)
     own = null_space[:, [n in named for n in system.structure.velocity_names]]
     enough = int(np.sum(np.linalg.svd(own, compute_uv=False) > 1e-6)) >= many if named else False
-    head = f"to first order {system.name} has {count} freedoms here, more than are driven; {still}: "
+    head = f"to first order {system.name} has {counted(count, 'freedom')} here, more than are driven; {still}: "
     if not named:
         return (
             f"{head}{_listed(balls)}, which {'is a ball' if len(balls) == 1 else 'are balls'} without coordinates that "

@@ -189,7 +189,8 @@ class Path(Motion):
                 if e.place[i] >= 0 and abs(change[e.place[i]]) > 1.0}  # fmt: skip
 
     def __repr__(self) -> str:
-        return f"Path({self.system.name!r}, {len(self.q)} points, length={self.length:.6g}, closed={self.closed})"
+        what = f"{counted(len(self.q), 'point')}, length={self.length:.6g}, closed={self.closed}"
+        return f"Path({self.system.name!r}, {what})"
 
     def at(self, s: ArrayLike) -> Array:
         """Configurations (..., nq) at arc lengths `s` (...), closed exactly; a closed path goes on around.
@@ -240,7 +241,7 @@ class Path(Motion):
         q = np.concatenate([np.empty((0, self.system.nq)), *(part[1] for part in done)])
         if broken is None:
             return replace(self, q=q, s=s)
-        more = "; ".join(filter(None, [self.remark, f"{len(q)} of {n} points at equal distances"]))
+        more = "; ".join(filter(None, [self.remark, f"{len(q)} of {counted(n, 'point')} at equal distances"]))
         late, interrupted = isinstance(broken, TimeUp), isinstance(broken, KeyboardInterrupt)
         ends = (self.ends[0], time.reason(broken))
         return replace(self, q=q, s=s, closed=False, ends=ends, success=False, late=late, interrupted=interrupted,
@@ -259,7 +260,7 @@ class Path(Motion):
             still = immovable(self.system)
             return self.ends[1] + (f"; {still}" if still else "")
         what = "closed curve" if self.closed else "curve"
-        text = f"{what} of length {self.length:.6g} through {len(self)} points"
+        text = f"{what} of length {self.length:.6g} through {counted(len(self), 'point')}"
         turning = [f"{counted(abs(k), 'turn')} of {name!r}" for name, k in self.turns.items()]
         text += f", {', '.join(turning[:4])}{', ...' * (len(turning) > 4)}" if turning else ""
         if not self.closed:

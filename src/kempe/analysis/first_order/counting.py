@@ -19,7 +19,7 @@ from kempe.analysis.first_order.constraint_graph import ConstraintGraph, Edge, r
 from kempe.analysis.first_order.null_space import column_space
 from kempe.description.parts import Declared
 from kempe.spatial import Array
-from kempe.words import counted
+from kempe.words import counted, verb
 
 if TYPE_CHECKING:
     from kempe.analysis.first_order.screws import Screws
@@ -127,8 +127,7 @@ def _held(s: ConstraintGraph, system: System) -> list[tuple[int, str]]:
 
 
 def _free_text(bodies: int, points: int, whole: int, point: int, free: int, dim: int) -> str:
-    who = [f"{n} {one if n == 1 else many}" for n, one, many in ((bodies, "body", "bodies"),
-           (points, "particle", "particles")) if n]  # fmt: skip
+    who = [counted(n, what) for n, what in ((bodies, "body"), (points, "particle")) if n]
     if not who:
         return "There is no body that moves: 0 DoF."
     sums = " + ".join(f"{n} x {k}" for n, k in ((bodies, whole), (points, point)) if n)
@@ -142,7 +141,11 @@ def _taken_text(
     groups = Counter((what, n) for n, what, _ in takes)
     parts = [f"{counted(k, what)} x {n}" for (what, n), k in groups.items()]
     parts += [f"{counted(n, what)} x 1" for n, what in held]
-    return f"Taken away are {' + '.join(parts)} = {taken}, which leaves {free} - {taken} = {gruebler}." if parts else ""
+    first = next(iter(groups.values())) if groups else held[0][0] if held else 0
+    if not parts:
+        return ""
+    sums = f"{' + '.join(parts)} = {taken}, which leaves {free} - {taken} = {gruebler}"
+    return f"Taken away {verb(first, 'is', 'are')} {sums}."
 
 
 def _lecture_text(
@@ -165,7 +168,7 @@ def _lecture_text(
     if loops == 1 and len(tree) == 1:
         who = "Each body is held by one joint (the last by two)"
     elif loops:
-        who = f"Each body is held by one joint, and {loops} more close{'s' if loops == 1 else ''} loops"
+        who = f"Each body is held by one joint, and {loops} more {verb(loops, 'closes a loop', 'close loops')}"
     else:
         who = "Each body is held by one joint"
     if held:

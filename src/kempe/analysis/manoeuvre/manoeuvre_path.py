@@ -97,7 +97,7 @@ class Manoeuvre(Motion):
         return sum(a != b for a, b in zip(signs, signs[1:], strict=False))
 
     def __repr__(self) -> str:
-        what = f"{len(self.pieces)} pieces, length={self.length:.6g}, cusps={self.cusps}"
+        what = f"{counted(len(self.pieces), 'piece')}, length={self.length:.6g}, cusps={self.cusps}"
         return f"Manoeuvre({self.system.name!r}, {what})"
 
     def at(self, t: ArrayLike) -> Array:

@@ -29,6 +29,7 @@ from kempe.reals import is_real
 from kempe.solvers.assembly.ideal import tolerant
 from kempe.spatial import Array
 from kempe.status import Status
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -189,7 +190,7 @@ class _Classifier:
         free = place.null_space(which).dimension - place.extra
         made: dict[str, Any] = {"name": system.name, "q": place.q, "position_dof": positions, "velocity_dof": free}
         if away < whole.dimension:
-            count = f"{positions} freedoms, around {away - place.extra}"
+            count = f"{counted(positions, 'freedom')}, around {away - place.extra}"
             why = f"q is a singular point of what holds positions, which leaves {count}"
             return self._without(why, made, around)
         if place.extra and not np.any(np.abs(place.null_space(which).basis[-1]) > 1e-9):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from kempe.solvers.assembly.ideal import said
-from kempe.words import counted, cut
+from kempe.words import counted, cut, verb
 
 if TYPE_CHECKING:
     from kempe.analysis.mobility.classify import Classification, ConstraintKind
@@ -65,8 +65,12 @@ def _of_one(c: ConstraintKind) -> str:
         return f"{alone}: it holds {held} of position, so motions stay in {stay}"
     part = ""
     if c.integrable:
-        part = f"; {c.integrable} of its {c.independent} freedoms {'is' if c.integrable == 1 else 'are'} integrable"
-    return f"nonholonomic: alone, brackets of its velocities reach {c.reaches} dimensions, {growth}{part}"
+        part = (
+            f"; {c.integrable} of its {counted(c.independent, 'freedom')} {verb(c.integrable, 'is', 'are')} integrable"
+        )
+    return (
+        f"nonholonomic: alone, brackets of its velocities reach {counted(c.reaches or 0, 'dimension')}, {growth}{part}"
+    )
 
 
 def reasons(c: Classification) -> list[str]:

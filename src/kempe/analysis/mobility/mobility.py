@@ -34,7 +34,8 @@ from kempe.status import Status
 if TYPE_CHECKING:
     from kempe.analysis.local.branches import Branch
     from kempe.analysis.local.local import LocalDimension
-    from kempe.model.system import System
+    from kempe.analysis.motion.relative_motion import RelativeMotion
+    from kempe.model.system import FrameLike, System
     from kempe.solvers.assembly.ideal import Idealised
 
 
@@ -158,6 +159,19 @@ class Mobility(Worded):
     def code(self) -> Status:  # type: ignore[override]
         """The outcome: solved where the mechanism can be closed here."""
         return Status.SOLVED if self.closed else Status.NOT_FOUND
+
+    def relative(self, body: FrameLike, to: FrameLike) -> RelativeMotion:
+        """How a body can move relative to another one at `q`: "1 DoF of B5 relative to B0: a slide along x".
+
+        See `kempe.analysis.motion.relative_motion`. Errors: `InputError` where the mechanism cannot be closed,
+        `UnknownNameError`, `UnsupportedError` for frames of particles.
+        """
+        from kempe.analysis.motion.relative_motion import relative_motion
+
+        if self.wrenches is None:
+            raise InputError(f"{self.name} cannot be closed here: nothing is known of how its bodies move")
+        found = relative_motion(self.wrenches.system, self.wrenches.q, body, to)
+        return replace(found, within=found.within or self.within)
 
     def _words(self) -> ModuleType:
         from kempe.analysis.mobility import mobility_text

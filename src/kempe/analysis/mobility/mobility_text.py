@@ -84,7 +84,8 @@ def rank_text(m: Mobility) -> str:
     equations = sum(len(c.jacobian) for c in r.clusters)
     if not equations:
         return f"{counted(len(r.units), 'coordinate')}, no equations: {counted(r.nullity, 'freedom')}"
-    text = f"{len(r.units)} coordinates - rank {r.rank} of {equations} equations = {counted(r.nullity, 'freedom')}"
+    many, left = counted(len(r.units), "coordinate"), counted(r.nullity, "freedom")
+    text = f"{many} - rank {r.rank} of {counted(equations, 'equation')} = {left}"
     text += " to first order"
     gap = "" if r.gap == float("inf") else f" (singular values fall by a factor of {r.gap:.1g} there)"
     if r.doubtful:
@@ -148,7 +149,8 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
     if m.control is not None:
         out.append(("control", str(m.control).split("\n")))
         if m.dof is not None and (m.rank_dof or 0) > m.dof:
-            out[-1][1].append(f"counted to first order, where the rank sees {m.rank_dof} freedoms; truly {_are(m.dof)}")
+            seen = counted(m.rank_dof or 0, "freedom")
+            out[-1][1].append(f"counted to first order, where the rank sees {seen}; truly {_are(m.dof)}")
     return out
 
 

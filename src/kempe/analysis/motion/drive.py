@@ -105,7 +105,7 @@ class Drive(Motion):
     late: bool = False
 
     def __repr__(self) -> str:
-        return f"Drive({self.system.name!r}, {len(self.q)} samples, held={int(self.held.sum())})"
+        return f"Drive({self.system.name!r}, {counted(len(self.q), 'sample')}, held={int(self.held.sum())})"
 
     def table(self, frames: Iterable[FrameLike] = ()) -> tuple[list[str], Array]:
         """Names and columns (n, k) for a file: time, all coordinates, whether held, x, y (and z) of frames."""
@@ -130,7 +130,7 @@ class Drive(Motion):
     def _sentence(self, index: tuple[int, ...]) -> str:
         if self.reason:
             return self.reason
-        text = f"{len(self)} samples, {len(self.singular_points)} change points passed"
+        text = f"{counted(len(self), 'sample')}, {counted(len(self.singular_points), 'change point')} passed"
         if self.toggles:
             count = int(self.held.sum())
             text += f"; at {counted(count, 'sample')} the inputs cannot be reached and the last pose is held"

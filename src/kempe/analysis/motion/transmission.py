@@ -84,7 +84,8 @@ class LoopJacobian(Report):
 
     def _headline(self) -> str:
         if np.ndim(self.code):
-            return f"{int(np.sum(self.success))} of {np.size(self.code)} configurations: the outputs are determined"
+            many = counted(np.size(self.code), "configuration")
+            return f"{int(np.sum(self.success))} of {many}: the outputs are determined"
         return self.status
 
     def _cells(self) -> Cells:

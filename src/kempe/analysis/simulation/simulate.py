@@ -84,7 +84,9 @@ class Simulation(Motion):
     _at: Callable[[Array], tuple[Array, Array]] | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
-        return f"Simulation({self.system.name!r}, {len(self.t)} samples, {len(self.events)} events)"
+        return (
+            f"Simulation({self.system.name!r}, {counted(len(self.t), 'sample')}, {counted(len(self.events), 'event')})"
+        )
 
     def at(self, t: ArrayLike) -> Array:
         """Configurations (..., nq) at times `t` (...): of a ball that falls exactly, else between samples (cubic).

@@ -16,6 +16,7 @@ from kempe.description.urdf.urdf_unknown import check_top, check_version, has_qu
 from kempe.description.urdf.xacro import XACRO_ADVICE
 from kempe.description.urdf.xml import XmlElement, parse_xml
 from kempe.errors import InputError, UnknownNameError
+from kempe.words import counted
 
 TYPES = {
     "revolute": "revolute",
@@ -131,7 +132,7 @@ def _refuse_xacro(robot: XmlElement) -> None:
 def _no_links(robot: XmlElement, beside: tuple[str, ...]) -> Exception:
     generated = _GENERATED.search(robot.source.text)
     joints = len(robot.of("joint"))
-    holds = f"only {joints} joints" if joints else "nothing but an empty <robot> element"
+    holds = f"only {counted(joints, 'joint')}" if joints else "nothing but an empty <robot> element"
     message = f"there is no robot in this file: it holds {holds}, and without a <link> there is no body to move"
     allowed = "a robot has at least one <link name=...> and a <joint> for each further link"
     if generated:

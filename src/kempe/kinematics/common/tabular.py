@@ -10,6 +10,7 @@ import numpy as np
 from kempe.description.source import expanded, no_file
 from kempe.errors import InputError
 from kempe.spatial import Array
+from kempe.words import counted
 
 SUFFIXES = (".csv", ".npy")
 """Endings of files of numbers."""
@@ -88,6 +89,6 @@ def rows_of_text(path: Path, lines: Sequence[tuple[int, str]], width: int) -> Ar
     for row, (line, text) in zip(out, lines, strict=True):
         cells = text.split(",")
         if len(cells) != width:
-            raise InputError(f"{path}:{line}: {len(cells)} values; the first line has {width}")
+            raise InputError(f"{path}:{line}: {counted(len(cells), 'value')}; the first line has {width}")
         row[:] = as_numbers(cells, f"{path}:{line}")
     return out

@@ -23,6 +23,7 @@ from kempe.model.closures.callback import STEP, WEIGHTS, Callback
 from kempe.model.closures.packed_loops import characteristic_length
 from kempe.reals import is_sequence, reals
 from kempe.spatial import Array
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -38,11 +39,15 @@ class Whole:
     def __init__(self, system: System, of: Any):
         self.system, self.label, self.given, self.supplied = system, of.label, of.function, of.derivative
         self.frames = tuple(system.structure.frame_name(f) for f in listed(of.frames, f"frames of {of.label}"))
-        takes = f"of {len(self.frames)} poses (4, 4)" if self.frames else f"of q ({system.nq},)"
+        takes = f"of {counted(len(self.frames), 'pose')} (4, 4)" if self.frames else f"of q ({system.nq},)"
         if not callable(of.function):
             raise InputError(f"{of.label} is given {of.function!r}; it must be a function {takes}")
         if not _takes(of.function, len(self.frames) or 1):
-            given = f"{len(self.frames)} poses, of {', '.join(self.frames)}" if self.frames else f"q ({system.nq},)"
+            given = (
+                f"{counted(len(self.frames), 'pose')}, of {', '.join(self.frames)}"
+                if self.frames
+                else f"q ({system.nq},)"
+            )
             raise InputError(f"{of.label} is called with {given}, which it does not take")
         found = checked_value(self.label, self.raw, q := system.random(0))
         self.count = found.size

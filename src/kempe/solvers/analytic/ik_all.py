@@ -20,7 +20,7 @@ from kempe.kernels.forward.table_layout import SLIDE
 from kempe.kinematics.common.parallel import over_chunks
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.kept import kept
-from kempe.rigid import arrays, sound
+from kempe.rigid import sound
 from kempe.solvers.analytic.answers.solutions import Solutions
 from kempe.solvers.analytic.obeying import obeying
 from kempe.solvers.analytic.plans.chain_lines import Lines, lines_of
@@ -33,6 +33,7 @@ from kempe.solvers.common.targets import (
     Z_AXIS,
     axis_for,
     frame_of,
+    given_target,
     in_plane,
     points_along,
     refuse_position,
@@ -87,7 +88,7 @@ def ik_all(
     Method: see `System.inverse.plan`, and `kernels.outer`, `kernels.inner`, `kernels.elimination`.
     """
     name = system.structure.frame_name(frame)
-    target, (said, axis) = arrays(target, "target"), task_and_axis(task)
+    target, (said, axis) = given_target(system, target), task_and_axis(task)
     if limits not in LIMITS:
         raise InputError(f"limits is {limits!r}; it must be False, True or 'turns'")
     if system.dim == 2 and points_along(said):

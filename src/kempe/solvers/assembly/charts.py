@@ -34,6 +34,7 @@ from kempe.solvers.assembly.idle import Spin, idle_part, spins_of
 from kempe.solvers.assembly.shaky import moving
 from kempe.spatial import Array, skew
 from kempe.status import Status, member
+from kempe.words import counted, verb
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -198,7 +199,7 @@ class Chart(Report):
         """Which coordinates are independent, and how well they move the others."""
         idle = f"; idle: {', '.join(self.idle)}" if self.idle else ""
         return (
-            f"{self.dim} independent coordinates: {', '.join(self.useful) or 'none'}{idle} "
+            f"{counted(self.dim, 'independent coordinate')}: {', '.join(self.useful) or 'none'}{idle} "
             f"(conditioning {self.quality:.2g}); dependent: {', '.join(self.dependent) or 'none'}{said(self.within)}"
         )
 
@@ -230,7 +231,8 @@ def independent(
     p, wish = N.shape[1], listed(prefer, "prefer")
     rows = _wished(system, wish) if wish else []
     if len(set(rows)) < len(rows) or len(rows) > p:
-        raise InputError(f"{len(rows)} coordinates are preferred; here {p} different ones are independent")
+        given = f"{counted(len(rows), 'coordinate')} {verb(len(rows), 'is', 'are')} preferred"
+        raise InputError(f"{given}; here {counted(p, 'freedom')} can be chosen, each once")
     least = _worst(p, system.nv)
     if rows and _quality(N, rows) < least:
         raise InputError(

@@ -17,6 +17,7 @@ from kempe.reals import plain
 from kempe.solvers.common.clock import partial
 from kempe.spatial import Array
 from kempe.status import Status
+from kempe.words import of_many
 
 if TYPE_CHECKING:
     from kempe.solvers.assembly.ideal import Idealised
@@ -165,7 +166,7 @@ class Answer(Result, Tabular):
 
     def _headline(self) -> str:
         if self._shape:
-            return f"{int(np.sum(self.success))} of {np.size(self.success)} {self.what}"
+            return of_many(int(np.sum(self.success)), np.size(self.success), self.what)
         return self.status
 
     def _cells(self) -> Cells:

@@ -14,7 +14,7 @@ from kempe.errors import InputError
 from kempe.kernels.base.search_layout import LARGEST
 from kempe.placement import direction
 from kempe.reals import is_sequence, reals
-from kempe.rigid import EXACT, rotation_error, sound
+from kempe.rigid import EXACT, arrays, rotation_error, sound
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -46,6 +46,19 @@ def task_of(task: object, is_position: bool, particle: bool) -> str:
     if particle and task != "position":
         raise InputError(f"task {task!r} asks for an orientation, which a particle does not have")
     return task
+
+
+def given_target(system: System, target: Any) -> Any:
+    """What is given as a target as an array; the name of a frame on the ground stands for its pose.
+
+    Errors: those of `kempe.rigid.arrays`; `UnknownNameError`, `InputError` for frames that move.
+    """
+    if not isinstance(target, str):
+        return arrays(target, "target")
+    name = system.structure.frame_name(target)
+    if system.structure.table.path(name):
+        raise InputError(f"target is the frame {name!r}, which moves; it must be on the ground, or give its pose")
+    return system.fk(system.neutral, name)
 
 
 def task_and_axis(task: Any) -> tuple[Any, Any]:

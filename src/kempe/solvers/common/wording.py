@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from kempe.words import counted, in_words, joined, listed
+from kempe.words import counted, in_words, joined, listed, verb
 
 # ---- figures
 
@@ -175,22 +175,23 @@ def _no_root(joint: str, axes: Sequence[int], what: str, off: float) -> str:
 def _rank(equations: int, freedoms: int, frame: str = "", position: bool | None = None, end: str = "") -> str:
     """More equations than freedoms; of one frame also whether its position alone can be reached, and an `end`."""
     if not frame:
-        return f"{equations} equations, but {counted(freedoms, 'freedom')}{end}"
+        return f"{counted(equations, 'equation')}, but {counted(freedoms, 'freedom')}{end}"
     if freedoms == 0:
         return f"no joint moves frame {frame!r}"
-    said = f"the task has {equations} equations, but the chain moves this frame in {freedoms} freedoms only"
+    said = f"the task has {counted(equations, 'equation')}, but the chain moves this frame in"
+    said += f" {counted(freedoms, 'freedom')} only"
     alone = "" if position is None else f" (its position alone {'can' if position else 'cannot'} be reached)"
     return f"{said}{alone}{end}"
 
 
 def _joints(joints: int, held: bool, freedoms: int, equations: int) -> str:
     few = f", which give it {in_words(freedoms, 'freedom')}" if freedoms < joints else ""
-    return (f"the chain has {counted(joints, 'joint')}{' to move' if held else ''}{few}, the task {equations} "
-            "equations: this target is not among those it can reach")  # fmt: skip
+    return (f"the chain has {counted(joints, 'joint')}{' to move' if held else ''}{few}, the task "
+            f"{counted(equations, 'equation')}: this target is not among those it can reach")  # fmt: skip
 
 
 def _too_many_given(given: int, freedoms: int) -> str:
-    return f"{given} coordinates are given, but it has {counted(freedoms, 'freedom')}"
+    return f"{counted(given, 'coordinate')} {verb(given, 'is', 'are')} given, but it has {counted(freedoms, 'freedom')}"
 
 
 def _more_starts(singular: bool = False) -> str:
@@ -258,7 +259,7 @@ def _tried(held: Sequence[tuple[str, float]], values: int, starts: int) -> str:
     """At which values of spare joints there is no solution."""
     joints = ", ".join(repr(name) for name, _ in held)
     where = held_at(held) if values == 1 else f"{joints} at any of {values} values tried"
-    return f"no solution with {where}, and none from {starts} starts of a search"
+    return f"no solution with {where}, and none from {counted(starts, 'start')} of a search"
 
 
 # ---- all solutions of a target

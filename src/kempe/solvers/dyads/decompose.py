@@ -162,7 +162,7 @@ def _slides(constraint: Declared) -> bool:
     return [(r.op, r.args) for r in position_rows(constraint.of, 2)] == [(Op.POINT, (1,))]
 
 
-def _alone(joint: Joint) -> Primitive | None:
+def alone(joint: Joint) -> Primitive | None:
     """The only motion of a joint of the plane, a turn or a slide by its coordinate; None of one that has several."""
     primitives = joint.type.layout(2)[1]
     return primitives[0] if len(primitives) == 1 and primitives[0].multiplier == 1.0 else None
@@ -189,7 +189,7 @@ def parts_of(system: System) -> Parts:
             X_PF, X_CM = (X.evaluate(mechanism.parameters) for X in (joint.X_PF, joint.X_CM))
             X_PC = X_PF @ joint_pose(joint.type, values, 2) @ np.linalg.inv(X_CM)
             held[name] = joint.parent, joint.child, _flat(X_PC)
-        elif _alone(joint) is not None:
+        elif alone(joint) is not None:
             moving.append(joint)
         else:
             return Parts(trouble=f"joint {name!r} is of type {joint.type.type_name}")
@@ -206,7 +206,7 @@ def _assemble(system: System, held: dict[str, tuple[str, str, Pose]], moving: li
     for joint in moving:
         (a, X_A), (b, X_B) = at[joint.parent], at[joint.child]
         X_PF, X_CM = joint.X_PF.evaluate(parameters), joint.X_CM.evaluate(parameters)
-        motion = _alone(joint)
+        motion = alone(joint)
         assert motion is not None
         turns, axis = motion.kind == R, "xyz".index(motion.axis)
         F, M = (times(X, _flat(Y) if turns else _rail(Y, axis)) for X, Y in ((X_A, X_PF), (X_B, X_CM)))

@@ -28,6 +28,7 @@ from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import System
+    from kempe.solvers.dyads.dyad_formulas import DyadFormulas
 
 CLOSED = 1e-12
 """Openings below this share of the mechanism's size are rounding."""
@@ -149,6 +150,17 @@ class Plan(Report):
     def _data(self) -> dict[str, Any]:
         return {"system": self.system.name, "known": self.known, "signs": self.signs, "dyads": self._notes()}
 
+    def formulas(self, *, symbols: Mapping[str, Any] | None = None) -> DyadFormulas:
+        """The closed form as formulas, which can be called, printed and written as LaTeX and as code for numpy.
+
+        `symbols` replaces coordinates and parameters as in `symbolic.fk`. Errors: `UnsupportedError` for rods and slots
+        without bodies of their own, laws of several coordinates, and links that are several bodies; `MissingExtraError`
+        without sympy.
+        """
+        from kempe.solvers.dyads.dyad_formulas import dyad_formulas
+
+        return dyad_formulas(self, symbols)
+
     def solve(
         self, values: ArrayLike, branch: Any = None, start: Any = None, threads: int | None = None
     ) -> tuple[Array, Any, Any]:
@@ -164,7 +176,7 @@ class Plan(Report):
 
     def close(self, values: ArrayLike, branch: Any = None, start: Any = None, threads: int | None = None) -> DyadAnswer:
         """As `solve`, with what these inputs leave undetermined."""
-        given, lead = self._values(values)
+        given, lead = self.values(values)
         n, nq = len(given), self.system.nq
         if start is None:
             targets = np.zeros((1, nq))
@@ -172,7 +184,7 @@ class Plan(Report):
             targets = _rows(as_start(self.system, start), lead, "near")
             if not np.isfinite(targets).all():
                 raise InputError("start has entries that are not finite")
-        signs = self._signs(branch, targets if branch is None and start is not None else None, lead)
+        signs = self.sign_rows(branch, targets if branch is None and start is not None else None, lead)
         q, status = np.empty((n, nq)), np.empty((n, 2))
         self._run(given, signs, targets, q, status, threads)
         gap = status[:, 0]
@@ -187,7 +199,7 @@ class Plan(Report):
 
         Branches are in the order of `branches()`. Angles are nearest to `start` (nq,), else to zero.
         """
-        given, lead = self._values(values)
+        given, lead = self.values(values)
         signs = self.branches()
         k, nq = len(signs), self.system.nq
         targets = np.zeros((1, nq)) if start is None else _rows(as_start(self.system, start), (), "near")
@@ -247,7 +259,8 @@ class Plan(Report):
 
         over_chunks(work, len(values), CHUNK, threads, SERIAL_BELOW)
 
-    def _values(self, values: ArrayLike) -> tuple[Array, tuple[int, ...]]:
+    def values(self, values: ArrayLike) -> tuple[Array, tuple[int, ...]]:
+        """Known coordinates as (N, n_known), and their leading shape. Errors: `InputError`."""
         array = reals(values, "values")
         if array.ndim == 0 or array.shape[-1] != len(self.known):
             got = "a single number" if array.ndim == 0 else f"shape {array.shape}"
@@ -255,7 +268,8 @@ class Plan(Report):
         lead = array.shape[:-1]
         return np.ascontiguousarray(array.reshape(math.prod(lead), len(self.known))), lead
 
-    def _signs(self, branch: Any, start: Array | None, lead: tuple[int, ...]) -> Array:
+    def sign_rows(self, branch: Any, start: Array | None, lead: tuple[int, ...]) -> Array:
+        """Signs (1 or N, signs) of a branch, else those of the configurations `start`, else +. Errors: `InputError`."""
         if branch is None:
             return np.ones((1, self.signs)) if start is None else np.ascontiguousarray(self.branch_of(start))
         given = [{"+": 1.0, "-": -1.0}.get(c, math.nan) for c in branch] if isinstance(branch, str) else branch

@@ -26,7 +26,7 @@ from kempe.solvers.dyads.held import held_at
 from kempe.solvers.modes.same_configuration import INSIDE, SAME, Clusters, metric_of
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import counted
+from kempe.words import counted, verb
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -186,9 +186,10 @@ def by_dyads(question: Problem) -> Modes:
     clusters.add(closed.q[ok], np.full(len(ok), SAME))
     groups = [ok[members] for members in clusters.members]
     free = np.array([int(closed.undetermined[g].max()) for g in groups], dtype=np.int64)
-    status = f"complete: every dyad in closed form, {len(ok)} of {len(signs)} branches close"
+    all_, do = counted(len(signs), "branch"), verb(len(ok), "closes", "close")
+    status = f"complete: every dyad in closed form, {len(ok)} of {all_} {do}"
     if not len(ok):
-        status = f"complete: none of the {len(signs)} branches closes; the best is open by {closed.gap.min():.3g} m"
+        status = f"complete: none of the {all_} closes; the best is open by {closed.gap.min():.3g} m"
     if any(len(g) > 1 for g in groups):
         status += f", {counted(sum(len(g) > 1 for g in groups), 'multiple root')}"
     if free.any():
@@ -223,8 +224,8 @@ def by_starts(question: Problem) -> Modes:
     expected += found.odd
     closed = int(hits.sum())
     status = (
-        f"not proven complete: {len(isolated)} found from {found.tried} starts, of which {closed} closed; with 95 % "
-        f"confidence at most {_up(100.0 * (1.0 - coverage))} % of starts lead to others"
+        f"not proven complete: {len(isolated)} found from {counted(found.tried, 'start')}, of which {closed} closed; "
+        f"with 95 % confidence at most {_up(100.0 * (1.0 - coverage))} % of starts lead to others"
     )
     if expected > len(isolated) + 0.5:
         status += f", about {expected:.3g} in all"
@@ -232,7 +233,7 @@ def by_starts(question: Problem) -> Modes:
         status += "; one is missing at least, since their number is even"
     if not closed:
         why = assemble(system, question.known, start=question.start).status
-        status = f"none found, which proves nothing: of {found.tried} starts none closed; {why}"
+        status = f"none found, which proves nothing: of {counted(found.tried, 'start')} none closed; {why}"
     if len(families):
         besides = f"besides {counted(len(isolated), 'isolated configuration')}, " if len(isolated) else ""
         left = "1 freedom" if free.max() == 1 else f"up to {free.max()} freedoms"

@@ -10,24 +10,22 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.budget import Budget, Usual
-from kempe.calls import explained
+from kempe.calls import explained, flag, together
 from kempe.constraints.frame_targets import of_target
 from kempe.errors import InputError
 from kempe.kernels.base.search_layout import ANSWER, LARGEST, LINEAR, SOLVED, STATUS
-from kempe.kernels.compiled import maker, schedule
-from kempe.kernels.forward.table_layout import HAS_QUATERNION
 from kempe.kinematics.common.parallel import over_chunks
 from kempe.kinematics.configuration import as_start
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.kept import kept
-from kempe.rigid import arrays, sound
+from kempe.rigid import sound
 from kempe.solvers.common.arguments import deadline, seed_number, start_count, step_count, tolerances
 from kempe.solvers.common.problem import Choice, Problem, Solver, TaskOf, choose, chosen_by
 from kempe.solvers.common.serial_chain import Chain, chain_of, inside, obstacle
 from kempe.solvers.common.targets import (
-    Z_AXIS,
     axis_for,
     check_particle,
+    given_target,
     in_plane,
     not_a_pose,
     points_along,
@@ -37,7 +35,9 @@ from kempe.solvers.common.targets import (
     task_of,
 )
 from kempe.solvers.one_frame import multi_start
-from kempe.solvers.one_frame.multi_start import FEW, ITERATIONS, MOST, TOLERANCE, FrameProblem, outside
+from kempe.solvers.one_frame.bound_ik import bind
+from kempe.solvers.one_frame.iterates import with_history
+from kempe.solvers.one_frame.multi_start import ITERATIONS, MOST, TOLERANCE, FrameProblem, look_closer
 from kempe.solvers.one_frame.solution import Solution
 from kempe.spatial import Array
 from kempe.status import Status, member
@@ -48,7 +48,6 @@ if TYPE_CHECKING:
 METHODS = ("numeric", "analytic", "auto")
 TASKS, CLOSED = "tasks are requested, not a target of one frame", "method='analytic' asks for a closed form"
 CHUNK, SERIAL_BELOW = 256, 1024
-LENGTH, ANGLE = TOLERANCE
 USUAL = Usual("ik", starts=MOST, iterations=ITERATIONS, time_limit=None, rng=0, threads=None)
 
 
@@ -56,18 +55,20 @@ USUAL = Usual("ik", starts=MOST, iterations=ITERATIONS, time_limit=None, rng=0, 
 def ik(
     system: System, target: Any, frame: FrameLike | None = None, start: Any = None, *,
     task: str | tuple[str, ArrayLike] | None = None, prefer: Any = None, method: str | None = None,
-    tolerance: float | tuple[float, float] | None = None, budget: Budget | None = None,
+    tolerance: float | tuple[float, float] | None = None, budget: Budget | None = None, history: bool = False,
 ) -> Solution:  # fmt: skip
     """A configuration in which `frame` reaches `target` (the inverse geometric model), always inside the limits.
 
     Without a frame `target` are tasks, see `kempe.solvers.tasks.ik_tasks.reach`.
     `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3), and, with
     ``task="pose"``, x, y and angle (..., 3)), or a position (..., 3) (in planar systems also (..., 2)), or an
-    object or words that say one (`kempe.rigid.arrays`). `task` says what of it counts: "pose", "position",
-    "orientation", "direction" (of the tool's z axis, or of another one in a pair such as ("direction", (1, 0, 0))),
-    "position_axis" (both). `tolerance` is the largest position error [m] and rotation angle [rad], 1e-6 each.
-    `start` (nq,) or (..., nq), or a dict by name, is the first start; what the chain does not move keeps its value
-    there, else the neutral one, inside the limits.
+    object or words that say one (`kempe.rigid.arrays`), or the name of a frame on the ground. `task` says what of it
+    counts: "pose", "position", "orientation", "direction" (of the tool's z axis, or of another one in a pair such as
+    ("direction", (1, 0, 0))), "position_axis" (both). `tolerance` is the largest position error [m] and rotation angle
+    [rad], 1e-6 each.
+    `start` (nq,) or (..., nq), a dict by name, or the name of a posture, is the first start; what the chain does not
+    move keeps its value there, else the neutral one, inside the limits. Targets and starts broadcast: many starts for
+    one target give many answers. With `history`, the answer to one target has its iterates (`Solution.history`).
 
     Of the `budget` are read: starts (1000), iterations (40), time_limit, rng (0), threads. Starts are tried in order,
     `start` or the middle of the limits first, the others drawn from rng; the first that reaches the target is the
@@ -86,8 +87,8 @@ def ik(
     answer.
     """
     if frame is not None:
-        return _of_frame(system, target, frame, start, task, prefer, method or "numeric", tolerance, budget)
-    for name, value in (("task", task), ("method", method)):
+        return _of_frame(system, target, frame, start, task, prefer, method or "numeric", tolerance, budget, history)
+    for name, value in (("task", task), ("method", method), ("history", history or None)):
         if value is not None:
             raise InputError(f"{name} is {value!r}; it belongs to a target of one frame, not to tasks")
     problem = Problem(system, "one", start=start, prefer=prefer, tolerance=tolerance, budget=budget, wanted=target)
@@ -97,12 +98,14 @@ def ik(
 
 def _of_frame(
     system: System, target: Any, frame: FrameLike, start: Any, task: Any, prefer: Any, method: str, tolerance: Any,
-    budget: Budget | None,
+    budget: Budget | None, history: bool,
 ) -> Solution:  # fmt: skip
     """The answer for targets of one frame."""
-    name, target = system.structure.frame_name(frame), arrays(target, "target")
+    name, target = system.structure.frame_name(frame), given_target(system, target)
     said, axis = task_and_axis(task)
     requested, targets, lead = _checked(system, name, target, said, axis)
+    if start is not None:
+        targets, lead, start = _together(targets, lead, as_start(system, start))
     if method not in METHODS:
         raise InputError(f"method is {method!r}; it must be one of {', '.join(map(repr, METHODS))}")
     if prefer is not None and method != "numeric":
@@ -113,8 +116,17 @@ def _of_frame(
                       task=requested, targets=targets, lead=lead, method=method)  # fmt: skip
     answer = chosen_by(solver.run(problem), choice)
     if not lead and task is said and solver is not BY_TASKS:
-        _bind(answer.task, said, np.shape(target))
-    return answer
+        bind(answer.task, said, np.shape(target))
+    return with_history(answer, problem) if flag(history, "history") else answer
+
+
+def _together(targets: Array, lead: tuple[int, ...], start: Array) -> tuple[Array, tuple[int, ...], Array]:
+    """Targets (N, 4, 4), their leading shape and starts, one of which is for all of the others, with one shape."""
+    if start.ndim == 1 or start.shape[:-1] == lead:
+        return targets, lead, start
+    many = together({"target": lead, "start": start.shape[:-1]})
+    targets = np.broadcast_to(targets.reshape(*lead, 4, 4), (*many, 4, 4)).reshape(math.prod(many), 4, 4)
+    return np.ascontiguousarray(targets), many, np.broadcast_to(start, (*many, start.shape[-1]))
 
 
 # ---- the solvers
@@ -151,7 +163,7 @@ def _of_chain(problem: Problem) -> Solution:
     """The answer by the frame's own chain: by numbers, or in closed form where the method is not numeric."""
     system, name, lead, spend = problem.system, str(problem.frame), problem.lead, USUAL.of(problem.budget)
     chain, tolerance = chain_of(system, name, problem.task[1]), problem.tolerance
-    base, seeds = _seeds(system, chain, problem.start, lead)
+    base, seeds = seeds_of(system, chain, problem.start, lead)
     question = FrameProblem(
         system, name, problem.targets, *problem.task, TOLERANCE if tolerance is None else tolerances(tolerance),
         start_count(spend.starts), seed_number(spend.rng), chain, step_count(spend.iterations), spend.time_limit,
@@ -235,7 +247,7 @@ def _judged(
     full[:] = base
     full[:, question.chain.q_index] = q
     if code.any():
-        _look_closer(question, code)
+        look_closer(question, code)
         full[code == Status.BAD_INPUT] = math.nan
     if not lead and code[0] == Status.BAD_INPUT:
         raise InputError(not_a_pose(targets[0], "start"))
@@ -283,106 +295,11 @@ def run(
     return out[:, :nq], out[:, nq + LINEAR : nq + STATUS], out[:, nq + STATUS :].astype(np.int64)
 
 
-def _bind(question: FrameProblem, task: str | None, shape: tuple[int, ...]) -> None:
-    """Let calls like this one go by a `BoundIk` from now on, if they are plain enough."""
-    system, chain, key = question.system, question.chain, (question.frame, task, len(shape))
-    point = question.name == "position" and (task is not None or shape != (4, 4))  # a turned particle is an error
-    plain = shape in ((4, 4), (3,), (2,)) if point else (shape == (4, 4) and question.name != "position")
-    if plain and question.axis == Z_AXIS and not chain.ints[HAS_QUATERNION] and key not in system._queries:
-        usual = replace(question, tolerance=TOLERANCE, starts=MOST, rng=0)
-        system._queries[key] = BoundIk(usual, shape).__call__  # a method, which takes less time to call
-
-
-class BoundIk:
-    """`ik` of single targets for one frame and task, with all looked up that can be: the way of plain calls."""
-
-    def __init__(self, question: FrameProblem, shape: tuple[int, ...]):
-        self.requested, self.chain, self.rows = question, question.chain, multi_start.rows_of(question)
-        system, self.size = question.system, len(question.chain.q_index)
-        self.nq = system.nq
-        first = int(self.chain.q_index[0]) if self.size else 0
-        in_a_row = np.array_equal(self.chain.q_index, np.arange(first, first + self.size))
-        self.part = slice(first, first + self.size) if in_a_row else self.chain.q_index
-        self.whole = in_a_row and self.size == system.nq
-        """Whether the chain has all coordinates of the system."""
-        self.plain = system.nq == system.nv == len(system.structure.layout.vector_q)
-        """Whether entry i of q and of the limits belong together."""
-        self.lower, self.upper, self.unmoved = system.lower, system.upper, np.eye(4)[None]
-        self.shape, self.posed, self.new = shape, len(shape) == 2, maker(1, self.size + ANSWER)
-        self.reach, self.base, self.no_seed = schedule.reach, self.chain.base[0], self.chain.no_seed
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return BoundIk, (self.requested, self.shape)
-
-    def task(self, X: Array) -> FrameProblem:
-        """The problem, for poses (1, 4, 4)."""
-        return replace(self.requested, targets=X)
-
-    def _pose(self, target: Array) -> Array:
-        """A position as (1, 4, 4)."""
-        X = self.unmoved.copy()
-        X[0, : self.shape[0], 3] = target
-        return X
-
-    def __call__(self, target: Array, start: Any) -> Solution | None:
-        """The answer for a target, None where target or seed need the general solver."""
-        if target.shape != self.shape or not (self.posed or target.dtype == np.float64):
-            return None
-        chain, n = self.chain, self.size
-        if start is None:
-            base, seeds = self.base, self.no_seed
-        else:
-            if start.__class__ is not np.ndarray or start.dtype != np.float64 or start.shape != (self.nq,):
-                return None
-            if not (self.plain and start.flags.c_contiguous):
-                return None
-            base, seeds = start, (start if self.whole else start[self.part]).reshape(1, 1, n)
-        out = self.new()
-        X = target.copy()[None] if self.posed else self._pose(target)  # the answer keeps it
-        try:
-            missed = self.reach(
-                chain.ints, chain.floats, chain.limits, self.rows, X, seeds, 0, 0, FEW, ITERATIONS, LENGTH, ANGLE,
-                0.0, out,
-            )  # fmt: skip
-        except TypeError:  # not float64
-            return None
-        row = out[0]
-        if missed:
-            head = (chain.ints, chain.floats, chain.limits, self.rows, X, seeds, 0)
-            multi_start.go_on(self.task(X), X, head, FEW, out)
-            if row[n + STATUS] == Status.BAD_INPUT:
-                return None
-        if self.whole:
-            q = row[:n]
-        else:
-            q = np.maximum(base, self.lower) if self.plain else base.copy()
-            if self.plain:
-                np.minimum(q, self.upper, out=q)
-            q[self.part] = row[:n]
-            if not math.isfinite(base.dot(base)):
-                return None
-        if not missed or row[n + STATUS] == Status.SOLVED:
-            return Solution.reached((self, X), q, row)
-        task, codes = self.task(X), np.array([Status.NOT_FOUND])
-        _look_closer(task, codes)
-        linear, angular, _, steps, starts = row[n:].tolist()
-        return Solution(q, False, member(codes[0]), linear, angular, int(steps), int(starts), task)
-
-
-def _look_closer(task: FrameProblem, code: np.ndarray) -> None:
-    """Tell, in place, targets that lengths alone put out of reach from those that were not found."""
-    failed = np.flatnonzero((code == Status.NOT_FOUND) | (code == Status.OUT_OF_TIME))
-    code[failed[outside(task, task.targets[failed]) > 0.0]] = Status.OUT_OF_REACH
-
-
-def _seeds(system: System, chain: Chain, start: Any, lead: tuple[int, ...]) -> tuple[Array, Array]:
+def seeds_of(system: System, chain: Chain, start: Any, lead: tuple[int, ...]) -> tuple[Array, Array]:
     """Configurations (1 or N, nq) to start from, and the chain's part of them as (1 or N, K, nq) for the kernel."""
     if start is None:
         return chain.base, chain.no_seed
     base = as_start(system, start)
-    if base.ndim > 1 and base.shape[:-1] != lead:
-        each = f" or {(*lead, system.nq)}" if lead else ""
-        raise InputError(f"start has shape {base.shape}; it must be ({system.nq},){each}")
     base = np.array(base.reshape(math.prod(base.shape[:-1]), system.nq))
     if not lead and not np.all(np.abs(base) < LARGEST):
         raise InputError(not_a_pose(np.eye(4), "start"))

@@ -85,12 +85,8 @@ def answered(
     seeds: (1 or N, K, n); limits: (2, nv). With `postpone`, what is nearest to targets that lengths prove to be out of
     reach is not searched for: their status is OUT_OF_REACH.
     """
-    goals = targets
-    if task.axis != Z_AXIS:
-        goals = goals.copy()
-        goals[:, :3, :3] = goals[:, :3, :3] @ frame_of(np.array(task.axis))
     chain = task.chain
-    head = (chain.ints, chain.floats, limits, rows_of(task), goals, seeds, task.rng)
+    head = (chain.ints, chain.floats, limits, rows_of(task), goals_of(task, targets), seeds, task.rng)
     count = min(task.starts, FEW if task.time_limit is None else ROUND)
     n = out.shape[1] - ANSWER
     if postpone and count > GLANCE:
@@ -111,6 +107,22 @@ def answered(
     out[:, :n], out[:, n:] = seeds[:, 0] if seeds.shape[1] else chain.base[:, chain.q_index], 0.0
     _end(task, targets, np.arange(len(out)), out)
     return len(out)
+
+
+def goals_of(task: FrameProblem, targets: Array) -> Array:
+    """Targets (N, 4, 4) with the z axis that kernels point."""
+    goals = targets
+    if task.axis != Z_AXIS:
+        goals = goals.copy()
+        goals[:, :3, :3] = goals[:, :3, :3] @ frame_of(np.array(task.axis))
+    return goals
+
+
+def starts_from(task: FrameProblem, head: tuple[Any, ...], start: int, steps: int) -> Array:
+    """The answer (1, n + ANSWER) of one start after so many steps; `head` as in `go_on`."""
+    found = np.empty((1, len(task.chain.q_index) + ANSWER))
+    _search(task.chain)(*head, start, 1, steps, *task.tolerance, 0.0, found)
+    return found
 
 
 def go_on(task: FrameProblem, targets: Array, head: tuple[Any, ...], done: int, out: Array) -> int:
@@ -217,6 +229,12 @@ def outside(task: FrameProblem, targets: Array) -> Array:
     out = np.abs(targets[:, 2, 3]) if task.system.dim == 2 else np.zeros(len(targets))
     out[out <= task.tolerance[0]] = 0.0
     return np.maximum(out, past_lengths(task, targets).max(axis=-1))
+
+
+def look_closer(task: FrameProblem, code: np.ndarray) -> None:
+    """Tell, in place, targets that lengths alone put out of reach from those that were not found."""
+    failed = np.flatnonzero((code == Status.NOT_FOUND) | (code == Status.OUT_OF_TIME))
+    code[failed[outside(task, task.targets[failed]) > 0.0]] = Status.OUT_OF_REACH
 
 
 def past_lengths(task: FrameProblem, targets: Array) -> Array:

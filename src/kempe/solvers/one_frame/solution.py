@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from kempe.status import MEMBERS, PROOFS, Status
 if TYPE_CHECKING:
     from kempe.model.system import System
     from kempe.solvers.common.problem import Choice
+    from kempe.solvers.one_frame.iterates import IkHistory
     from kempe.solvers.one_frame.multi_start import FrameProblem
 
 
@@ -62,6 +63,8 @@ class Solution(Answer):
     starts: Any
     problem: Any = field(repr=False)
     """The `FrameProblem`, or a bound form and its target, which can tell it."""
+    history: ClassVar[IkHistory | None] = None
+    """The iterates, an `IkHistory`, where `ik` was given ``history=True``."""
 
     @classmethod
     def reached(cls, problem: Any, q: Array, measured: Array) -> Solution:
@@ -195,6 +198,12 @@ class Solution(Answer):
         X = np.reshape(task.targets, (*np.shape(self.success), 4, 4))
         made = of_target(task.frame, task.name, task.axis, X)
         return [(task_of(c, task.system.dim), None, task.tolerance) for c in made]
+
+    def plot_history(self, ax: Any = None) -> Any:
+        """Matplotlib axes with the errors over the steps; for answers of ``ik(..., history=True)``."""
+        if self.history is None:
+            raise InputError("this answer has no history; ask for it by ik(..., history=True)")
+        return self.history.plot(ax)
 
     @cached_property
     def derivative(self) -> Any:

@@ -33,6 +33,7 @@ from kempe.solvers.tasks.reached import demands_of
 from kempe.solvers.tasks.uninvolved import apart
 from kempe.spatial import Array
 from kempe.status import Status
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -234,7 +235,7 @@ class _FollowedPath(PathSteps):
         untouched = apart(self.problem.packed, self.problem.pins)
         out[:, untouched] = q[untouched]  # to the last bit
         success = self._checked(out)
-        status = f"{success.sum()} of {n} targets followed"
+        status = f"{success.sum()} of {counted(n, 'target')} followed"
         jumped = f" with {len(jumps)} jump{'s' if len(jumps) > 1 else ''}" if jumps and restart else ""
         status = "; ".join([status + jumped, *said])
         return IkPath(self.system, out, success, tuple(jumps), status, self.problem, interrupted, late)

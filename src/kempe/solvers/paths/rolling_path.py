@@ -11,6 +11,7 @@ import numpy as np
 from kempe.kinematics.common.gauss_newton import gauss_newton, least_squares
 from kempe.solvers.common.slip import Slip, hard_rows, slip_of
 from kempe.spatial import Array
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.solvers.paths.following import IkPath
@@ -36,7 +37,7 @@ def without_slip(way: PathSteps, path: IkPath, begin: int) -> IkPath:
     q = path.q.copy()
     reached = _led(way, q, begin)
     if reached == len(q) - 1:
-        status = f"{len(q) - begin} of {len(q)} targets followed, without slip"
+        status = f"{len(q) - begin} of {counted(len(q), 'target')} followed, without slip"
         return replace(path, q=q, success=np.arange(len(q)) >= begin, jumps=(), reason=status)
     return _broken(path, slip, int(good[0]))
 
@@ -47,8 +48,8 @@ def _broken(path: IkPath, slip: Slip, first: int) -> IkPath:
     q, success = path.q.copy(), path.success.copy()
     q[k:], success[k:] = np.nan, False
     many = int(success.sum())
-    status = (f"{many} of {len(q)} targets followed; stops before target {k}: on the way there it {slip.text}; getting "
-              f"there is a manoeuvre")  # fmt: skip
+    followed = f"{many} of {counted(len(q), 'target')} followed"
+    status = f"{followed}; stops before target {k}: on the way there it {slip.text}; getting there is a manoeuvre"
     return replace(path, q=q, success=success, jumps=(), reason=status)
 
 

@@ -199,7 +199,7 @@ def _wish(system: System, direction: Any, local: Local, problem: Demands) -> Arr
     """The scaled velocity (nv,) to follow."""
     if direction is None:
         if local.finite > 1:
-            raise InputError(f"the tasks leave {local.finite} freedoms: say by `direction` which way to go")
+            raise InputError(f"the tasks leave {counted(local.finite, 'freedom')}: say by `direction` which way to go")
         found = local.motions
         if (np.abs(found @ found[0]) < ALIKE).any():
             raise InputError("self-motions branch here: say by `direction` which way to go")

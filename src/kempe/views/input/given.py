@@ -14,6 +14,7 @@ from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import has_loops
 from kempe.model.tree.coordinates import units
 from kempe.views import facts, report, rows
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -108,7 +109,7 @@ def start(system: System, text: str | None, degrees: bool = False) -> spatial.Ar
         return None
     q = _start(system, text, degrees)
     if q.ndim != 1:
-        raise InputError(f"{text}: it holds {len(q)} configurations; one is needed to start from")
+        raise InputError(f"{text}: it holds {counted(len(q), 'configuration')}; one is needed to start from")
     if not np.isfinite(q).all():
         raise InputError(f"{text}: a number to start from is not finite")
     return q
@@ -154,7 +155,7 @@ def configuration(
         return answer.q, answer
     q = rows.configuration(system, text, posture, degrees)
     if q.ndim != 1:
-        raise InputError(f"{text}: it holds {len(q)} configurations; one is needed")
+        raise InputError(f"{text}: it holds {counted(len(q), 'configuration')}; one is needed")
     return q, None
 
 

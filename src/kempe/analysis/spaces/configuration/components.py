@@ -103,7 +103,7 @@ class Component:
         kind = "closed curve" if first.closed else "curve"
         turns = [f"{counted(abs(k), 'turn')} of {n!r}" for n, k in first.turns.items()]
         text = f"{kind} of length {first.length:.6g}" if len(self.paths) == 1 else \
-            f"{len(self.paths)} curves of total length {self.length:.6g}"  # fmt: skip
+            f"{counted(len(self.paths), 'curve')} of total length {self.length:.6g}"  # fmt: skip
         text += f", {', '.join(turns)}" if turns and len(self.paths) == 1 else ""
         points = len(self.singular_points)
         return text + (f", {counted(points, 'singular point')}" if points else "")
@@ -223,7 +223,7 @@ def components(system: System, *, budget: Budget | None = None) -> Components:
     polygon = polygon_of(system)
     singular = np.empty((0, system.nq)) if isinstance(polygon, str) else polygon.aligned()
     if mobility.useful != 1:
-        why = f"no theorem is known here for {mobility.dof} freedoms; one configuration is known"
+        why = f"no theorem is known here for {counted(mobility.dof or 0, 'freedom')}; one configuration is known"
         least = sweep.count if sweep else 1
         count, why = known or (least, sweep.reason if sweep and least > 1 else why)
         return Components(system, count, known is not None, why, mobility.dof, mobility.idle, (), singular, late)

@@ -13,11 +13,13 @@ from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import difference, distance, has_loops, integrate, interpolate
 from kempe.spatial import Array
 from kempe.status import Status
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.analysis.mobility.mobility import Mobility
     from kempe.analysis.spaces.configuration.components import Components
     from kempe.analysis.spaces.configuration.connection import Connection
+    from kempe.analysis.spaces.configuration.parametrizations import Parametrizations
     from kempe.analysis.spaces.configuration.sampling import Sample
     from kempe.budget import Budget
     from kempe.model.system import System
@@ -89,6 +91,12 @@ class ConfigurationSpace(Report):
 
         return path(self.system, q0, q1, budget=budget)
 
+    def parametrizations(self, q: Any = None) -> Parametrizations:
+        """Pairs (r, R) with constraints, and generalized positions; see `spaces.configuration.parametrizations`."""
+        from kempe.analysis.spaces.configuration.parametrizations import parametrizations
+
+        return parametrizations(self.system, q)
+
     # ---- what it is
 
     @property
@@ -129,8 +137,7 @@ class ConfigurationSpace(Report):
         text = str(self.ambient) + (f", {self.limited} of them within limits" if self.limited else "")
         if not self.constraints:
             return text
-        equations = "1 constraint equation" if self.constraints == 1 else f"{self.constraints} constraint equations"
-        return f"the subset of {text}, that satisfies {equations}"
+        return f"the subset of {text}, that satisfies {counted(self.constraints, 'constraint equation')}"
 
     @property
     def code(self) -> Status:  # type: ignore[override]

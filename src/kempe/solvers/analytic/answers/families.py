@@ -19,7 +19,7 @@ from kempe.solvers.analytic.answers.family_points import SINGULAR
 from kempe.solvers.analytic.answers.nearest import Aim, aim_of, held_coordinates
 from kempe.solvers.analytic.plans.plan import kernel_of
 from kempe.spatial import Array
-from kempe.words import in_words
+from kempe.words import counted, in_words, verb
 
 if TYPE_CHECKING:
     from kempe.solvers.analytic.answers.solutions import Solutions
@@ -80,7 +80,8 @@ class Family:
         """
         names = self._motion.aim.lines.names
         if len(values) != self.dimension:
-            raise InputError(f"{len(values)} joints are given; the family has {in_words(self.dimension, 'freedom')}")
+            given = f"{counted(len(values), 'joint')} {verb(len(values), 'is', 'are')} given"
+            raise InputError(f"{given}; the family has {in_words(self.dimension, 'freedom')}")
         for name in values:
             if name not in names:
                 raise UnknownNameError("joint", name, names, "the chain")

@@ -20,6 +20,7 @@ from kempe.solvers.common.answer import Answer, ConfigurationList
 from kempe.solvers.common.targets import Z_AXIS, frame_of
 from kempe.spatial import Array
 from kempe.status import member
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -335,7 +336,7 @@ class Solutions(ConfigurationList, Answer):
         from kempe.solvers.analytic.answers.nearest import nearest
 
         if not 0 <= index < len(self._rows):
-            raise InputError(f"index is {index}; there are {len(self._rows)} targets")
+            raise InputError(f"index is {index}; the targets are {len(self._rows)}")
         return nearest(self, index)
 
     def chosen(self, expand_turns: bool, inside_only: bool) -> Solutions:
@@ -369,8 +370,9 @@ class Solutions(ConfigurationList, Answer):
         return out
 
     def __repr__(self) -> str:
-        what = f"{len(self)} solutions" if self.single else f"{int(self._used.sum())} solutions of {len(self._rows)}"
-        return f"Solutions({self.system.name!r}, {self.question.frame!r}, {what}{'' if self.single else ' targets'})"
+        what = counted(len(self) if self.single else int(self._used.sum()), "solution")
+        of = "" if self.single else f" of {counted(len(self._rows), 'target')}"
+        return f"Solutions({self.system.name!r}, {self.question.frame!r}, {what}{of})"
 
     what = "targets reached"
     also = ("complete", "inside", "multiplicity", "branch", "names", "held", "spare", "tried")
@@ -378,7 +380,7 @@ class Solutions(ConfigurationList, Answer):
     def _headline(self) -> str:
         from kempe.solvers.analytic.answers.explain_ik_all import held_sentence
 
-        text = super()._headline() + ("" if self.single else f", {int(self._used.sum())} solutions")
+        text = super()._headline() + ("" if self.single else f", {counted(int(self._used.sum()), 'solution')}")
         return f"{text}; {held_sentence(self)}" if self.spare and not self.single else text
 
     def _cells(self) -> Cells:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
 from kempe.calls import explained, listed
+from kempe.errors import UnsupportedError
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.kinematics.common.result import Report
 from kempe.solvers.analytic.describe.describe_axes import relations
@@ -16,10 +17,11 @@ from kempe.solvers.analytic.describe.describe_path import METHODS, most, path
 from kempe.solvers.analytic.ik_all import chain_lines, plan_for
 from kempe.solvers.analytic.plans.question import held
 from kempe.solvers.common.targets import axis_for, task_and_axis, task_of
-from kempe.words import by_topic
+from kempe.words import by_topic, counted
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
+    from kempe.solvers.analytic.describe.symbolic_ik import InverseFormulas
 
 WIDTH = 110
 """Columns of the text."""
@@ -46,14 +48,29 @@ class Recognised(Report):
     most: int
     method: str
     held: tuple[str, ...]
+    note: str = ""
+    """Why the task is not a pose, where none was given."""
+    of: System | None = field(default=None, repr=False, compare=False)
 
     @property
     def status(self) -> str:
         """What it is about."""
         return f"inverse model of {self.frame} of {self.system}, task {self.task}"
 
+    def formulas(self, *, symbols: Mapping[str, Any] | None = None) -> InverseFormulas:
+        """The inverse model as formulas; see `kempe.solvers.analytic.describe.symbolic_ik.symbolic_ik`.
+
+        Errors: `UnsupportedError` where there are no short ones, with the reason.
+        """
+        from kempe.solvers.analytic.describe.symbolic_ik import symbolic_ik
+
+        if self.of is None or self.held:
+            why = f"with {', '.join(self.held)} held; lock them in the mechanism" if self.held else "without the system"
+            raise UnsupportedError(f"there are no formulas {why}")
+        return symbolic_ik(self.of, self.frame, self.task, symbols=symbols)
+
     def _data(self) -> dict[str, Any]:
-        return vars(self)
+        return {name: x for name, x in vars(self).items() if name != "of"}
 
     def topics(self) -> list[tuple[str, tuple[str, ...]]]:
         """The report as (title, lines)."""
@@ -63,7 +80,8 @@ class Recognised(Report):
         count = "configuration" if self.most == 1 else "configurations"
         each = " for each value of what is held" if self.held else ""
         return [
-            ("joints", (joints,)), ("axes", self.relations), ("path", self.path), ("method", (self.method,)),
+            *([("task", (self.note,))] if self.note else []), ("joints", (joints,)), ("axes", self.relations),
+            ("path", self.path), ("method", (self.method,)),
             ("solutions", (f"{self.most} isolated {count} at most{each}",)),
         ]  # fmt: skip
 
@@ -78,9 +96,9 @@ def ik_plan(
 ) -> Recognised:  # fmt: skip
     """What is recognised in the chain that moves `frame`, and how `ik_all` solves it.
 
-    Arguments as those of `kempe.solvers.analytic.ik_all.ik_all`; without a `task` that of a pose. `fixed` are the names
-    of joints that are held. Errors: `UnsupportedError` for chains with loops, quaternions or shared coordinates,
-    `InputError`, `UnknownNameError`.
+    Arguments as those of `kempe.solvers.analytic.ik_all.ik_all`; without a `task` that of a pose, or of a position
+    where the chain has no more joints than that has equations. `fixed` are the names of joints that are held. Errors:
+    `UnsupportedError` for chains with loops, quaternions or shared coordinates, `InputError`, `UnknownNameError`.
 
     >>> import kempe
     >>> from kempe.solvers.analytic.describe.describe import ik_plan
@@ -91,11 +109,17 @@ def ik_plan(
     said, axis = task_and_axis(task)
     what = task_of(said, False, bool(system.structure.table.at[name][2]))
     direction = axis_for(axis, what)
-    lines = chain_lines(system, name, direction)
+    lines, note = chain_lines(system, name, direction), ""
+    if task is None and what == "pose" and len(lines) <= system.dim:
+        n, count = 3 * (system.dim - 1), counted(len(lines), "joint")
+        what, note = (
+            "position",
+            f"a pose has {n} equations, more than the chain has joints ({count}): the position is planned",
+        )
     given = held(name, lines.names, dict.fromkeys(listed(fixed, "fixed"), 0.0))
     plan = plan_for(system, name, lines, what, direction, tuple(given))
     kinds = tuple("slides" if kind == SLIDE else "turns" for kind in lines.kinds)
     return Recognised(
         system.name, name, what, lines.names, kinds, relations(lines), path(plan, frozenset(given), system.dim == 2),
-        most(plan), METHODS[plan.method], tuple(lines.names[i] for i in plan.locked),
+        most(plan), METHODS[plan.method], tuple(lines.names[i] for i in plan.locked), note, system,
     )  # fmt: skip

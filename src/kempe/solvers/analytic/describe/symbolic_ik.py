@@ -1,11 +1,10 @@
-"""The inverse model of a planar two-link arm as formulas, in the steps in which it is derived on paper."""
+"""The inverse model of a planar arm as formulas, in the steps in which it is derived on paper."""
 
 from __future__ import annotations
 
-import keyword
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -13,146 +12,185 @@ from numpy.typing import ArrayLike
 
 from kempe.calls import explained, numbers
 from kempe.errors import InputError, UnsupportedError, shown
-from kempe.kinematics.symbolic import aligned, symbolic_fk
-from kempe.kinematics.symbolic_turns import sympy
+from kempe.kinematics.formulas.derivation import Derivation, FormulaStep
+from kempe.kinematics.formulas.plane_steps import (
+    Names,
+    Vector,
+    line_and_circle,
+    minus,
+    plus,
+    polar,
+    turned,
+    turning_slide,
+    two_circles,
+    two_lines,
+)
+from kempe.kinematics.formulas.symbolic import SymbolLeaves
+from kempe.kinematics.formulas.symbolic_dh import joint_lines
+from kempe.kinematics.formulas.symbolic_turns import sympy
 from kempe.reals import is_whole
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
 
-
-class FormulaStep(NamedTuple):
-    """One line of a derivation: `symbol` = `formula`, what was done, and the condition under which it holds."""
-
-    symbol: Any
-    formula: Any
-    says: str
-    condition: str = ""
+TASKS = {2: "position", 3: "pose"}
+"""What a planar chain of so many joints can reach."""
+ELBOW = "-1 is elbow up, +1 elbow down"
 
 
 @dataclass(frozen=True, eq=False)
-class InverseFormulas:
-    """Formulas of both solutions; the symbol `sign` is -1 for elbow up (sin q2 < 0) and +1 for elbow down."""
+class InverseFormulas(Derivation):
+    """Formulas of the solutions; the symbol `sign` is -1 for elbow up and +1 for elbow down.
 
-    system: System
-    steps: tuple[FormulaStep, ...]
-    target: tuple[Any, Any]
-    """Symbols of the wanted position, p_x and p_y."""
-    coordinates: tuple[str, str]
+    Of an arm with a slide it is +1 where that is farther than where both solutions meet; two slides have one solution.
+    """
 
-    def __call__(self, p: ArrayLike, sign: int) -> Array:
-        """The two coordinates (..., 2) in radians for positions p (..., 2) in metres; nan where p is out of reach."""
-        at = numbers(p, "p", 2)
+    @property
+    def target(self) -> tuple[Any, ...]:
+        """Symbols of the wanted position, p_x and p_y, and of a pose the angle phi."""
+        return self.given
+
+    def __call__(self, p: ArrayLike, sign: int = 1) -> Array:
+        """The coordinates (..., n), radians and metres, for positions (..., 2) or x, y and angle (..., 3).
+
+        They are nan where the target is out of reach.
+        """
+        at = numbers(p, "p", len(self.given))
         if not is_whole(sign) or sign not in (-1, 1):
             raise InputError(f"sign is {shown(sign)}; it must be -1 (elbow up) or 1 (elbow down)")
-        known: dict[Any, Any] = {sympy.Symbol(n): v for n, v in self.system.structure.parameters.items()}
-        unknown = sorted(map(str, self._lengths() - set(known)))
-        if unknown:
-            raise InputError(f"no numbers are known for {', '.join(unknown)}; they are no parameters of the system")
-        known |= {self.target[0]: at[..., 0], self.target[1]: at[..., 1], sympy.Symbol("sign"): sign}
-        with np.errstate(invalid="ignore"):
-            for step in self.steps:
-                known[step.symbol] = sympy.lambdify(list(known), step.formula, "numpy")(*known.values())
-        return np.stack([known[sympy.Symbol(name)] for name in self.coordinates], axis=-1)
-
-    def latex(self) -> str:
-        """The formulas in LaTeX, one line each."""
-        lines = [f"{sympy.latex(step.symbol)} &= {sympy.latex(step.formula)}" for step in self.steps]
-        return aligned(lines)
-
-    def code(self) -> str:
-        """A Python function of the formulas, which needs numpy alone; names that Python does not allow are changed."""
-        from sympy.printing.numpy import NumPyPrinter
-
-        given = [*self.target, sympy.Symbol("sign"), *sorted(self._lengths(), key=str)]
-        words: dict[Any, Any] = {}
-        for symbol in [*given, *(step.symbol for step in self.steps)]:
-            words[symbol] = sympy.Symbol(_variable(str(symbol), {str(word) for word in words.values()}))
-        arguments = ", ".join(str(words[symbol]) for symbol in given)
-        printer: Any = NumPyPrinter()
-        printed = printer.doprint
-        lines = [f"    {words[step.symbol]} = {printed(step.formula.xreplace(words))}" for step in self.steps]
-        last = f"    return {', '.join(str(words[sympy.Symbol(name)]) for name in self.coordinates)}"
-        return "\n".join(["import numpy", "", "", f"def inverse({arguments}):", *lines, last]) + "\n"
-
-    def _lengths(self) -> set[Any]:
-        own = {step.symbol for step in self.steps} | {*self.target, sympy.Symbol("sign")}
-        return {s for step in self.steps for s in step.formula.free_symbols} - own
-
-    def _repr_latex_(self) -> str:
-        return f"$\\displaystyle {self.latex()}$"
-
-    def __str__(self) -> str:
-        return "\n".join(
-            f"{step.symbol} = {step.formula}: {step.says}" + (f", if {step.condition}" if step.condition else "")
-            for step in self.steps
-        )
+        return self.evaluate(at, np.full(at.shape[:-1] + (len(self.signs),), float(sign)))
 
 
 @explained
-def symbolic_ik(system: System, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None) -> InverseFormulas:
-    """Formulas for the position of a frame that two turns about z move, with links along x where both are zero.
+def symbolic_ik(
+    system: System, frame: FrameLike, task: str | None = None, *, symbols: Mapping[str, Any] | None = None,
+    snap: float = 0.0,
+) -> InverseFormulas:  # fmt: skip
+    """Formulas of the inverse model of a planar arm: two joints to a "position", three to a "pose" x, y, angle.
 
-    The position is squared and summed, which leaves q2; its sine has two signs, the two elbows; q1 is the difference
-    of two angles (Siciliano, Sciavicco, Villani, Oriolo 2009, section 2.12.1). Limits are not regarded. `ik_all` gives
-    the solutions of other chains in numbers. `symbols` replaces parameters as in `symbolic_fk`.
+    Joints turn about z or -z of the ground, or slide across it. Of two turns, the position is squared and summed, which
+    leaves the second angle; its sine has two signs, the two elbows; the first is the difference of two angles
+    (Siciliano, Sciavicco, Villani, Oriolo 2009, section 2.12.1); slides make lines of circles. A pose fixes where the
+    last joint is, from which on it is the same. Limits are not regarded. `ik_all` gives the solutions of other
+    chains in numbers. `symbols` and `snap` are those of `symbolic_fk`.
 
-    Errors: those of `kempe.kinematics.symbolic.symbolic_fk`; `UnsupportedError` for other chains and for systems
-    with constraints.
+    Errors: those of `kempe.kinematics.formulas.symbolic.symbolic_fk`; `UnsupportedError` for other chains and for
+    systems with constraints.
 
     >>> import kempe
     >>> print(symbolic_ik(kempe.load("two_link"), "e").steps[1].formula)
     (-l1**2 - l2**2 + r2)/(2*l1*l2)
     """
     name = system.structure.frame_name(frame)
-    position: Any = symbolic_fk(system, frame, symbols=symbols)[:3, 3]
-    moving = [n for n in system.coordinate_names if position.has(sympy.Symbol(n))]
-    if len(moving) != 2 or system.loops.constraints():
-        raise UnsupportedError(f"formulas for {name!r} need two joints in an open chain; ik_all gives numbers")
-    one, two = map(sympy.Symbol, moving)
-    base, l1, l2 = _links(position, one, two)
-    own = sympy.symbols("p_x p_y sign r2 c2 s2 alpha beta")
-    if base is None or position.free_symbols & set(own):
+    if system.loops.constraints():
+        raise UnsupportedError(f"formulas for {name!r} need an open chain; ik_all gives numbers")
+    leaves = SymbolLeaves(system, symbols or {}, snap)
+    joints, tip = joint_lines(system, name, leaves, f"formulas for {name!r} need two or three joints that move it")
+    what = task or TASKS.get(len(joints), "position")
+    planar = all(bool(j.along[0] == 0 == j.along[1]) if j.turns else bool(j.along[2] == 0) for j in joints)
+    if TASKS.get(len(joints)) != what or not planar or tuple(tip[2, :3]) != (0, 0, 1) and what == "pose":
         raise UnsupportedError(
-            f"formulas for {name!r} need two turns about z, with links along x where both are zero, and no parameter"
-            f" called {', '.join(map(str, own))}; ik_all gives numbers"
+            f"formulas for {name!r} need two joints to a position, or three to a pose, that turn about z of the ground "
+            "or slide across it; ik_all gives numbers"
         )
-    return InverseFormulas(system, _steps(own, base, (l1, l2), (one, two)), (own[0], own[1]), (moving[0], moving[1]))
+    inputs = sympy.symbols("p_x p_y phi")[: len(joints)]
+    n = Names.ending("")
+    own = {*n, *sympy.symbols("p_x p_y phi w_x w_y")}
+    if own & (
+        set(tip.free_symbols).union(*(j.point.free_symbols for j in joints)) | {sympy.Symbol(j.name) for j in joints}
+    ):
+        raise UnsupportedError(f"formulas for {name!r} need parameters and coordinates that are not called "
+                               f"{', '.join(sorted(map(str, own)))}; ik_all gives numbers")  # fmt: skip
+    arm = [_PlaneJoint.of(j) for j in joints]
+    end: Vector = (tip[0, 3], tip[1, 3])
+    steps, angle = list[FormulaStep](), None
+    target: Vector = (inputs[0], inputs[1])
+    if what == "pose":
+        angle = inputs[2] - sympy.atan2(tip[1, 0], tip[0, 0])
+        if arm[-1].turns:  # the place of the last joint
+            to = minus(target, turned(minus(end, arm[-1].at), angle))
+            steps += [
+                FormulaStep(s, x, "the target, less the last link")
+                for s, x in zip(sympy.symbols("w_x w_y"), to, strict=True)
+            ]
+            target, end = (steps[0].symbol, steps[1].symbol), arm[-1].at
+    more, found = _solved(n, arm, target, end, angle)
+    steps += more
+    order = ("first", "second", "third")
+    for j, x, place in zip(arm, found, order, strict=False):
+        steps.append(FormulaStep(sympy.Symbol(j.name), x, f"the {place} coordinate"))
+    signs = (n.sign,) if any(s.formula.has(n.sign) for s in steps) else ()
+    return InverseFormulas(system, tuple(steps), tuple(inputs), signs, tuple(j.name for j in arm))
 
 
-def _variable(name: str, taken: set[str]) -> str:
-    """The name as Python takes it, with underscores in front of keywords, digits, and names that are taken."""
-    word = re.sub(r"\W", "_", name)
-    while not word.isidentifier() or keyword.iskeyword(word) or word in {*taken, "numpy"}:
-        word = f"_{word}"
-    return word
+class _PlaneJoint(NamedTuple):
+    """A joint at q = 0: a point of its axis, whether it turns, its sense about z or its direction."""
+
+    name: str
+    at: Vector
+    turns: bool
+    sense: int
+    along: Vector
+
+    @classmethod
+    def of(cls, joint: Any) -> _PlaneJoint:
+        """The joint as it lies in the plane."""
+        sense = int(joint.along[2]) if joint.turns else 1
+        return cls(joint.coordinate, (joint.point[0], joint.point[1]), joint.turns, sense,
+                   (joint.along[0], joint.along[1]))  # fmt: skip
 
 
-def _links(position: Any, one: Any, two: Any) -> tuple[Any, Any, Any]:
-    """Place of the first axis and the two lengths, by half turns of the joints; None for other chains."""
-    base = (position + position.subs(one, one + sympy.pi)) / 2
-    outer = (position - position.subs(two, two + sympy.pi)) / 2
-    zero = {one: 0, two: 0}
-    base, l2 = base.subs(zero), outer[0].subs(zero)
-    l1 = (position[0].subs(zero) - base[0] - l2).expand()
-    way = (l1 * sympy.cos(one) + l2 * sympy.cos(one + two), l1 * sympy.sin(one) + l2 * sympy.sin(one + two))
-    off = sympy.Matrix([position[0] - base[0] - way[0], position[1] - base[1] - way[1], position[2] - base[2]])
-    if 0 in (l1, l2) or not off.expand(trig=True).is_zero_matrix:
-        return None, l1, l2
-    return base, l1, l2
+def _solved(
+    n: Names, arm: list[_PlaneJoint], to: Vector, end: Vector, angle: Any
+) -> tuple[list[FormulaStep], list[Any]]:
+    """Steps and coordinates: of joints that bring the point `end` to `to`, the last body turned by `angle`."""
+    kinds = "".join("RP"[not j.turns] for j in arm)
+    one, two = arm[0], arm[1]
+    if any(one.turns and two.turns and set(minus(two.at, one.at)) == {0} for one, two in pairwise(arm)):
+        raise UnsupportedError("two turns are about one axis, which leaves a joint to spare; ik_all gives families")
+    if kinds in ("RR", "RRR"):
+        (l1, at1), (l2, at2) = polar(minus(two.at, one.at)), polar(minus(end, two.at))
+        steps, first, bend = two_circles(n, minus(to, one.at), l1, l2, ELBOW)
+        turns = [first - at1, bend - (at2 - at1)]
+        return steps, _turns(arm, turns, angle)
+    if kinds in ("RP", "RPR"):
+        gap, (_, at) = minus(end, one.at), polar(two.along)
+        ahead, aside = _parts(gap, two.along)
+        steps, u, rail = turning_slide(n, minus(to, one.at), aside)
+        turn = rail - at
+        return steps, [one.sense * turn, u - ahead, *([arm[2].sense * (angle - turn)] if kinds == "RPR" else [])]
+    if kinds in ("PR", "PRR"):
+        length, at = polar(minus(end, two.at))
+        steps, u, bar = line_and_circle(n, minus(to, two.at), one.along, length)
+        turn = bar - at
+        return steps, [u, two.sense * turn, *([arm[2].sense * (angle - turn)] if kinds == "PRR" else [])]
+    if kinds == "RRP":  # the orientation is that of the second body
+        length, at = polar(minus(two.at, one.at))
+        rest = minus(minus(to, one.at), turned(minus(end, two.at), angle))
+        steps, u, bar = line_and_circle(n, rest, turned(arm[2].along, angle), length)
+        turn = bar - at
+        return steps, [one.sense * turn, two.sense * (angle - turn), u]
+    if kinds in ("PP", "PPR"):
+        steps, u1, u2 = two_lines(n, minus(to, end), one.along, two.along)
+        return steps, [u1, u2, *([arm[2].sense * angle] if kinds == "PPR" else [])]
+    if kinds == "RPP":
+        rest = minus(turned(minus(to, one.at), -angle), minus(end, one.at))
+        steps, u2, u3 = two_lines(n, rest, two.along, arm[2].along)
+        return steps, [one.sense * angle, u2, u3]
+    if kinds == "PRP":
+        rest = minus(to, plus(two.at, turned(minus(end, two.at), angle)))
+        steps, u1, u3 = two_lines(n, rest, one.along, turned(arm[2].along, angle))
+        return steps, [u1, two.sense * angle, u3]
+    raise UnsupportedError("formulas need a joint that turns where an angle is wanted; ik_all gives numbers")
 
 
-def _steps(own: Any, base: Any, lengths: tuple[Any, Any], angles: tuple[Any, Any]) -> tuple[FormulaStep, ...]:
-    p_x, p_y, sign, r2, c2, s2, alpha, beta = own
-    l1, l2 = lengths
-    x, y = p_x - base[0], p_y - base[1]
-    return (
-        FormulaStep(r2, x**2 + y**2, "both parts of the position squared and summed"),
-        FormulaStep(c2, (r2 - l1**2 - l2**2) / (2 * l1 * l2), "the law of cosines", f"{l1} != 0 and {l2} != 0"),
-        FormulaStep(s2, sign * sympy.sqrt(1 - c2**2), "-1 is elbow up, +1 elbow down", "-1 <= c2 <= 1"),
-        FormulaStep(alpha, sympy.atan2(y, x), "angle to the target", f"{r2} != 0"),
-        FormulaStep(beta, sympy.atan2(l2 * s2, l1 + l2 * c2), "angle from the first link to the target"),
-        FormulaStep(angles[0], alpha - beta, "the first coordinate"),
-        FormulaStep(angles[1], sympy.atan2(s2, c2), "the second coordinate"),
-    )
+def _turns(arm: list[_PlaneJoint], turns: list[Any], angle: Any) -> list[Any]:
+    """Coordinates of joints that turn: by these, the last one by what is left of the angle."""
+    last = [] if angle is None else [angle - sum(turns)]
+    return [j.sense * x for j, x in zip(arm, [*turns, *last], strict=True)]
+
+
+def _parts(v: Vector, along: Vector) -> tuple[Any, Any]:
+    """Parts of a vector along a direction and to the left of it."""
+    return v[0] * along[0] + v[1] * along[1], along[0] * v[1] - along[1] * v[0]

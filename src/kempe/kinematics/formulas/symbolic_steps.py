@@ -10,14 +10,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe import spatial
-from kempe.calls import explained
+from kempe.calls import explained, flag, known
 from kempe.errors import InputError, UnsupportedError, shown
-from kempe.kinematics.symbolic import SymbolLeaves, aligned, oriented_way, symbolic_fk
-from kempe.kinematics.symbolic_turns import pose_of, sympy, unwrapped
+from kempe.kinematics.formulas.symbolic import SymbolLeaves, aligned, oriented_way, symbolic_fk
+from kempe.kinematics.formulas.symbolic_turns import pose_of, sympy, unwrapped
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
+
+FORMS = ("matrices", "separate", "products")
+"""How `SymbolicSteps.latex` writes the model."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,13 +56,32 @@ class SymbolicSteps:
         X = self.system.fk(q, list(self.names))
         return spatial.inverse(X[..., :-1, :, :]) @ X[..., 1:, :, :]
 
-    def latex(self) -> str:
-        """The product of the matrices in LaTeX, with the names of both frames at the left of each T."""
+    def latex(self, form: str = "matrices") -> str:
+        """The model in LaTeX, with the names of both frames at the left of each symbol, and the merged result.
+
+        `form` "matrices" has the homogeneous matrices and their product, "separate" R and p of each step and how they
+        combine, "products" the pose in the ground frame after each step. Errors: `UnknownNameError` for other forms.
+        """
+        ground, tip = self.names[0], self.names[-1]
         ways = list(zip(self.names[:-1], self.names[1:], strict=True))
-        product = r" \, ".join(_left(a, b) for a, b in ways)
-        lines = [f"{_left(self.names[0], self.names[-1])} &= {product}"]
-        lines += [f"{_left(a, b)} &= {sympy.latex(T)}" for (a, b), T in zip(ways, self.T, strict=True)]
-        return aligned(lines)
+        form = known("form", form, FORMS)
+        if form == "separate":
+            lines: list[str] = []
+            for (a, b), T in zip(ways, self.T, strict=True):
+                p, R = sympy.latex(T[:3, 3]), sympy.latex(T[:3, :3])
+                lines.append(f"{_left(a, b, 'p')} &= {p}, \\quad {_left(a, b, 'R')} = {R}")
+            place = _left(*ways[-1], "p")
+            for a, b in reversed(ways[:-1]):
+                place = rf"\left({place}\right)" if "+" in place else place
+                place = f"{_left(a, b, 'p')} + {_left(a, b, 'R')} {place}"
+            lines.append(f"{_left(ground, tip, 'p')} &= {place} = {sympy.latex(self.merged[:3, 3])}")
+            lines.append(f"{_left(ground, tip, 'R')} &= {_product(ways, 'R')} = {sympy.latex(self.merged[:3, :3])}")
+            return aligned(lines)
+        shown = zip([(ground, b) for _, b in ways], self.products, strict=True)
+        if form == "matrices":
+            shown = zip(ways, self.T, strict=True)
+        lines = [f"{_left(a, b)} &= {sympy.latex(T)}" for (a, b), T in shown]
+        return aligned([*lines, f"{_left(ground, tip)} &= {_product(ways)} = {sympy.latex(self.merged)}"])
 
     def _repr_latex_(self) -> str:
         return f"$\\displaystyle {self.latex()}$"
@@ -78,8 +100,8 @@ def symbolic_steps(
     """The matrices whose product is the forward model of a body or frame, one for each joint on the way.
 
     A frame that is not a body adds a last matrix, of its place on the body. `symbols`, `snap` and errors are those of
-    `kempe.kinematics.symbolic.symbolic_fk`; besides, `UnsupportedError` for a frame of a particle, which has no
-    orientation.
+    `kempe.kinematics.formulas.symbolic.symbolic_fk`; besides, `UnsupportedError` for a frame of a particle, which has
+    no orientation.
 
     >>> from kempe import Mechanism
     >>> arm = Mechanism("arm", dim=2)
@@ -96,10 +118,14 @@ def symbolic_steps(
     return SymbolicSteps(system, names, tuple(pose_of(steps, leaves) for _, steps in parts), merged)
 
 
-def _left(upper: str, lower: str) -> str:
-    """T with the names of its two frames at its left."""
-    a, b = (name.replace("_", r"\_") for name in (upper, lower))
-    return rf"{{}}^{{\mathrm{{{a}}}}}_{{\mathrm{{{b}}}}}T"
+def _left(upper: str, lower: str, what: str = "T") -> str:
+    """T, R or p with the names of its two frames at its left; of p the second one at its right."""
+    a, b = (r"\mathrm{" + name.replace("_", r"\_") + "}" for name in (upper, lower))
+    return f"{{}}^{{{a}}}p_{{{b}}}" if what == "p" else f"{{}}^{{{a}}}_{{{b}}}{what}"
+
+
+def _product(ways: list[tuple[str, str]], what: str = "T") -> str:
+    return r" \, ".join(_left(a, b, what) for a, b in ways)
 
 
 @explained
@@ -169,6 +195,13 @@ def short_form(system: System, formula: Any) -> ShortForm:
         if label and angles.setdefault(label, angle) == angle and symbol not in formula.free_symbols:
             legend[symbol] = found
     return ShortForm(formula.xreplace({found: symbol for symbol, found in legend.items()}), legend)
+
+
+@explained
+def short_fk(system: System, frame: FrameLike, short: bool, **options: Any) -> Any:
+    """`symbolic_fk`, or its `short_form`."""
+    formula = symbolic_fk(system, frame, **options)
+    return short_form(system, formula) if flag(short, "short") else formula
 
 
 def _words(system: System) -> dict[Any, str]:

@@ -1,6 +1,6 @@
 """The forward geometric model in symbols: formulas such as l1 cos q1 + l2 cos(q1 + q2), from the same description.
 
-The chain is walked as a product of turns and slides, see `kempe.kinematics.symbolic_turns`.
+The chain is walked as a product of turns and slides, see `kempe.kinematics.formulas.symbolic_turns`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from kempe.calls import explained
 from kempe.description.parts import Joint
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.joints import Q, R
-from kempe.kinematics.symbolic_turns import AXES, SymbolicStep, pose_of, sympy
+from kempe.kinematics.formulas.symbolic_turns import AXES, SymbolicStep, pose_of, sympy
 from kempe.model.tree.coordinates import coordinate_names
 from kempe.placement import Placement
 from kempe.values import FUNCTIONS, Expression, Value
@@ -92,21 +92,26 @@ def aligned(lines: Iterable[str]) -> str:
 def _between(system: System, name: str, base: FrameLike | None, leaves: SymbolLeaves) -> list[SymbolicStep]:
     """Motions from the ground, or from a frame, to another one."""
     if base is None:
-        return [step for _, steps in _way_to(system, name, leaves) for step in steps]
+        return [step for _, steps in way_to(system, name, leaves) for step in steps]
     there, since = (oriented_way(system, x, leaves) for x in (name, base))
     shared = 0
     while shared < min(len(there), len(since)) and there[shared][0] == since[shared][0]:
         shared += 1
-    back = [_inverse(step) for _, steps in reversed(since[shared:]) for step in reversed(steps)]
+    back = inverse_of([step for _, steps in since[shared:] for step in steps])
     return back + [step for _, steps in there[shared:] for step in steps]
 
 
 def oriented_way(system: System, frame: FrameLike, leaves: SymbolLeaves) -> list[tuple[str, list[SymbolicStep]]]:
-    """The way to a frame that has an orientation, see `_way_to`; `UnsupportedError` for particles."""
+    """The way to a frame that has an orientation, see `way_to`; `UnsupportedError` for particles."""
     name = system.structure.frame_name(frame)
     if system.structure.table.at[name][2]:
         raise UnsupportedError(f"{name!r} is a particle and has no orientation; symbolic.fk gives its position")
-    return _way_to(system, name, leaves)
+    return way_to(system, name, leaves)
+
+
+def inverse_of(steps: Iterable[SymbolicStep]) -> list[SymbolicStep]:
+    """The motions that undo others."""
+    return [_inverse(step) for step in reversed(list(steps))]
 
 
 def _inverse(step: SymbolicStep) -> SymbolicStep:
@@ -118,7 +123,7 @@ def _inverse(step: SymbolicStep) -> SymbolicStep:
     return SymbolicStep({"align": "unalign", "unalign": "align"}[step.kind], step.axis, None, step.subject)
 
 
-def _way_to(system: System, name: str, leaves: SymbolLeaves) -> list[tuple[str, list[SymbolicStep]]]:
+def way_to(system: System, name: str, leaves: SymbolLeaves) -> list[tuple[str, list[SymbolicStep]]]:
     """Each body on the way from the ground to a body or frame, with the motions from the body before it."""
     mechanism, tree = system.mechanism, system.structure.topology
     frame = mechanism.frames.get(name)
@@ -131,16 +136,23 @@ def _way_to(system: System, name: str, leaves: SymbolLeaves) -> list[tuple[str, 
         number = tree.parent[i]
     out.reverse()
     if frame:
-        out.append((name, list(_placement_steps(frame.X_BF, f"frame {name!r}", leaves))))
+        out.append((name, list(placement_steps(frame.X_BF, f"frame {name!r}", leaves))))
     return out
 
 
 def _joint_steps(system: System, joint: Joint, backwards: bool, leaves: SymbolLeaves) -> Iterator[SymbolicStep]:
+    subject = f"joint {joint.name!r}"
+    first, last = (joint.X_CM, joint.X_PF) if backwards else (joint.X_PF, joint.X_CM)
+    yield from placement_steps(first, subject, leaves)
+    yield from joint_motions(system, joint, backwards, leaves)
+    yield from placement_steps(last.inverse(), subject, leaves)
+
+
+def joint_motions(system: System, joint: Joint, backwards: bool, leaves: SymbolLeaves) -> Iterator[SymbolicStep]:
+    """The motions of a joint from its frame F to M, or back."""
     mechanism, subject = system.mechanism, f"joint {joint.name!r}"
     names = coordinate_names(mechanism, joint)
     primitives = joint.type.layout(mechanism.dim, mechanism.bodies[joint.child].particle)[1]
-    first, last = (joint.X_CM, joint.X_PF) if backwards else (joint.X_PF, joint.X_CM)
-    yield from _placement_steps(first, subject, leaves)
     sign = -1 if backwards else 1
     for p in reversed(primitives) if backwards else primitives:
         if p.kind == Q:
@@ -149,10 +161,10 @@ def _joint_steps(system: System, joint: Joint, backwards: bool, leaves: SymbolLe
         else:
             amount = sign * _number(p.multiplier) * leaves.coordinate(names[p.coordinate])
             yield SymbolicStep("turn" if p.kind == R else "slide", sympy.Matrix(AXES[p.axis]), amount, subject)
-    yield from _placement_steps(last.inverse(), subject, leaves)
 
 
-def _placement_steps(X: Placement, subject: str, leaves: SymbolLeaves) -> Iterator[SymbolicStep]:
+def placement_steps(X: Placement, subject: str, leaves: SymbolLeaves) -> Iterator[SymbolicStep]:
+    """The motions of a placement."""
     for motion, numbers in X.steps:
         if motion in AXES:
             yield SymbolicStep("slide", sympy.Matrix(AXES[motion]), leaves.value(numbers[0]), subject)

@@ -14,7 +14,7 @@ from kempe import spatial
 from kempe.errors import MissingExtraError, UnsupportedError
 
 if TYPE_CHECKING:
-    from kempe.kinematics.symbolic import SymbolLeaves
+    from kempe.kinematics.formulas.symbolic import SymbolLeaves
 
 try:
     import sympy as _sympy

@@ -1,0 +1,94 @@
+"""Joints as combinations of revolute and prismatic ones, with links between them that have no size."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from kempe import spatial
+from kempe.description.mechanism import Mechanism
+from kempe.description.parts import Body, Coupling, Joint
+from kempe.errors import InputError
+from kempe.joints import Primitive, Prismatic, Q, R, Revolute, Spherical
+from kempe.model.tree.coordinates import coordinate_names
+from kempe.placement import Placement, place
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+
+class _Part(NamedTuple):
+    """One turn or slide of a joint: its coordinate by its full name and within the joint, and the motion."""
+
+    name: str
+    key: str
+    motion: Primitive
+
+
+def expanded(system: System) -> System:
+    """The same system made of revolute and prismatic joints only, with links without size between them.
+
+    A joint of one freedom stays as it is, one of several becomes a chain of joints that have the names of its
+    coordinates, so that `q` is the same; a screw becomes a turn and a slide that follows it. A ball becomes three turns
+    about z, y and x, with angles in place of its quaternion. Errors: `InputError` where a quaternion is coupled
+    or locked.
+    """
+    m = system.mechanism.copy()
+    joints, m.joints, m.name = m.joints, {}, f"{m.name}, expanded"
+    for joint in joints.values():
+        parts = _parts(m, joint)
+        if len(parts) == 1 and parts[0].motion.multiplier == 1.0 or not parts:
+            m.joints[joint.name] = joint
+        else:
+            _expand(m, joint, parts)
+    return m.build()
+
+
+def _parts(m: Mechanism, joint: Joint) -> list[_Part]:
+    """The turns and slides of a joint; those of a quaternion with three angles, in postures, too."""
+    keys, steps = joint.type.layout(m.dim, m.bodies[joint.child].particle)
+    names, out = coordinate_names(m, joint), list[_Part]()
+    for p in steps:
+        if p.kind != Q:
+            out.append(_Part(names[p.coordinate], keys[p.coordinate], p))
+            continue
+        four = names[p.coordinate : p.coordinate + 4]
+        tied = {*m.locks, *m.couplings, *(s for c in m.couplings.values() for s in c.sources)}
+        if tied & set(four):
+            raise InputError(f"joint {joint.name!r} has a quaternion that is locked or coupled, and no angles")
+        angles, turns = Spherical(angles=True).layout()
+        out += [_Part(f"{joint.name}.{a}", a, turn) for a, turn in zip(angles, turns, strict=True)]
+        for posture in m.postures.values():
+            if set(four) & set(posture):
+                q = [posture.pop(n, float(k == 0)) for k, n in enumerate(four)]
+                rpy = spatial.matrix_to_rpy(spatial.quat_wxyz_to_matrix(q)).tolist()
+                posture |= {part.name: x for part, x in zip(out[-3:], rpy[::-1], strict=True)}
+    return out
+
+
+def _expand(m: Mechanism, joint: Joint, parts: list[_Part]) -> None:
+    """Add a joint to a mechanism as a chain of turns and slides."""
+    here, X = joint.parent, joint.X_PF
+    for k, (name, key, motion) in enumerate(parts):
+        last, axis = k == len(parts) - 1, place(axis=motion.axis)
+        there = joint.child if last else _free(m, f"{joint.name} {k + 1}")
+        if not last:
+            m.bodies[there] = Body(there)
+        follows = name in m.joints
+        if follows:
+            name, source = _free(m, f"{name} slide"), name
+            m.couplings[name] = Coupling(name, {source: motion.multiplier})
+        own = [{"": table[key]} if key in table and not follows else {}
+               for table in (joint.limits, joint.velocity_limits, joint.effort_limits)]  # fmt: skip
+        m.joints[name] = Joint(
+            name, Revolute() if motion.kind == R else Prismatic(), here, there, X @ axis,
+            (joint.X_CM if last else Placement()) @ axis, *own, actuated=None if follows else joint.actuated,
+            cut=joint.cut and last, where=joint.where,
+        )  # type: ignore[arg-type]  # fmt: skip
+        here, X = there, Placement()
+
+
+def _free(m: Mechanism, name: str) -> str:
+    """The name, with dashes where something else has it."""
+    while name in m.bodies or name in m.joints or name in m.frames:
+        name += "'"
+    return name
