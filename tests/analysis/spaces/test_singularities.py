@@ -265,7 +265,6 @@ def test_what_was_found_stays_where_the_search_is_broken_off(limit, progress, co
     assert seen == [(16, 40), (32, 40), (40, 40)]
 
 
-
 def test_what_cannot_be_done_is_said():
     with pytest.raises(InputError, match="is a chain: name a frame"):
         PUMA.singularities()
