@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import threading
 import time
 from collections.abc import Callable
@@ -11,8 +12,11 @@ import numpy as np
 
 from kempe import spatial
 from kempe.errors import KempeError
+from kempe.kinematics.configuration import has_loops
 from kempe.views.drawing import style
 from kempe.views.drawing.solids import rgb
+from kempe.views.viewer.motions import possible
+from kempe.views.viewer.overlays import Overlay, offered, rounds
 from kempe.views.viewer.scene_nodes import Drawn, Nodes, poses_as
 from kempe.views.viewer.session import Session, Slider
 
@@ -23,12 +27,14 @@ STEPS = 2000
 """Places of a slider."""
 FRAMES = 30.0
 """Frames a second of a motion that is played."""
-SLOW = 4.0
-"""Seconds in which a path is played."""
 SLIDE = 0.1
 """Seconds between two updates of sliders while something else is dragged."""
 PAUSE = 0.25
 """Seconds of rest after which the slower sentences are said."""
+SEES = 1.2
+"""Distance of the camera, in parts of the farthest that shall be in the picture."""
+NOTHING = "nothing"
+"""What is chosen where nothing is laid over the system."""
 
 
 class Page:
@@ -46,6 +52,7 @@ class Page:
         self.nodes = Nodes(client.scene, drawn, session.q)
         self.sliders: dict[str, Any] = {}
         self.arrived = self.slid = 0.0
+        self.laid: object = None
         with client.atomic():
             self._panel(drawn)
             self._gizmo()
@@ -86,13 +93,12 @@ class Page:
                     self._slide()
                     self.counted.content = self.session.mobility()
                 continue
-            try:
-                with self.viewer.lock:
+            with self.session.lock:
+                try:
                     action()
-                    self.viewer.moved(self)
-            except KempeError as error:
-                self.session.status = str(error)
-                self.show()
+                except KempeError as error:
+                    self.session.status = str(error)
+                self.viewer.moved(self)
             self.spent.append(time.perf_counter() - arrived)
             del self.spent[:-1000]
             slow = True
@@ -102,6 +108,8 @@ class Page:
         session = self.session
         if self.revision != session.revision:
             self._make_sliders()
+            if self.over.value == "curve" and session.motion is None:
+                self._lay()
         with self.client.atomic():
             self.nodes.move(session.q)
             self.nodes.haunt(session.solutions, self._clicked)
@@ -135,36 +143,64 @@ class Page:
 
     def _panel(self, drawn: Drawn) -> None:
         gui, session = self.client.gui, self.session
-        gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
+        gui.configure_theme(show_logo=False, show_share_button=False)
         gui.set_panel_label(session.system.name)
         self.counted = gui.add_markdown("")
         self.said = gui.add_markdown("")
         self.folder = gui.add_folder("coordinates")
+        gos = {name: lambda n=name: session.go(n) for name in session.postures}
+        self._buttons("go to", {"random": session.random} | gos)
         with gui.add_folder("frame"):
             self.frame = gui.add_dropdown("frame", session.frames, initial_value=session.frame)
             self.task = gui.add_dropdown("what counts", ("pose", "position"), initial_value=session.task)
-            self._button("other solutions", lambda: session.solve() or self._none())
-            self._button("next solution", session.next_solution)
-            self._button("curve, points it reaches", self._curve)
-            self._button("motion with it at rest", self._self_motion)
-        with gui.add_folder("go to"):
-            self._button("next assembly mode", session.next_mode)
-            self._button("random", session.random)
-            for name in session.postures:
-                self._button(name, lambda n=name: session.go(n))
-        with gui.add_folder("motion", visible=session.path is not None) as self.motion:
-            self.time = gui.add_slider("part", 0.0, 1.0, 0.001, 0.0)
-            self.play = gui.add_button("play")
+            self._pair("other solutions", "solution")
+            if has_loops(session.system):
+                self._pair("assembly modes", "mode")
+        with gui.add_folder("show"):
+            self.over = gui.add_dropdown("over it", (NOTHING, *offered(session)), initial_value=NOTHING)
+            self.names = gui.add_checkbox("names", False)
+            self.axes = gui.add_checkbox("axes of frames", False)
+        with gui.add_folder("motion", visible=session.motion is not None or bool(possible(session))) as self.movie:
+            self._buttons("find", {n: lambda n=n: self._found(session.find_motion(n)) for n in possible(session)})
+            self.time: Any = None
+            self.play = gui.add_button("play", color="gray", visible=False)
+            self._found(session.motion is not None)
         if drawn.lost:
             gui.add_markdown(f"{len(drawn.lost)} meshes could not be shown, such as {drawn.lost[0]}")
         self.frame.on_update(self._by_hand("frame", lambda: self._aim(self.frame.value)))
         self.task.on_update(self._by_hand("task", lambda: self._aim(self.frame.value, self.task.value)))
-        self.time.on_update(self._by_hand("time", lambda: session.at(self.time.value)))
+        self.over.on_update(self._by_hand("over it", self._lay))
+        self.names.on_update(self._by_hand("names", lambda: self.nodes.name(self.names.value)))
+        self.axes.on_update(self._by_hand("axes", lambda: self.nodes.mark(self.axes.value)))
         self.play.on_click(self._play)
 
-    def _button(self, label: str, action: Callable[[], Any]) -> None:
-        button = self.client.gui.add_button(label)
-        button.on_click(self._by_hand(label, action))
+    def _buttons(self, label: str, actions: dict[str, Callable[[], Any]]) -> None:
+        """Buttons in a row, each with its action."""
+        if actions:
+            group = self.client.gui.add_button_group(label, tuple(actions))
+
+            def pressed() -> None:
+                self.said.content = f"{label}: {group.value} ..."
+                actions[group.value]()
+
+            group.on_click(self._by_hand(label, pressed))
+
+    def _pair(self, label: str, kind: str) -> None:
+        self._buttons(label, {"show": lambda: self.session.solve(kind), "next": lambda: self.session.next(kind)})
+
+    def _found(self, has: bool) -> None:
+        """Make the slider of the motion that is played."""
+        motion = self.session.motion
+        if not has or motion is None:
+            return
+        if self.time is not None:
+            self.time.remove()
+        label, last = ("time [s]", motion.duration) if motion.timed else ("part", 1.0)
+        with self.movie:
+            self.time = self.client.gui.add_slider(label, 0.0, last, last / 1000.0, 0.0, order=self.play.order - 0.5)
+        scale = motion.duration / last
+        self.time.on_update(self._by_hand("time", lambda h=self.time: self.session.at(scale * h.value)))
+        self.play.visible = True
 
     def _by_hand(self, key: str, action: Callable[[], Any]) -> Any:
         """A callback of viser that posts an action where a person caused the event."""
@@ -215,16 +251,16 @@ class Page:
     # ---- actions
 
     def _reach(self, X: Any, last: bool) -> None:
-        ghosts = len(self.session.solutions)
-        self.session.reach(X, quick=not last)
-        if ghosts:
-            self.session.solve()
-
-    def _none(self) -> None:
-        self.session.status = f"no other solution is known with {self.session.frame} here"
+        session, ghosts = self.session, len(self.session.solutions)
+        session.reach(X, quick=not last)
+        if ghosts and session.kind == "solution" and (last or not has_loops(session.system)):
+            said = session.status
+            session.solve()
+            session.status = said
 
     def _aim(self, frame: str, task: str | None = None) -> None:
         self.session.aim(frame, task)
+        self._lay()
         if self.task.value != self.session.task:
             self.task.value = self.session.task
         self.gizmo.disable_rotations = self.session.system.dim == 2 or self.session.task == "position"
@@ -233,19 +269,42 @@ class Page:
         if event.instance_index is not None:
             self.post("ghost", lambda: self.session.choose(int(event.instance_index)))
 
-    def _curve(self) -> None:
-        scene, session = self.client.scene, self.session
-        points = np.asarray(session.curve(), dtype=np.float32)
-        points = points[np.isfinite(points).all(axis=1)]
-        colour = np.round(255 * np.array(rgb(style.curve_colour(0)))).astype(np.uint8)
-        scene.remove_by_name("/curve")
-        if session.is_curve and len(points) > 1:
-            scene.add_line_segments("/curve", np.stack([points[:-1], points[1:]], axis=1), colour, line_width=2.5)
-        elif len(points):
-            scene.add_point_cloud("/curve", points, colour, point_size=0.25 * self.nodes.drawn.rigid.r)
+    def _lay(self) -> None:
+        """Begin to compute what is chosen to be laid over the system, and take away what was."""
+        self.laid = token = object()
+        self.nodes.lay(None)
+        if self.over.value != NOTHING:
+            self.session.status = f"{self.over.value}: being computed"
+            threading.Thread(target=self._compute, args=(token, self.over.value, copy.copy(self.session))).start()
 
-    def _self_motion(self) -> None:
-        self.motion.visible = self.session.self_motion() or self.session.path is not None
+    def _compute(self, token: object, name: str, session: Session) -> None:
+        """Send one round after the other to the page, until something else is chosen."""
+
+        def said(text: str, overlay: Overlay | None = None, first: bool = False) -> None:
+            if self.laid is token:
+                self.session.status = text
+                self.nodes.lay(overlay)
+                if overlay is not None and first:
+                    self._step_back(overlay)
+
+        try:
+            for k, overlay in enumerate(rounds(session, name)):
+                if self.laid is not token or not self.open:
+                    return
+                self.post(f"overlay {k}", lambda x=overlay, k=k: said(x.said, x, k == 0))
+        except KempeError as error:
+            self.post("overlay", lambda text=str(error): said(text))
+
+    def _step_back(self, overlay: Overlay) -> None:
+        """Move the camera back until what is laid over the system is in the picture."""
+        if not len(overlay.extent):
+            return
+        camera, (low, high) = self.client.camera, overlay.extent
+        away, at = camera.position - camera.look_at, np.array(camera.look_at)
+        far = float(np.linalg.norm(np.maximum(np.abs(high - at), np.abs(low - at)))) * SEES
+        if np.linalg.norm(away) < far:
+            camera.position = at + away * (far / np.linalg.norm(away))
+            camera.look_at = at
 
     async def _play(self, event: Any) -> None:
         self.playing = not self.playing
@@ -254,16 +313,21 @@ class Page:
             threading.Thread(target=self._run, daemon=True).start()
 
     def _run(self) -> None:
-        part = self.time.value if self.time.value < 1.0 else 0.0
-        while self.playing and self.open:
-            part = (part + 1.0 / (SLOW * FRAMES)) % 1.0
+        bar, motion = self.time, self.session.motion
+        if motion is None:
+            return
+        part = bar.value if bar.value < bar.max else 0.0
+        while self.playing and self.open and bar is self.time:
+            part = (part + bar.max / (motion.duration * FRAMES)) % bar.max
 
             def there(x: float = part) -> None:
-                self.session.at(x)
-                self.time.value = x
+                self.session.at(x * motion.duration / bar.max)
+                bar.value = x
 
             self.post("play", there)
             time.sleep(1.0 / FRAMES)
+        self.playing = False
+        self.play.label = "play"
 
 
 def _step(slider: Slider) -> float:
