@@ -45,11 +45,12 @@ force. A *property* is a test by Hypothesis, which shrinks the counter-example t
 through a list of cases, such as all joint types or all shipped models. None of them is a proof: they say where
 somebody has looked.
 
-The same hunts on other cases, and on ten times as many:
+The tests that everybody runs take a quarter of the cases; `--hunt-times 1` takes all of them, as is done for each
+change. The same hunts on other cases, and on ten times as many:
 
 ```console
 $ pytest --hunt-seed 7 --hunt-times 10
-$ pytest --hunt-seed 7 --hunt-times 10 -m slow
+$ pytest --hunt-seed 7 --hunt-times 10 -m "slow or rest or hunt"
 ```
 
 """
@@ -57,8 +58,10 @@ MUTANTS = """
 ## Whether the tests notice
 
 Small changes of the source (a comparison turned round, a sign, a number, an argument or a statement left out), drawn by
-a seed, as many from each area, each run against the tests that reach it until one fails. Texts are left out, and so are
-the compiled kernels, of which none is drawn. `python tests/mutants.py --seed {seed} -n {count}` does it again.
+a seed, as many from each area, each run against the tests that reach it until one fails. Left out are texts, types,
+assertions (`strict` of `zip` among them), the values of arrays without entries, defaults of arguments that are not
+read, and the compiled kernels.
+`python tests/mutants.py --seed {seed} -n {count}` does it again.
 
 """
 

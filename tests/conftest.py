@@ -7,47 +7,57 @@ import os
 import types
 from collections.abc import Callable, Iterator
 
+import hunts
 import numpy as np
 import pytest
-from hunts import Hunt
 from hypothesis import HealthCheck, settings
 
 os.environ.setdefault("KEMPE_QUIET", "1")
-
-settings.register_profile(
-    "kempe",
-    derandomize=True,
-    deadline=None,
-    max_examples=40,
-    database=None,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
-)
-settings.load_profile("kempe")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Options of the hunts: `--hunt-seed 7 --hunt-times 100` runs them on other cases, and on more of them."""
     parser.addoption("--hunt-seed", type=int, default=20261122, help="seed of the hunts for counter-examples")
-    parser.addoption("--hunt-times", type=float, default=1.0, help="factor on the number of their cases")
+    parser.addoption("--hunt-times", type=float, help="factor on the number of their cases (slow: 1, others: 0.25)")
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Properties take the factor that hunts take; modules of tests read it when they are imported."""
+    hunts.TIMES = config.getoption("--hunt-times") or hunts.QUICK
+    settings.register_profile(
+        "kempe",
+        derandomize=True,
+        deadline=None,
+        max_examples=hunts.examples(40),
+        database=None,
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+    )
+    settings.load_profile("kempe")
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Former names are errors: the library, its tests and its pages say the present ones; long batteries only warn."""
+    """Hunts and properties have the mark `hunt`. Former names are errors, but for long batteries, which only warn."""
     for item in items:
+        if "hunt" in getattr(item, "fixturenames", ()) or getattr(
+            getattr(item, "obj", None), "is_hypothesis_test", False
+        ):
+            item.add_marker(pytest.mark.hunt)
         if item.get_closest_marker("slow") is None:
             item.add_marker(pytest.mark.filterwarnings("error:.*former name:DeprecationWarning"))
 
 
 def pytest_report_header(config: pytest.Config) -> str:
     """The line that tells how to run the same hunts again."""
-    return f"hunts: --hunt-seed {config.getoption('--hunt-seed')} --hunt-times {config.getoption('--hunt-times'):g}"
+    return f"hunts: --hunt-seed {config.getoption('--hunt-seed')} --hunt-times {hunts.TIMES:g}"
 
 
 @pytest.fixture
-def hunt(request: pytest.FixtureRequest) -> Hunt:
+def hunt(request: pytest.FixtureRequest) -> hunts.Hunt:
     """The cases of a hunt: the same on every run with the same options, others for each test."""
-    options = request.config
-    return Hunt(options.getoption("--hunt-seed"), options.getoption("--hunt-times"), request.node.name)
+    slow = request.node.get_closest_marker("slow") is not None
+    times = request.config.getoption("--hunt-times") or (1.0 if slow else hunts.QUICK)
+    return hunts.Hunt(request.config.getoption("--hunt-seed"), times, request.node.name)
 
 
 @pytest.fixture(scope="module")

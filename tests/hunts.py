@@ -1,10 +1,37 @@
-"""The cases of a hunt for counter-examples; the fixture `hunt` of conftest.py gives one to a test."""
+"""The cases of hunts and properties, which look for counter-examples.
+
+The fixture `hunt` of conftest.py gives a `Hunt` to a test; properties say `@settings(max_examples=examples(60))`.
+"""
 
 from __future__ import annotations
 
 import zlib
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
+import pytest
+
+QUICK = 0.25
+"""The part of the cases that the default suite runs; `--hunt-times 1` runs all of them."""
+TIMES = QUICK
+"""The factor on the number of cases, which conftest.py reads from the command line."""
+
+
+def examples(count: int) -> int:
+    """Examples of a property that asks for so many, times the factor of the command line; at least five."""
+    return max(5, round(count * TIMES))
+
+
+def some(rows: Iterable[Any], of: int) -> list[Any]:
+    """Rows of a battery, of which the default suite runs one of so many; the others have the mark `rest`."""
+    return [row if i % of == 0 else _marked(row) for i, row in enumerate(rows)]
+
+
+def _marked(row: Any) -> Any:
+    values, marks, name = (row.values, row.marks, row.id) if hasattr(row, "marks") else (None, (), None)
+    values = values or (row if isinstance(row, tuple) else (row,))
+    return pytest.param(*values, marks=(*marks, pytest.mark.rest), id=name)
 
 
 class Hunt:

@@ -30,9 +30,10 @@ import types
 from collections import Counter
 from collections.abc import Iterator
 from fnmatch import fnmatch
-from functools import cache
+from functools import _lru_cache_wrapper, cache, cached_property  # type: ignore[attr-defined]
 from pathlib import Path
 from typing import Any
+from weakref import WeakValueDictionary
 
 import pytest
 from mutation import Site, instrumented, mutated, sites
@@ -105,12 +106,27 @@ def environment(source: str) -> dict[str, str]:
 
 
 class Recorder:
-    """Pytest's plugin that writes for each file of tests what its tests reach, and their seconds."""
+    """Pytest's plugin that writes for each file of tests what its tests reach, and their seconds.
+
+    Each test begins with empty caches: else only the first one that asks for an answer would be known to reach it.
+    """
 
     def __init__(self) -> None:
         self.tests: dict[str, list[Any]] = {}
         self.keys: dict[str, int] = {}
         self.failed = False
+        self.systems: WeakValueDictionary[int, Any] = WeakValueDictionary()
+        self.caches: list[Any] = []
+
+    def forget(self) -> None:
+        """Empty all caches of the library and of the tests, and what systems keep."""
+        for cached in self.caches:
+            cached.cache_clear()
+        for system in list(self.systems.values()):
+            system._kept.clear()
+            system._queries.clear()
+            for name in self.lazy:
+                vars(system).pop(name, None)
 
     def write(self, name: str) -> None:
         """Write what was gathered, and begin anew; names stand once and are meant by their numbers."""
@@ -122,17 +138,34 @@ class Recorder:
     def pytest_collection_finish(self, session: pytest.Session) -> None:
         from kempe._hits import HITS  # type: ignore
 
+        from kempe.model.system import System
+
         self.keys = dict.fromkeys(HITS, 0)
         self.write("import " + " ".join(session.config.args))
+        gathered, begin = self.systems, System.__init__
+
+        def init(system: Any, *given: Any, **named: Any) -> None:
+            begin(system, *given, **named)
+            gathered[id(system)] = system
+
+        System.__init__ = init  # type: ignore[method-assign]
+        gathered.update({id(x): x for x in gc.get_objects() if isinstance(x, System)})
+        names = [name for base in System.__mro__ for name in vars(base)]
+        self.lazy = [name for name in names if isinstance(getattr(System, name, None), cached_property)]
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item, nextitem: pytest.Item | None) -> Iterator[None]:
         from kempe._hits import HITS  # type: ignore
 
+        file = item.location[0]
+        if not self.tests:  # the first of its file: modules that were imported since have caches, too
+            folders = ("kempe.", *(p.stem for p in TESTS.rglob("*.py")))
+            found = (x for x in gc.get_objects() if isinstance(x, _lru_cache_wrapper))
+            self.caches = [x for x in found if str(x.__module__).startswith(folders)]
+        self.forget()
         HITS.clear()
         self.failed, before = False, sum(os.times()[:4])
         done = yield
-        file = item.location[0]
         if not self.failed:
             reached = [self.keys.setdefault(key, len(self.keys)) for key in sorted(HITS)]
             self.tests[item.nodeid] = [round(sum(os.times()[:4]) - before, 3), reached]

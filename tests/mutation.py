@@ -1,13 +1,16 @@
 """Mutations on the syntax tree of a module: small changes of its meaning that a test should notice.
 
 A mutation is a node and what stands in its place. Texts are left out: docstrings, messages, f-strings, what `__str__`
-gives, functions that make a sentence. So are annotations, decorators, assertions, and imports for type checking.
+gives, functions that make a sentence. So are annotations, decorators, assertions, imports for type checking, and what
+changes nothing by construction: `strict` of `zip`, whether an array without entries holds zeros or ones, defaults of
+arguments that a function does not read.
 """
 
 from __future__ import annotations
 
 import ast
 import copy
+import re
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -26,7 +29,7 @@ NAMES = {
     a: b for p in ("min max", "any all", "minimum maximum", "argmin argmax", "sin cos", "zeros ones", "floor ceil")
     for a, b in (p.split(), p.split()[::-1])
 }  # fmt: skip
-SYMMETRIC = {"max", "min", "maximum", "minimum", "hypot", "allclose", "isclose", "gcd", "array_equal"}
+SYMMETRIC = {"max", "min", "maximum", "minimum", "hypot", "allclose", "isclose", "gcd", "array_equal", "parallel"}
 SKIPPED = {"annotation", "returns", "decorator_list", "exc", "cause"}
 SPOKEN = {"__repr__", "__str__", "_repr_html_", "__format__"}
 
@@ -54,7 +57,7 @@ class _Place(NamedTuple):
 
 
 def is_text(node: ast.AST) -> bool:
-    """Whether a node and what stands in it is a text, a type or an assertion."""
+    """Whether a node and what stands in it is a text, a type, or an assertion, such as `strict` of `zip`."""
     if isinstance(node, Function):
         spoken = node.returns is not None and ast.unparse(node.returns) in ("str", "str | None")
         return node.name in SPOKEN or spoken and any(isinstance(n, ast.JoinedStr) for n in ast.walk(node))
@@ -66,6 +69,8 @@ def is_text(node: ast.AST) -> bool:
         return any(_says(n) for n in (node.body, node.orelse))
     if isinstance(node, ast.Call):
         return isinstance(node.func, ast.Attribute) and (_says(node.func.value) or node.func.attr == "warn")
+    if isinstance(node, ast.keyword):
+        return node.arg == "strict"
     return isinstance(node, (ast.JoinedStr, ast.Assert, ast.Import, ast.ImportFrom))
 
 
@@ -92,12 +97,22 @@ def _walk(tree: ast.Module, starts: list[tuple[list[Any], int, str]]) -> Iterato
                     count[inside] = count.get(inside, -1) + 1
                     segment = f"{inside}:{count[inside]}"
                     starts.append((value, i, segment))
-                if isinstance(node, ast.AST) and not is_text(node):
+                if isinstance(node, ast.AST) and not is_text(node) and id(node) not in unread:
                     yield _Place(parent, field, i if isinstance(value, list) else None, node, inside, segment)
                     named = isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef))
                     yield from visit(node, f"{scope}{node.name}." if named else scope, inside, segment)
 
+    unread = {id(x) for f in ast.walk(tree) if isinstance(f, Function) for x in _unread(f)}
     yield from visit(tree, "", "", "")
+
+
+def _unread(function: Function) -> Iterator[ast.AST]:
+    """Defaults of arguments that a function does not read, but takes as others of its kind do."""
+    read = {n.id for s in function.body for n in ast.walk(s) if isinstance(n, ast.Name)}
+    given = [*function.args.posonlyargs, *function.args.args]
+    pairs = [*zip(given[::-1], function.args.defaults[::-1], strict=False)]
+    pairs += zip(function.args.kwonlyargs, function.args.kw_defaults, strict=True)
+    yield from (x for a, x in pairs if x is not None and a.arg not in read)
 
 
 def _changed(node: Any, **fields: Any) -> Any:
@@ -143,7 +158,8 @@ def _counts(node: ast.AST) -> bool:
 def _calls(node: ast.Call) -> Iterator[ast.AST]:
     """A call with another function, with its first two arguments swapped, without one of those that have a name."""
     name = node.func.id if isinstance(node.func, ast.Name) else getattr(node.func, "attr", "")
-    if name in NAMES:
+    empty = name in ("zeros", "ones") and re.search(r"\b0\b", ast.unparse(node.args[0]))
+    if name in NAMES and not empty:
         field = "id" if isinstance(node.func, ast.Name) else "attr"
         yield _changed(node, func=_changed(node.func, **{field: NAMES[name]}))
     first = node.args[:2]
@@ -151,7 +167,7 @@ def _calls(node: ast.Call) -> Iterator[ast.AST]:
         if ast.dump(first[0]) != ast.dump(first[1]):
             yield _changed(node, args=[first[1], first[0], *node.args[2:]])
     for i, keyword in enumerate(node.keywords):
-        if keyword.arg:
+        if keyword.arg and not is_text(keyword):
             yield _changed(node, keywords=node.keywords[:i] + node.keywords[i + 1 :])
 
 

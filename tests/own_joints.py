@@ -198,6 +198,7 @@ OWN: tuple[type[JointType], ...] = (
 PRODUCTS = (
     "P(x) R(z) R(y)", "P(x) R(z)", "R(z) P(x) R(z)", "P(y) P(x)", "P(z) R(x) P(y) R(z)", "R(z) R(x) R(z)", "H(x, 0.25)",
     "H(z, -0.1) P(y) S", "S P(z)", "R(y)", "P(x)", "S", "P(x) P(y) P(z) R(x) R(y) R(z)",
+    "R(x) R(y) P(y)",
 )  # fmt: skip
 """Joint types as products in words."""
 

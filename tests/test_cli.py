@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command import Result
+from hunts import some
 
 import kempe
 from kempe.kernels.compiled import VARIANT
@@ -458,6 +459,7 @@ def test_convert_refuses(arm, four_bar, tmp_path):
     assert folder.code == 2 and "No such file" in folder.err and folder.err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_library():
     data, listed = json.loads(Result("library", "--json").out), Result("library").out
     assert [d["name"] for d in data] == list(library_models())
@@ -470,7 +472,7 @@ def test_library():
     assert Result("library", "no such model").code == 2
 
 
-@pytest.mark.parametrize("name", library_models())
+@pytest.mark.parametrize("name", some(library_models(), 5))
 def test_commands_take_shipped_models(name):
     data = Result("info", name, "--json").json()
     assert data["nq"] == kempe.load(name).nq

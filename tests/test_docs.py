@@ -15,6 +15,7 @@ from types import ModuleType
 from typing import NamedTuple
 
 import pytest
+import sources
 from reviewed_sentences import REVIEWED
 from tables import restored
 from test_lecture import SAID
@@ -230,7 +231,7 @@ def test_stations_of_journeys_exist(station):
     inside = (ROOT / "src" / Path(*parts[:folder])) / "__init__.py"
     path, names = inside.with_name(f"{parts[folder]}.py"), parts[folder + 1 :]
     path, names = (path, names) if path.exists() else (inside, parts[folder:])
-    body: list[ast.stmt] = ast.parse(path.read_text(encoding="utf-8")).body
+    body: list[ast.stmt] = sources.tree(path).body
     for name in names:
         found = [n for n in body if isinstance(n, (ast.FunctionDef, ast.ClassDef)) and n.name == name]
         assert found, f"{name} is not in {path.name}"

@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+import sources
 
 ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "src" / "kempe"
@@ -53,7 +54,7 @@ def test_modules_are_short(path):
 
 @every_module
 def test_functions_are_short(path):
-    for function in functions(ast.parse(path.read_text())):
+    for function in functions(sources.tree(path)):
         lines = (function.end_lineno or 0) - function.lineno + 1
         assert lines <= FUNCTION_LINES or (file(path), function.name) in LONG_FUNCTIONS, (
             f"{function.name}: {lines} lines"
@@ -64,13 +65,13 @@ def test_exceptions_are_needed():
     for name in LONG_MODULES:
         assert len((SOURCE / name).read_text().splitlines()) > MODULE_LINES, name
     long = {SOURCE / name for name, _ in LONG_FUNCTIONS}
-    names = {(file(p), f.name) for p in long for f in functions(ast.parse(p.read_text()))}
+    names = {(file(p), f.name) for p in long for f in functions(sources.tree(p))}
     assert set(LONG_FUNCTIONS) <= names
 
 
 @every_module
 def test_all_that_is_public_is_documented(path):
-    tree = ast.parse(path.read_text())
+    tree = sources.tree(path)
     if path.read_text().strip():
         assert ast.get_docstring(tree), "the module says what it is for"
     for node in public(tree):
@@ -83,7 +84,7 @@ def test_all_that_is_public_is_documented(path):
 @pytest.mark.parametrize("path", [p for p in MODULES if not file(p).startswith("kernels/")], ids=file)
 def test_arguments_are_typed(path):
     """But those of kernels, which are compiled for explicit signatures."""
-    for function in (n for n in public(ast.parse(path.read_text())) if isinstance(n, Function)):
+    for function in (n for n in public(sources.tree(path)) if isinstance(n, Function)):
         arguments = function.args
         for a in (*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs):
             if a.arg not in ("self", "cls"):
@@ -132,7 +133,7 @@ def test_words_are_those_of_the_field(path):
 def prose() -> str:
     """All pages but the glossary, and all docstrings of modules, classes and functions."""
     pages = [p.read_text(encoding="utf-8") for p in (ROOT / "docs").glob("*.md") if p.name != "glossary.md"]
-    nodes = (n for p in MODULES for n in ast.walk(ast.parse(p.read_text())))
+    nodes = (n for p in MODULES for n in sources.nodes(p))
     return "\n".join([*pages, *(ast.get_docstring(n) or "" for n in nodes
                                 if isinstance(n, (ast.Module, ast.ClassDef, ast.FunctionDef)))])  # fmt: skip
 
@@ -164,7 +165,7 @@ def returns_nothing(function: Function, path: Path) -> bool:
 
 
 def first_lines(path: Path) -> Iterator[tuple[Function | ast.ClassDef, str]]:
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in sources.nodes(path):
         if isinstance(node, (*Function.__args__, ast.ClassDef)) and (text := ast.get_docstring(node)):
             yield node, text.splitlines()[0]
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from kempe import constraints, convert, tasks
+    from kempe.analysis.maps.file_map import map_file
     from kempe.analysis.spaces.workspace.workspace import open_workspace
     from kempe.budget import Budget, Tolerance
     from kempe.description.dh.dh import from_dh, from_screws
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = [
     "Budget", "KempeError", "Mechanism", "Status", "System", "Tolerance", "constraints", "convert", "errors",
-    "from_dh", "from_screws", "load", "open_workspace", "read", "spatial", "tasks",
+    "from_dh", "from_screws", "load", "map_file", "open_workspace", "read", "spatial", "tasks",
 ]  # fmt: skip
 
 
@@ -71,6 +72,10 @@ def __getattr__(name: str) -> Any:
         from kempe.description.dh import dh
 
         return getattr(dh, name)
+    if name == "map_file":
+        from kempe.analysis.maps.file_map import map_file
+
+        return map_file
     if name == "open_workspace":
         from kempe.analysis.spaces.workspace.workspace import open_workspace
 

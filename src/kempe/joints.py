@@ -133,7 +133,6 @@ class JointType:
         return {f.name: f.default for f in fields(cls) if f.default is not MISSING}
 
 
-@dataclass(frozen=True)
 class Fixed(JointType):
     """No motion: the two bodies are one."""
 
@@ -146,7 +145,6 @@ class Fixed(JointType):
         return (), ()
 
 
-@dataclass(frozen=True)
 class Revolute(JointType):
     """A hinge: turn about z of F."""
 
@@ -159,7 +157,6 @@ class Revolute(JointType):
         return ("",), (Primitive(R, "z", 0),)
 
 
-@dataclass(frozen=True)
 class Prismatic(JointType):
     """A slider: slide along z of F."""
 
@@ -186,7 +183,6 @@ class Helical(JointType):
         return ("",), (Primitive(R, "z", 0), Primitive(P, "z", 0, self.pitch))
 
 
-@dataclass(frozen=True)
 class Cylindrical(JointType):
     """A sleeve on a shaft: turn about z and slide along it, independently."""
 
@@ -199,7 +195,6 @@ class Cylindrical(JointType):
         return ("rz", "z"), (Primitive(R, "z", 0), Primitive(P, "z", 1))
 
 
-@dataclass(frozen=True)
 class Universal(JointType):
     """A Cardan joint: turn about x of F, then about y of the cross."""
 
@@ -212,7 +207,6 @@ class Universal(JointType):
         return ("rx", "ry"), (Primitive(R, "x", 0), Primitive(R, "y", 1))
 
 
-@dataclass(frozen=True)
 class Planar(JointType):
     """A block on a table: slide along x and y of F, then turn about z."""
 
@@ -228,7 +222,6 @@ class Planar(JointType):
         return ("x", "y", "rz"), (Primitive(P, "x", 0), Primitive(P, "y", 1), Primitive(R, "z", 2))
 
 
-@dataclass(frozen=True)
 class Translation(JointType):
     """Three sliders (two in the plane): the orientation stays, the position is free."""
 

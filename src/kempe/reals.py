@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import sys
+from collections.abc import Iterable, Iterator, Mapping
 from numbers import Rational, Real
 from typing import Any, TypeGuard
 
@@ -55,6 +56,12 @@ def converted(given: Any, what: str, wanted: str) -> NDArray[np.float64]:
         raise InputError(f"{what} holds {held}; it must be {wanted}")
     with np.errstate(over="ignore"):
         return array.astype(np.float64, copy=False)
+
+
+def median(values: Iterable[float]) -> float:
+    """The middle of numbers, at least one: the mean of the two in the middle where their count is even."""
+    x = sorted(map(float, values))  # numpy's own imports masked arrays, a sixth of the time to a first answer
+    return 0.5 * (x[(len(x) - 1) // 2] + x[len(x) // 2])
 
 
 def is_whole(x: object) -> TypeGuard[int]:
@@ -175,7 +182,7 @@ def _parts(given: Any) -> Iterator[Any]:
 
 def _trouble(x: Any) -> str:
     """Why a value is not accepted as numbers although numpy could convert it; '' where it is accepted."""
-    if isinstance(x, np.ma.MaskedArray):
+    if "numpy.ma" in sys.modules and isinstance(x, np.ma.MaskedArray):  # asking numpy for it would import it
         return "is a masked array, whose mask would be lost"
     kind: str = type(x).__name__
     if isinstance(x, Mapping):

@@ -9,7 +9,7 @@ import known_truths
 import numpy as np
 import pytest
 from frozen_mechanisms import Change, rebuilt
-from hunts import Hunt
+from hunts import Hunt, some
 from known_truths import KINDS, dead_centres, gimbal, moved, row_of_parallelograms, scissor
 from world_mechanisms import World
 
@@ -53,7 +53,7 @@ def check(hunt: Hunt, kind, cases: int) -> None:
         assert m.certain or kind.__name__ not in ALWAYS, str(m)
 
 
-@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("kind", some(KINDS, 2), ids=lambda kind: kind.__name__)
 def test_certain_is_never_wrong(kind, hunt):
     check(hunt, kind, 1 if kind.__name__ in ("wunderlich", "side_by_side") else 5)
 

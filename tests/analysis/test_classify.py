@@ -9,15 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 import sympy
-from hunts import Hunt
+from hunts import Hunt, some
 from pfaffian import SYSTEMS, Pfaffian, growth_by_symbols
 from wheeled import KNOWN, close_by, on_plane, steered_car, trailers, two_axles
 
-from kempe import Mechanism
+from kempe import Mechanism, constraints
 from kempe.analysis.mobility.growth_vectors import distribution
+from kempe.analysis.mobility.reachable import EvaluationPoint, moved_place
 from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.closure_rows import evaluate
-from kempe.kinematics.velocity.velocity import rates
+from kempe.kinematics.velocity.velocity import rates, tangent_rows
 from kempe.model.system import System
 from kempe.spatial import Array
 
@@ -53,7 +54,7 @@ def test_mechanisms_of_the_literature(name: str, hunt: Hunt) -> None:
             assert found.velocity_dof == system.mobility(found.q, local=False).velocity_dof
 
 
-@pytest.mark.parametrize("name", [n for n in KNOWN if n not in ("five trailers", "ball that may jump")])
+@pytest.mark.parametrize("name", some([n for n in KNOWN if n not in ("five trailers", "ball that may jump")], 3))
 def test_reached_by_motions(name: str) -> None:
     """The dimension reached is the rank of the end of a motion by what is chosen on the way, by differences.
 
@@ -434,3 +435,34 @@ def test_functions_that_cannot_be_recorded_are_named() -> None:
     m.no_sideslip("wheel", body)
     with pytest.raises(UnsupportedError, match="'kink'"):
         System(m).classify()
+
+
+# ---- motions at random
+
+
+@pytest.mark.parametrize("times", [1, 3])
+def test_random_motions_keep_what_their_rows_hold(times: int) -> None:
+    """A body on a ball joint and one that floats, with a rod and an axis: nothing is corrected, and all stays true."""
+    m = Mechanism("hung")
+    m.joint("S", "spherical", m.ground, m.body("a"), at=(0.1, 0.2, 0.3), rpy=(0.3, 0.2, 0.1))
+    m.joint("F", "free", m.ground, m.body("b"))
+    m.distance("rod", "a", "b", 0.7, at=(0.2, -0.1, 0.3), child_at=(0.1, 0.3, -0.2))
+    m.frame("pin", "a", rpy=(0.4, 0.5, 0.6))
+    m.constrain(constraints.Pointing("pin", (0.6, 0.0, 0.8)), "axis")
+    system = m.build()
+    q = system.assemble(start=system.random(4)).q
+    rows, rng = tangent_rows(system), np.random.default_rng(times)
+    place = EvaluationPoint(rows, q, 0.0, tuple(range(len(rows.names))), lambda q: q)
+    for _ in range(times):
+        place = moved_place(place, (), rng)
+    assert np.abs(evaluate(system, place.q)[0]).max() < 1e-9 and np.abs(place.q - q).max() > 0.1
+    assert np.abs(system.fk(place.q, "a")[:3, :3] - system.fk(q, "a")[:3, :3]).max() > 0.1
+
+
+def test_rows_that_lose_rank_at_one_place() -> None:
+    """x dy = 0: at x = 0 nothing is forbidden, around y cannot change, so no field of velocities goes on smoothly."""
+    system = sliding(("x", "y", "z"), [[0, "x", 0]])
+    found = system.classify([0.0, 0.3, 0.1])
+    assert (found.velocity_dof, found.growth, found.reachable_dimension) == (3, None, None)
+    assert "lose rank at q" in str(found)
+    assert system.classify([0.5, 0.3, 0.1]).growth == (2, 2)

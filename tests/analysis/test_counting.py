@@ -10,6 +10,9 @@ from reference import twist_between
 
 import kempe
 from kempe import Mechanism, System
+from kempe import constraints as c
+from kempe.analysis.first_order.constraint_graph import structure
+from kempe.analysis.first_order.screws import Screws, screws
 from kempe.constraints import OnSurface
 from kempe.joints import TYPES, JointType, P, joint_type
 from kempe.kinematics import closure_rows
@@ -229,3 +232,62 @@ def test_a_ball_that_rolls_is_held_at_its_height():
     s = m.build()
     found = s.mobility(s.q({"P.z": 0.1}))
     assert (found.gruebler, found.dof, found.velocity_dof) == (5, 5, 3)
+
+
+# ------------------------------------------------------------------ what a declared constraint takes from two bodies
+
+TAKEN = {
+    "pose": ((3, 6), lambda dim: c.Pose("tip", np.eye(dim + 1))),
+    "position": ((2, 3), lambda dim: c.Position("tip", (0.3, 0.2, 0.1)[:dim])),
+    "orientation": ((1, 3), lambda dim: c.Orientation("tip", np.eye(dim + 1), other="eye")),
+    "pointing": ((1, 2), lambda dim: c.Pointing("tip", (0.6, 0.8, 0.0)[:dim], other="eye")),
+    "look_at": ((1, 2), lambda dim: c.LookAt("tip", (2.0, 1.0, 3.0)[:dim])),
+    "distance": ((1, 1), lambda dim: c.Distance("tip", "eye", 0.9)),
+    "on_line": ((1, 2), lambda dim: c.OnLine("tip", (0.1, 0.2, 0.0)[:dim], (1.0, 2.0, 0.5)[:dim], other="eye")),
+    "relative_pose": ((3, 6), lambda dim: c.RelativePose("tip", "eye", np.eye(dim + 1))),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("name", TAKEN)
+def test_declared_constraints_take_what_they_hold(name, dim):
+    """Once, and no more if they are declared twice; rows of screws span those of the equations."""
+    taken, make = TAKEN[name]
+    for times in (1, 2):
+        m = Mechanism("two", dim)
+        for body, frame in (("a", "tip"), ("b", "eye")):
+            m.free(f"J{body}", m.ground, m.body(body))
+            m.frame(frame, body, at=(0.2, 0.1, 0.4)[:dim], **({"rpy": (0.1, 0.2, 0.3)} if dim == 3 else {"angle": 0.3}))
+        for k in range(times):
+            m.constrain(make(dim), f"it {k}")
+        s = m.build()
+        q = s.assemble(start=s.random(5)).q
+        found, count = s.mobility(q, local=False), taken[dim - 2]
+        assert (found.rank_dof, found.redundant_here) == (s.nv - count, count * (times - 1))
+        at, free = screws(s, q), np.linalg.svd(closure_rows.jacobian(s, q))[2][count:].T
+        for i, edge in enumerate(e for e in structure(s).edges if not e.joint):
+            W = at.wrench_rows(i + 2, edge.of, dim)
+            moves = about_center(s, q, edge.of.child, at) - about_center(s, q, edge.of.parent, at)
+            assert len(W) == np.linalg.matrix_rank(W) == count and np.abs(W @ moves @ free).max() < 1e-9
+
+
+def about_center(s: System, q: np.ndarray, body: str, at: Screws) -> np.ndarray:
+    """Scaled twists (6, nv) of a body, read at the reference point of screws."""
+    J = s.jacobian(q, body)
+    v = J[:3] + np.cross(J[3:], at.center - s.fk(q, body)[:3, 3], axisb=0, axisa=0, axisc=0)
+    return np.vstack([v / at.length, J[3:]])
+
+
+@pytest.mark.parametrize(("axis", "rpy"), [("x", (0, -np.pi / 2, 0)), ("y", (np.pi / 2, 0, 0)), ("z", (0, 0, 0))])
+def test_what_a_hinge_holds_already_is_redundant_in_a_pose(axis, rpy):
+    """Of the six directions of a pose, in its own axes, only the turn about the hinge is needed."""
+    m = Mechanism("door")
+    m.revolute("hinge", m.ground, m.body("door"), at=(0.4, 0.1, 0.2), rpy=(0.2, 0.3, 0.4))
+    m.frame("knob", "door", at=(0, 0, 0.3), rpy=rpy)  # its `axis` is the hinge's
+    s = m.build()
+    m.constrain(c.Pose("knob", s.fk(s.q({"hinge": 0.7}), "knob")), "pose")
+    found = m.build().mobility({"hinge": 0.7})
+    (release,) = found.redundancy.releases
+    assert (found.dof, found.redundant, release.joint) == (0, 5, "pose")
+    assert set(release.reactions) == {"Fx", "Fy", "Fz", "Mx", "My", "Mz"} - {f"M{axis}"}
+    assert release.pair == f"a joint that slides along x, y, z and turns about {', '.join(sorted(set('xyz') - {axis}))}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from frozen_mechanisms import SWAPPABLE, Change, rebuilt
+from hunts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -52,7 +53,7 @@ def facts(m: Mobility, prefix: str = "") -> dict:
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=8)
+@settings(max_examples=examples(8))
 @given(data=st.data())
 def test_names_orders_cuts_ground_units_and_hands_do_not_matter(name, data):
     system = kempe.load(name)
@@ -70,7 +71,7 @@ def test_names_orders_cuts_ground_units_and_hands_do_not_matter(name, data):
 
 
 @pytest.mark.parametrize("name", ["bennett", "double_parallelogram", "sarrus"])
-@settings(max_examples=5)
+@settings(max_examples=examples(5))
 @given(data=st.data())
 def test_the_truth_does_not_change_either(name, data):
     system = kempe.load(name)
@@ -129,7 +130,7 @@ def couple(m: Mechanism, values: dict[str, float], rng: np.random.Generator, cou
             m.couple(of, ratios, offset)
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(closed_mechanisms())
 def test_random_mechanisms_agree_with_the_equations(system):
     """The rank, against the Jacobian of the equations themselves; without dependent ones the count is the truth."""
@@ -145,7 +146,7 @@ def test_random_mechanisms_agree_with_the_equations(system):
     assert m.control is None and sum(c.gruebler for c in m.clusters) + m.outside == m.gruebler
 
 
-@settings(max_examples=15)
+@settings(max_examples=examples(15))
 @given(st.integers(0, 2**16), st.integers(0, 4))
 def test_three_loops_of_any_generic_dimension(seed, extra):
     """Three loops, each with its own chain of 6 or more revolute joints: 18 joints fill up 18 equations."""

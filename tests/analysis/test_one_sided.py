@@ -119,6 +119,33 @@ def test_opposite_contacts_hold_each_other():
     assert system.mobility([0, 0, 0.1, 1, 0, 0, 0]).dof == 6
 
 
+def test_a_contact_that_equations_keep_closed():
+    """A slider at the height of its own rail: the contact stays closed, whatever moves."""
+    m = kempe.Mechanism("rail")
+    m.prismatic("S", m.ground, m.body("cart"), at=(0, 0, 0.1), axis=(1, 0, 0))
+    m.contact("floor", "cart", radius=0.1)
+    found = one_sided(m.build(), [0.3])
+    assert (found.active, found.dimension, found.lineality) == (("floor",), 1, 1)
+    m.joint("J", "planar", m.ground, m.body("tile"), at=(0, 0, 0.1))
+    m.contact("under", "tile", radius=0.1)
+    m.distance("rod", "cart", "tile", 0.5)
+    system = m.build()
+    found = one_sided(system, system.assemble({"S": 0.3}).q)
+    assert set(found.active) == {"floor", "under"} and found.dimension == found.lineality == 3
+
+
+def test_a_side_that_only_equations_keep_closed():
+    """Turned by two crossed rods a slider cannot leave its stop; neither side of it is free, and none is vanishing."""
+    m = kempe.Mechanism("stop", dim=2)
+    m.translation("P", m.ground, m.particle("p"))
+    m.equation("line", "`P.y` = `P.x`")
+    m.equation("other", "`P.y` = -`P.x`")
+    m.contact("floor", "p", on=None)
+    found = one_sided(m.build(), [0.0, 0.0])
+    (side,) = found.sides
+    assert side.ways == (False, False) and side.why == "the equations keep it closed" and found.dimension == 0
+
+
 def test_rolling_is_obeyed_in_the_corner():
     """A ball that rolls on the floor, held against a wall: it may roll along it, spin, go away from it, and lift."""
     m = kempe.Mechanism("corner")

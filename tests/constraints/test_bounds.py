@@ -7,6 +7,7 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
+from hunts import some
 from kinds_battery import EXAMPLES, RING, two_bodies
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
@@ -69,7 +70,7 @@ def measured(name: str, dim: int, made, system, q) -> float:
     }[name]()  # fmt: skip
 
 
-@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("dim", some([2, 3], 3))
 @pytest.mark.parametrize("name", KINDS)
 @pytest.mark.parametrize("bounds", [{"at_least": 0.4}, {"at_most": 0.3}, {"at_least": 0.3, "at_most": 0.35}], ids=str)
 def test_declared_and_as_tasks(name, dim, bounds, hunt):
@@ -160,7 +161,7 @@ def test_expressions_and_centres_have_bounds(name, bounds, hunt):
         assert held.mobility().dof == free.nv
         solve.append(lambda q: held.assemble({}, q).q)
     slack = set()
-    for _ in range(hunt.cases(10)):
+    for _ in range(hunt.cases(20)):
         q = free.configuration_space.integrate(free.neutral, rng.uniform(-1.0, 1.0, free.nv))
         for f in solve:
             assert low - 1e-6 <= number(free, found := f(q)) <= high + 1e-6

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hunts import some
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
@@ -96,7 +97,7 @@ def test_zero_on_the_curve_and_nowhere_steep(name, dim):
     np.testing.assert_allclose(products, np.broadcast_to(np.eye(dim - 1), products.shape), atol=1e-9)
 
 
-@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("dim", some([2, 3], 2))
 @pytest.mark.parametrize("name", CURVES)
 def test_gradients_by_differences_of_the_judge(name, dim, hunt):
     t = tape_of(*CURVES[name], dim)
@@ -106,6 +107,17 @@ def test_gradients_by_differences_of_the_judge(name, dim, hunt):
     off = np.abs(run(t, p)[1] - slopes).max(axis=(1, 2))
     assert np.mean(off < 1e-7) > 0.97  # at the others the nearest point jumps within the step
     assert np.median(off) < 1e-9
+
+
+@pytest.mark.parametrize("name", ["arc", "open eight"])
+def test_directions_across_a_curve_do_not_jump_where_pieces_join(name):
+    """Values beside the curve, just before and just after each of its points."""
+    points, closed = CURVES[name]
+    s = scipy_spline(points, closed)
+    for side in np.random.default_rng(4).normal(size=(3, 3)):
+        before, after = (s(s.x[1:-1] + h) + 0.02 * side for h in (-1e-8, 1e-8))
+        t = tape_of(points, closed, 3)
+        np.testing.assert_allclose(judged(t, before), judged(t, after), atol=1e-6)
 
 
 @pytest.mark.parametrize("dim", [2, 3])

@@ -212,6 +212,8 @@ WRONG = {
         lambda m: m.velocity_equation("e", lambda x: [[abs(x["A"]), 1]], of=("A", "B")), InputError, "'e' cannot be"),
     "a whole posture": (lambda m: m.constrain(kempe.constraints.Posture({"A": 0.1}, weight=None)),
                         DescriptionError, "one call of ik"),
+    "bounds of several": (
+        lambda m: m.constrain(kempe.constraints.Equation(["A", "B"], at_least=[0.0, 1.0, 2.0])), InputError, "bound|at_least"),
     "of a file": (lambda m: m.equation("e", 3 + 4j), KempeError, "text"),
 }  # fmt: skip
 

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from primitive_tables import Row, Table, all_forms, random_pose, random_table
+from scipy.spatial.transform import Rotation
 
 from kempe.kernels.compiled import chain
 from kempe.kernels.forward.table_layout import BALL, GENERAL, RX, RX_FLAT, SLIDE, TURN
@@ -10,7 +11,7 @@ SIZES = (0, 1, 7, 8, 9, 63, 64, 65, 200)
 
 def swept(table, q):
     out = np.full((len(q), 4, 4), 7.0)
-    return chain.chain_poses(*table.pack(), q, out), out
+    return chain.chain_poses(*table.pack(), q, out.reshape(len(q), 16)), out
 
 
 def expected(table, q):
@@ -88,3 +89,79 @@ def test_far_coordinates_and_strange_norms_are_right_beside_near_ones():
     clean[[3, 4, 7]] = expected(table, q[[3, 4, 7]])
     size = np.maximum(1.0, np.abs(clean).max(axis=(1, 2), keepdims=True))
     assert bad == 0 and (np.abs(out - clean) / size).max() < 1e-14
+
+
+# ---- parts of poses
+
+WIDTHS = {12: lambda X: X[:, :3].reshape(-1, 12), 7: None, 3: lambda X: X[:, :3, 3], 16: lambda X: X.reshape(-1, 16)}
+
+
+def written(table, q, width):
+    out = np.full((len(q), width), 7.0)
+    return chain.chain_poses(*table.pack(), q, out), out
+
+
+def part(width, X):
+    """What is written of poses by these widths, quaternions by scipy."""
+    if width != 7:
+        return WIDTHS[width](X)
+    quat = Rotation.from_matrix(X[:, :3, :3].reshape(-1, 3, 3)).as_quat(scalar_first=True, canonical=True)
+    return np.c_[X[:, :3, 3], quat.reshape(-1, 4)]
+
+
+@pytest.mark.parametrize("n", SIZES)
+@pytest.mark.parametrize("kind", [TURN, SLIDE, BALL])
+@pytest.mark.parametrize("form", [GENERAL, RX, RX_FLAT])
+@pytest.mark.parametrize("width", WIDTHS)
+def test_parts_are_those_of_the_poses(width, form, kind, n):
+    rng = np.random.default_rng(n)
+    table = random_table(rng, 5, chain=True, kinds=(kind,), forms=(form,), particles=True)
+    q = table.random_q(rng, n)
+    bad, out = written(table, q, width)
+    assert bad == 0 and np.abs(out - part(width, expected(table, q))).max(initial=0.0) < 1e-12
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_half_turns_have_quaternions(width):
+    """About each axis and between them, where the largest component changes, and w is zero."""
+    rng = np.random.default_rng(0)
+    axes = np.r_[np.eye(3), rng.normal(size=(20, 3)), [[1, 1, 0], [0, 1, 1], [1, 1, 1]]]
+    turns = Rotation.from_rotvec(np.pi * axes / np.linalg.norm(axes, axis=1, keepdims=True)).as_matrix()
+    for R in turns:
+        X = np.eye(4)
+        X[:3, :3] = R
+        table = Table([Row(TURN, -1, 0, 0, X)], [(0, False, np.eye(4))], 1, 1, is_chain=True)
+        q = np.r_[0.0, rng.uniform(-3, 3, 8)][:, None]
+        _, out = written(table, q, width)
+        poses = expected(table, q)
+        if width == 7:
+            back = Rotation.from_quat(out[:, 3:], scalar_first=True).as_matrix()
+            assert (out[:, 3] >= 0.0).all() and np.abs(back - poses[:, :3, :3]).max() < 1e-14
+        else:
+            assert np.abs(out - part(width, poses)).max() < 1e-14
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_bad_configuration_leaves_others_alone(width, value):
+    rng = np.random.default_rng(1)
+    table = random_table(rng, 6, chain=True, forms=all_forms())
+    q = table.random_q(rng, 30)
+    clean = written(table, q, width)[1]
+    q[11] = value
+    bad, out = written(table, q, width)
+    assert bad == 1 and np.isnan(out[11, :3]).all() and np.array_equal(np.delete(out, 11, 0), np.delete(clean, 11, 0))
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_no_answer_depends_on_the_others(width, hunt):
+    """To the last bit: alone, among few, among many, wherever it stands."""
+    rng = hunt.rng()
+    for _ in range(hunt.cases(20)):
+        table = random_table(rng, int(rng.integers(1, 9)), chain=True, forms=all_forms())
+        q = table.random_q(rng, 40)
+        q[rng.random(40) < 0.1] *= 1e9
+        whole = written(table, q, width)[1]
+        first = int(rng.integers(0, 39))
+        last = int(rng.integers(first + 1, 41))
+        assert np.array_equal(written(table, q[first:last].copy(), width)[1], whole[first:last])

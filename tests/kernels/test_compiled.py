@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from copies import BLOCKED, ROOT, copied, printed, run
+from hunts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -284,7 +285,7 @@ def test_lengths_that_differ_are_refused_and_named(name):
 
 @native
 @given(st.data())
-@settings(max_examples=300)
+@settings(max_examples=examples(300))
 def test_no_sequence_of_arguments_ends_the_process(data):
     """Wrong in several places at once, from a list of unsuitable objects."""
     name = data.draw(st.sampled_from(sorted(ENTRY_POINTS)))

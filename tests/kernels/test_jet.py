@@ -113,7 +113,7 @@ def along(v, t):
 
 @pytest.mark.parametrize("particles", [False, True])
 @pytest.mark.parametrize("kinds", [(TURN,), (SLIDE, TURN), (BALL,), (TURN, SLIDE, BALL)])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2))])
 def test_series_of_poses_and_equations(seed, kinds, particles):
     table, held, numbers, relation, q, v = random_case(seed, kinds=kinds, particles=particles)
     ties, packed, m = ties_of(held, numbers, 0.7, relation)

@@ -6,7 +6,7 @@ from primitive_tables import all_forms, random_table
 from scipy import stats
 
 from kempe.kernels.compiled import lane_positions
-from kempe.kernels.forward.table_layout import BALL, GENERAL, RX, RX_FLAT, SLIDE, TURN
+from kempe.kernels.forward.table_layout import BALL, GENERAL, SLIDE
 
 MASK = 2**64 - 1
 KEYS = np.arange(1, 40, dtype=np.int64) * 1234567890123456789
@@ -39,29 +39,6 @@ def limits(rng, nq):
 
 def positions_of(table, q):
     return np.array([table.poses(x)[0][:3, 3] for x in q]).reshape(-1, 3)
-
-
-@pytest.mark.parametrize("n", [0, 1, 7, 8, 9, 65])
-@pytest.mark.parametrize("kind", [TURN, SLIDE, BALL])
-@pytest.mark.parametrize("form", [GENERAL, RX, RX_FLAT])
-def test_positions_are_those_of_the_poses(kind, form, n):
-    rng = np.random.default_rng(n)
-    table = random_table(rng, 5, chain=True, kinds=(kind,), forms=(form,))
-    q, out = table.random_q(rng, n), np.full((n, 3), 7.0)
-    bad = lane_positions.positions(*table.pack(), q, out)
-    assert bad == 0 and np.abs(out - positions_of(table, q)).max(initial=0.0) < 1e-13
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_a_bad_configuration_leaves_the_others_alone(value):
-    rng = np.random.default_rng(1)
-    table = random_table(rng, 6, chain=True, forms=all_forms())
-    q = table.random_q(rng, 30)
-    clean = positions_of(table, q)
-    q[11] = value
-    out = np.zeros((30, 3))
-    assert lane_positions.positions(*table.pack(), q, out) == 1
-    assert np.isnan(out[11]).all() and np.abs(np.delete(out - clean, 11, axis=0)).max() < 1e-13
 
 
 @pytest.mark.parametrize("first", [0, 5, 10**12])

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from hunts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plain_kernels import Pointer, plain, pointer, room
@@ -24,7 +25,7 @@ from kempe.model.closures.packed_loops import loops_of, must_be_explicit
 
 SEEDS = st.integers(0, 2**32 - 1)
 TIED = ["four_bar", "stewart", "delta_ss", "row_of_four_bars", "bennett"]
-SOLVER = {"max_examples": 60, "deadline": None}
+SOLVER = {"max_examples": examples(60), "deadline": None}
 
 
 # ---- the envelope of J J^T
@@ -184,7 +185,7 @@ def exhaustive(J: np.ndarray, e: np.ndarray, weak: np.ndarray, low: np.ndarray, 
     return best
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(seed=SEEDS, ties=st.integers(1, 2), nv=st.integers(1, 4))
 def test_the_active_set_is_the_best_of_all_sets(seed, ties, nv):
     """One quadratic programme: slides between limits, rows that are lowered, some of them between bounds."""

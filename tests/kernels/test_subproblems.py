@@ -7,6 +7,7 @@ import math
 import numba
 import numpy as np
 import pytest
+from hunts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -144,7 +145,7 @@ def test_cone_keeps_its_digits_where_wrists_are_singular(eps, about):
     assert sorted([math.atan2(s0, c0), math.atan2(s1, c1)]) == pytest.approx([-eps, eps], rel=1e-9, abs=3e-16)
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(st.integers(0, 10**6))
 def test_a_rotation_is_three_turns_about_given_axes(seed):
     rng = np.random.default_rng(seed)
@@ -164,7 +165,7 @@ def test_a_rotation_is_three_turns_about_given_axes(seed):
 # ---- planar motions
 
 
-@settings(max_examples=80)
+@settings(max_examples=examples(80))
 @given(st.integers(0, 10**6), st.sampled_from(["RRR", "RRP", "RPR", "PRR", "RPP", "PRP", "PPR"]))
 def test_a_planar_motion_is_three_joints_of_the_plane(seed, letters):
     rng = np.random.default_rng(seed)
@@ -231,7 +232,7 @@ def test_double_roots_of_a_quartic_are_two():
     assert quartic_roots(np.array([1.0, 0.0, 0.0, 0.0, 1.0]), out) == 0
 
 
-@settings(max_examples=80)
+@settings(max_examples=examples(80))
 @given(st.integers(0, 10**6), st.booleans(), st.booleans())
 def test_coupled_equations_have_the_pair_that_they_were_made_of(seed, x_slides, z_slides):
     rng = np.random.default_rng(seed)

@@ -7,6 +7,7 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 from graphs import Graph, graphs
+from hunts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -170,7 +171,7 @@ def test_unlimited_turns_go_the_short_way():
 
 
 @given(seed=st.integers(0, 10**6))
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 def test_ways_on_balls_are_great_circles(seed):
     s = system(ball="free", turn="revolute")
     rng = np.random.default_rng(seed)

@@ -1,5 +1,7 @@
 """The forward model in other forms than whole poses."""
 
+import pickle
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -8,7 +10,7 @@ import kempe
 from kempe.errors import InputError, UnknownNameError
 
 ARMS = {"panda": "hand", "ball": None, "four_bar": None, "two_link": None, "joint_free": None}
-FORMS = {"pose": 16, "3x4": 12, "position": 3, "position_quat_wxyz": 7}
+FORMS = {"matrix": 16, "3x4": 12, "position": 3, "position_quat_wxyz": 7}
 
 
 def arm(name):
@@ -21,7 +23,7 @@ def same(form, given, X):
         turned = Rotation.from_quat(given[..., 3:].reshape(-1, 4), scalar_first=True).as_matrix()
         assert np.abs(turned.reshape(*X.shape[:-2], 3, 3) - X[..., :3, :3]).max(initial=0.0) < 1e-6
         given, form = given[..., :3], "position"
-    wanted = {"pose": X, "3x4": X[..., :3, :], "position": X[..., :3, 3]}[form]
+    wanted = {"matrix": X, "3x4": X[..., :3, :], "position": X[..., :3, 3]}[form]
     assert given.shape == wanted.shape and np.abs(given - wanted).max(initial=0.0) < 1e-6
 
 
@@ -70,3 +72,33 @@ def test_wrong_forms_are_named():
         system.fk(system.mid, frame, form="3x4", dtype="int32")
     with pytest.raises(InputError, match=r"shape \(7,\)"):
         system.fk(system.mid, frame, np.empty(6), form="position_quat_wxyz")
+
+
+@pytest.mark.parametrize("dtype", [None, "float32"])
+@pytest.mark.parametrize("form", [None, *FORMS])
+def test_queries_have_forms(form, dtype):
+    system, frame = arm("panda")
+    query, q = system.query(frame, form, dtype), system.random(1, 30)
+    for some in (q, q[0], q[:0]):
+        assert np.array_equal(query(some), system.fk(some, frame, form=form, dtype=dtype))
+        assert np.array_equal(pickle.loads(pickle.dumps(query))(some), query(some))
+    out = np.empty((30, *query(q[0]).shape), dtype=dtype)
+    assert query(q, out) is out and np.array_equal(out, query(q))
+    assert np.array_equal(query.jacobian(q), system.jacobian(q, frame))
+
+
+def test_wrong_forms_of_queries_are_named_at_once():
+    system, frame = arm("panda")
+    with pytest.raises(UnknownNameError, match="position_quat_wxyz"):
+        system.query(frame, "quaternion")
+    with pytest.raises(InputError, match="float32"):
+        system.query(frame, dtype=int)
+    with pytest.raises(UnknownNameError, match="elbow"):
+        system.query("elbow", "position")
+
+
+def test_a_particle_has_the_unit_quaternion():
+    m = kempe.Mechanism("rail")
+    m.joint("x", "prismatic", m.ground, m.particle("bead"), axis="x")
+    found = m.build().fk([[0.5], [1.0]], "bead", form="position_quat_wxyz")
+    assert np.array_equal(found, [[0.5, 0, 0, 1, 0, 0, 0], [1.0, 0, 0, 1, 0, 0, 0]])

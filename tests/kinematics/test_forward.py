@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import reference
 from graphs import Graph, graphs
+from hunts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -41,7 +42,7 @@ def arm(n: int = 7) -> System:
 
 
 @given(graph=graphs(most=12), seed=st.integers(0, 10**6), large=st.sampled_from([1.0, 100.0]))
-@settings(max_examples=150)
+@settings(max_examples=examples(150))
 def test_poses_of_random_systems(graph: Graph, seed, large):
     s, rng = graph.mechanism().build(), np.random.default_rng(seed)
     q = s.random(rng, 3) * large
@@ -100,7 +101,7 @@ def test_a_chain_alone_is_the_chain_in_its_system(graph: Graph, seed):
 
 
 @given(graph=graphs(most=8), seed=st.integers(0, 10**6))
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 def test_jacobians_are_derivatives_of_poses_on_the_manifold(graph: Graph, seed):
     s, rng, h = graph.mechanism().build(), np.random.default_rng(seed), 1e-5
     q = s.random(rng)
@@ -122,7 +123,7 @@ def test_jacobians_are_derivatives_of_poses_on_the_manifold(graph: Graph, seed):
 
 
 @given(graph=graphs(most=8), seed=st.integers(0, 10**6))
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 def test_batches_of_jacobians(graph: Graph, seed):
     s = graph.mechanism().build()
     q = s.random(seed, (2, 3))

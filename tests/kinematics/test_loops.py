@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from graphs import KINDS, PLANAR_KINDS, SLIDES, graphs
+from hunts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from linkages import four_bar
@@ -231,7 +232,7 @@ def test_what_a_system_has():
 
 
 @given(graphs(most=5, loops=3), st.integers(0, 2**32))
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 def test_random_graphs(graph, seed):
     s = graph.mechanism().build()
     q = s.random(seed, 2)
@@ -241,7 +242,7 @@ def test_random_graphs(graph, seed):
 
 
 @given(graphs(most=4, loops=2), st.integers(0, 2**32))
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 def test_same_zeros_as_closure_error(graph, seed):
     """With rows for own coordinates the residual vanishes with the closure error, and grows with it."""
     s = graph.mechanism().build()

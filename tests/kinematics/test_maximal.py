@@ -10,6 +10,7 @@ import closed_graphs
 import numpy as np
 import pytest
 from graphs import Graph, graphs
+from hunts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles.maximal import maximal_integrate, maximal_jacobian, maximal_residual
@@ -168,7 +169,7 @@ def compare(s: System, q: np.ndarray) -> None:
 
 
 @given(graphs(most=6, loops=3), st.integers(0, 2**32))
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 def test_same_motions(graph, seed):
     compare(*closed(graph, seed))
 
@@ -198,7 +199,7 @@ def test_same_motions_with_couplings_of_all_sorts():
 
 
 @given(graphs(most=5, loops=3), st.integers(0, 2**32))
-@settings(max_examples=20)
+@settings(max_examples=examples(20))
 def test_same_zeros(graph, seed):
     """Where bodies are put aside the residual is as large as the judge's, up to a factor."""
     s, q = closed(graph, seed)
@@ -217,7 +218,7 @@ def disturbed(s: System, X: np.ndarray, size: float, seed: int = 0) -> np.ndarra
 
 
 @given(graphs(most=6, loops=3), st.integers(0, 2**32))
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 def test_there_and_back(graph, seed):
     s, q = closed(graph, seed)
     X = to_maximal(s, q)
@@ -329,7 +330,7 @@ def project(s: System, X: np.ndarray, near=None, **options) -> tuple[np.ndarray,
 
 
 @given(graphs(most=5, loops=2), st.integers(0, 2**32))
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 def test_projection(graph, seed):
     s, q = closed(graph, seed)
     X = convert.to_maximal(s, q)

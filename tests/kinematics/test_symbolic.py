@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import reference
 from graphs import KINDS, Graph, graphs
+from hunts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -144,7 +145,7 @@ def test_a_quaternion_is_a_polynomial():
 
 
 @given(graph=graphs(most=5), seed=st.integers(0, 10**6))
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 def test_random_systems(graph: Graph, seed):
     """All joint types, walked both ways, gears, locks and particles, against the reference."""
     s = graph.mechanism().build()
@@ -204,7 +205,7 @@ def chains(draw) -> System:
 
 
 @given(s=chains(), seed=st.integers(0, 10**6))
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 def test_chains_with_parameters(s: System, seed):
     q = s.random(seed)
     T = s.symbolic.fk("e")

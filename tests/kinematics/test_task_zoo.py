@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from graphs import graphs
+from hunts import examples
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from robots import urdf_files
@@ -85,7 +86,7 @@ def check(task: tasks.Task, s: System, q: np.ndarray) -> None:
 
 
 @given(graphs(most=6, loops=2), st.integers(0, 2**32))
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=examples(25))
 def test_the_zoo_on_random_graphs(graph, seed):
     """Trees and loops, in the plane and in space, with balls, screws, particles, gears and locked joints."""
     s = graph.mechanism().build()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import reference
 from graphs import Graph, graphs
+from hunts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -18,7 +19,7 @@ from kempe.model.tree.coordinates import Follower, relation_text
 
 
 @given(graph=graphs(loops=4))
-@settings(max_examples=80)
+@settings(max_examples=examples(80))
 def test_q_holds_all_coordinates_in_the_order_of_the_joints(graph: Graph):
     """Those of cut joints too; not those that follow or are locked."""
     s = graph.mechanism().build()
@@ -35,7 +36,7 @@ def test_q_holds_all_coordinates_in_the_order_of_the_joints(graph: Graph):
 
 
 @given(graph=graphs())
-@settings(max_examples=80)
+@settings(max_examples=examples(80))
 def test_the_layout_uses_every_entry_once(graph: Graph):
     s = graph.mechanism().build()
     lay = s.structure.layout
@@ -62,7 +63,7 @@ def test_any_coordinate_has_a_value(graph: Graph, seed):
 
 
 @given(graph=graphs())
-@settings(max_examples=80)
+@settings(max_examples=examples(80))
 def test_the_table_has_a_row_for_each_moving_primitive_of_the_tree(graph: Graph):
     s = graph.mechanism().build()
     table = s.structure.table

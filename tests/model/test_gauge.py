@@ -26,7 +26,7 @@ def differences(table, n=40):
         T, J = np.empty((n, 4, 4)), np.empty((n, 6, table.nv))
         table_sweep.jacobian(*packed, q, 0, T, J)
         C = np.empty((n, 4, 4))
-        chain.chain_poses(*packed, q, C)
+        chain.chain_poses(*packed, q, C.reshape(n, 16))
         results += [(T, J, C)]
     return after[0], [np.abs(a - b).max() / size for a, b in zip(*results, strict=True)]
 
@@ -104,3 +104,11 @@ def test_a_ball_ends_what_can_be_pushed():
     table = Table(rows, [(3, False, np.eye(4))], 16, 12, True, [(4, 3)])
     ints, errors = differences(table)
     assert max(errors) < 3e-15 and list(forms(ints))[:3] == [GENERAL] * 3 and forms(ints)[3] != GENERAL
+
+
+@pytest.mark.parametrize("n_rows", [2, 3, 5])
+def test_what_is_pushed_through_a_last_slide_goes_into_the_frame(n_rows):
+    table = random_table(np.random.default_rng(n_rows), n_rows, chain=True, kinds=(TURN, SLIDE))
+    table.rows[-2].kind, table.rows[-1].kind = TURN, SLIDE
+    ints, errors = differences(table)
+    assert max(errors) < 3e-15 and forms(ints)[-1] != GENERAL

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from graphs import Edge, graphs
+from hunts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -29,7 +30,7 @@ def tree_by_name(system: System) -> dict:
 
 
 @given(graph=graphs(), seed=st.integers(0, 10**6))
-@settings(max_examples=120)
+@settings(max_examples=examples(120))
 def test_the_order_of_the_file_changes_no_answer_by_name(graph, seed):
     one, other = graph.mechanism().build(), graph.shuffled(seed).mechanism().build()
     assert set(one.structure.closures) == set(other.structure.closures)
@@ -54,7 +55,7 @@ def test_the_order_of_the_file_changes_no_answer_by_name(graph, seed):
 
 
 @given(graph=graphs())
-@settings(max_examples=120)
+@settings(max_examples=examples(120))
 def test_it_is_a_spanning_tree_that_keeps_directions(graph):
     t = spanning_tree(graph.mechanism())
     ends = {e.name: (e.parent, e.child) for e in graph.edges}
@@ -68,7 +69,7 @@ def test_it_is_a_spanning_tree_that_keeps_directions(graph):
 
 
 @given(graph=graphs())
-@settings(max_examples=120)
+@settings(max_examples=examples(120))
 def test_bodies_keep_their_order_unless_a_parent_comes_later(graph):
     t = spanning_tree(graph.mechanism())
     parent = {b: t.bodies[p] for b, p in zip(t.bodies[1:], t.parent, strict=True)}
@@ -81,7 +82,7 @@ def test_bodies_keep_their_order_unless_a_parent_comes_later(graph):
 
 
 @given(graph=graphs(loops=8))
-@settings(max_examples=120)
+@settings(max_examples=examples(120))
 def test_on_every_loop_the_least_wanted_joint_is_cut(graph):
     """Fixed, actuated and coupled joints stay; of the others those with many freedoms go, then those far away."""
     m = graph.mechanism()

@@ -8,6 +8,7 @@ import re
 import graphs
 import numpy as np
 import pytest
+from hunts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from linkages import four_bar
@@ -137,7 +138,7 @@ def pinocchio_tree(pin, s):
 # ---- equations
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(graphs.graphs(), st.integers(0, 10**6))
 def test_equations_have_exact_derivatives(graph, seed):
     s = graph.mechanism().build()
@@ -155,7 +156,7 @@ def test_equations_have_exact_derivatives(graph, seed):
         np.testing.assert_allclose(J, numeric, atol=2e-6 * (1 + np.abs(J).max(initial=0.0)))
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(graphs.graphs(), st.integers(0, 10**6))
 def test_equations_vanish_where_the_closure_error_does(graph, seed):
     s = graph.mechanism().build()
@@ -170,7 +171,7 @@ def test_equations_vanish_where_the_closure_error_does(graph, seed):
             np.testing.assert_allclose(mine[3:], error[k][3:], atol=1e-9)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(graphs.graphs(), st.integers(0, 10**6))
 def test_what_is_assembled_is_closed(graph, seed):
     """Whatever the joints: an answer called a success closes every loop, by the independent closure error."""
@@ -317,7 +318,7 @@ def test_continuous_rows_follow_each_other(n):
 # ---- additional considerations
 
 
-@settings(max_examples=20)
+@settings(max_examples=examples(20))
 @given(st.integers(0, 10**6))
 def test_what_is_left_open_is_nearest(seed):
     """The answer is stationary: the way to `near` is normal to the closed set."""

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from hunts import some
 from scipy.integrate import solve_ivp
 
 import kempe
@@ -170,11 +171,11 @@ def arm(axes, lengths, pin=None) -> kempe.System:
 
 @pytest.mark.parametrize(
     ("axes", "q", "finite"),
-    [
+    some([
         ("zy", (0.3, 0.0), 0), ("zyy", (0.3, 0.4, 0.0), 0), ("zyy", (0.3, 0.4, 1.0), 0), ("zyx", (0.3, 0.4, 0.5), 1),
         ("zyzy", (0.3, 0.4, 0.0, 0.0), 0), ("zyxy", (0.3, 0.4, 0.5, 0.0), 1), ("zyzyx", (0.3, 0.4, 0.5, 0.9, 0.1), 2),
         ("zyxyx", (0.3, 0.4, 0.5, 0.0, 0.2), 2), ("zzz", (0.3, math.pi, 0.0), 1), ("zyzy", (0.3, 0.0, math.pi, 0.0), 1),
-    ],
+    ], 3),
 )  # fmt: skip
 def test_freedoms_are_those_of_the_mechanism_with_the_tip_pinned(axes, q, finite):
     """The tasks of an arm and the loop of the mechanism: rank and local dimension, found by Taylor series there."""

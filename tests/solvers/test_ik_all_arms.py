@@ -10,6 +10,7 @@ import arms
 import numpy as np
 import pytest
 import reference
+from hunts import some
 from ik_all_checks import (
     SAME,
     allowed,
@@ -43,7 +44,7 @@ TYPICAL = [
     "youbot", "so101_axis", "orthogonal3_cuspidal", "wrist3", "planar3", "universals", "geared_piper",
 ]  # fmt: skip
 """One or two arms of each class, for what need not be repeated on all."""
-typical_arms = pytest.mark.parametrize("name", TYPICAL)
+typical_arms = pytest.mark.parametrize("name", some(TYPICAL, 3))
 
 
 def posed(name: str, seed: int, number: int):
@@ -118,7 +119,9 @@ def test_three_links_in_the_plane():
 # ---------------------------------------------------------------- gauges
 
 
-@pytest.mark.parametrize("name", [n for n, a in ARMS.items() if a.task == "pose" and not a.held and a.system.dim == 3])
+@pytest.mark.parametrize(
+    "name", some([n for n, a in ARMS.items() if a.task == "pose" and not a.held and a.system.dim == 3], 4)
+)
 def test_no_gauge_changes_the_answer(name):
     """Base, tool, origins along and about axes, senses, names and their order."""
     arm = ARMS[name]
@@ -311,7 +314,7 @@ def test_held_joints_stay(name):
         np.testing.assert_allclose(answer.q[..., i][answer.mask], held, rtol=0, atol=1e-15)
 
 
-@pytest.mark.parametrize("name", arms.names("seven"))
+@pytest.mark.parametrize("name", some(arms.names("seven"), 3))
 def test_redundant_arms_have_families(name):
     """One freedom too many: curves of configurations, one of them through what gave the target."""
     arm, q, X = posed(name, 17, 2)  # the first is inside the limits
@@ -333,7 +336,9 @@ def assert_families(arm, answer, X):
         assert arm.model.apart(arm.model.theta(family.q[1:]), arm.model.theta(family.q[:-1])).max() < 0.5
 
 
-@pytest.mark.parametrize("name", ["puma560", "irb6640", "ur10e", "hollow60", "stanford", "wrist3", "ball_wrist"])
+@pytest.mark.parametrize(
+    "name", some(["puma560", "irb6640", "ur10e", "hollow60", "stanford", "wrist3", "ball_wrist"], 3)
+)
 def test_a_straight_wrist_has_a_family(name):
     """Only the sum or difference of the angles about the two aligned axes matters."""
     arm = ARMS[name]
@@ -355,7 +360,9 @@ def test_a_straight_wrist_has_a_family(name):
                 assert oracle.error(arm.model.fk(y), X)[1] < 1e-12 and on_a_family(answer, 0, y)
 
 
-@pytest.mark.parametrize("name", ["anthropomorphic3", "orthogonal3_cuspidal", "irb6640", "ur10e", "puma560", "jaco2"])
+@pytest.mark.parametrize(
+    "name", some(["anthropomorphic3", "orthogonal3_cuspidal", "irb6640", "ur10e", "puma560", "jaco2"], 3)
+)
 def test_random_singular_targets(name):
     """Two solutions that meet are one with two roots; a curve of solutions is a family."""
     arm, rng = ARMS[name], np.random.default_rng(21)

@@ -8,6 +8,7 @@ import analytic_oracle as oracle
 import arms
 import numpy as np
 import pytest
+from hunts import examples
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from ik_all_checks import SAME, ask, assert_sound, nearest, rows, same_sets
@@ -46,7 +47,7 @@ def check(arm, seed: int, number: int = 6) -> None:
 
 
 @given(rows_=tables(), seed=SEEDS)
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 def test_six_turns_of_any_structure(rows_, seed):
     arm = arms.table("any", rows_, "", 16)
     assume(regular(arm))
@@ -54,7 +55,7 @@ def test_six_turns_of_any_structure(rows_, seed):
 
 
 @given(rows_=st.integers(1, 3).flatmap(lambda k: tables(6, k)), seed=SEEDS)
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 def test_six_joints_some_of_which_slide(rows_, seed):
     arm = arms.table("any", rows_, "", 16)
     assume(regular(arm))
@@ -76,14 +77,14 @@ def test_five_turns_for_a_pose(rows_, seed):
 
 
 @given(n=st.integers(1, 5), seed=SEEDS, slides=st.integers(0, 1))
-@settings(max_examples=20)
+@settings(max_examples=examples(20))
 def test_random_short_chains(n, seed, slides):
     arm = arms.random_arm(seed, "P" * min(slides, n) + "R" * (n - min(slides, n)), name="short")
     check(arm, seed, 3)
 
 
 @given(rows_=tables(), seed=SEEDS)
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 def test_degenerate_arms_are_answered_truly(rows_, seed):
     """Arms with more joints than freedoms: whatever comes back reaches its target."""
     rows_ = [*rows_[:3], (0.0, 0.0, *rows_[3][2:]), *rows_[4:]]  # joints 4 and 5 share an axis
@@ -97,7 +98,7 @@ def test_degenerate_arms_are_answered_truly(rows_, seed):
 
 
 @given(rows_=tables(), seed=SEEDS)
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 def test_gauges(rows_, seed):
     arm = arms.table("any", rows_, "", 16)
     assume(regular(arm))
@@ -110,7 +111,7 @@ def test_gauges(rows_, seed):
 
 
 @given(rows_=tables(), seed=SEEDS)
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 def test_the_chain_walked_backwards(rows_, seed):
     """The inverse pose has the same solutions on the mirrored arm, angles in reverse order."""
     arm = arms.table("any", rows_, "", 16)
@@ -124,7 +125,7 @@ def test_the_chain_walked_backwards(rows_, seed):
 
 
 @given(seed=SEEDS, name=st.sampled_from(["puma560", "ur10e", "jaco2", "crx10ia", "puma_wide_limits"]))
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 def test_near_and_limits_only_sort(seed, name):
     arm = arms.arms()[name]
     rng = np.random.default_rng(seed)
@@ -136,7 +137,7 @@ def test_near_and_limits_only_sort(seed, name):
 
 
 @given(seed=SEEDS, name=st.sampled_from(["puma560", "ur10e", "jaco2", "stanford", "randomRRRRRR_2"]))
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 def test_targets_written_with_seven_digits(seed, name):
     """Rotations that are off by rounding to float32: the solutions are those of a pose nearby."""
     arm = arms.arms()[name]

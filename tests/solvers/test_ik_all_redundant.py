@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 import reference
+from hunts import some
 from robots import urdf_files
 
 import kempe
@@ -95,7 +96,7 @@ def assert_reached(system, frame, answer, poses, targets, tolerance=1e-8):
         assert np.abs(turns - np.round(turns)).max() < 1e-9
 
 
-@pytest.mark.parametrize("name", [*FILES, *LIBRARY, "rail"])
+@pytest.mark.parametrize("name", some([*FILES, *LIBRARY, "rail"], 3))
 def test_what_can_be_reached_is_reached(name, hunt):
     """36 to 54 % of these poses have no solution with the last joint held at zero."""
     system, frame = robot(name)

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from hunts import some
 
 import kempe
 from kempe.errors import KempeError
@@ -91,7 +92,7 @@ def test_hunt_one_length_far_from_the_others(power, name, row, column, hunt):
     assert_solved_or_said(name, row, column, power, hunt.cases(2), rng)
 
 
-@pytest.mark.parametrize("power", [30, 100, 200, 300, -300])
+@pytest.mark.parametrize("power", some([30, 100, 200, 300, -300], 3))
 @pytest.mark.parametrize(("row", "column"), [(0, 2), (1, 0), (5, 2)])
 def test_no_foreign_exception(row, column, power):
     """Numbers whose squares do not exist are refused in words."""

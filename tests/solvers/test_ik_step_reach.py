@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 import pytest
+from hunts import some
 from scipy.optimize import minimize
 
 import kempe
@@ -234,7 +235,7 @@ def demands_of(name: str, s: System, frame: str, q: np.ndarray) -> list[list]:
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize("k", range(6), ids=["pose", "posture far", "posture", "conflict", "soft", "wall"])
+@pytest.mark.parametrize("k", some(range(6), 3), ids=["pose", "posture far", "posture", "conflict", "soft", "wall"])
 @pytest.mark.parametrize("name", ["panda", pytest.param("iiwa14", marks=pytest.mark.slow)])
 def test_tasks_that_cannot_be_held_settle(name, k):
     s, frame, q = kempe.load(name), TIPS[name], np.array(STARTS[name])

@@ -7,6 +7,7 @@ import pickle
 
 import numpy as np
 import pytest
+from hunts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -55,7 +56,7 @@ def angle_between(A, B):
 
 
 @given(r=st.floats(0.31, 1.69), phi=st.floats(-3.1, 3.1))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 def test_two_link_agrees_with_the_closed_form(r, phi):
     p = np.array([r * math.cos(phi), r * math.sin(phi)])
     s = two_link().ik(p, "tip")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import sources
 
 import kempe
 from kempe.solvers.common import wording
@@ -23,7 +24,7 @@ def kinds_made() -> set[str]:
     calls = [
         node
         for path in SOLVERS.rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in sources.nodes(path)
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "evidence"
     ]
     return {ast.literal_eval(call.args[0]) for call in calls}

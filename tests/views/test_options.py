@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+import sources
 from command import Result
 
 import kempe
@@ -57,7 +58,7 @@ def sentences() -> list[tuple[str, str]]:
         name = path.relative_to(SOURCE).as_posix()
         if name.split("/")[0] in ("kernels", "cli") or "benchmark" in name or name in ("views/options.py",):
             continue
-        tree = ast.parse(path.read_text())
+        tree = sources.tree(path)
         plain = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
         for node in ast.walk(tree):
             if isinstance(node, ast.JoinedStr):

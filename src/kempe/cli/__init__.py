@@ -14,6 +14,7 @@ from kempe.cli import inverse_commands  # isort: skip
 from kempe.cli import loop_commands  # isort: skip
 from kempe.cli import space_commands  # isort: skip
 from kempe.cli import workspace_commands  # isort: skip
+from kempe.cli import file_commands  # isort: skip
 from kempe.cli import reach_commands  # isort: skip
 from kempe.cli import view_commands  # isort: skip
 from kempe.cli import library_commands  # isort: skip
@@ -21,6 +22,7 @@ from kempe.cli.app import app
 
 __all__ = [
     "app",
+    "file_commands",
     "inverse_commands",
     "library_commands",
     "loop_commands",

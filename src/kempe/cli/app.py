@@ -45,6 +45,9 @@ TimeLimit = Annotated[
     float | None, option("--time-limit", "Seconds after which it ends with what was done.", "SECONDS")
 ]
 
+Threads = Annotated[int | None, option("--threads", "Threads; all processors if not given.", "N")]
+Scheduler = Annotated[str | None, option("--scheduler", "Address of the scheduler of a Dask cluster.", "ADDRESS")]
+
 _READ = "How FILE is read"
 File = Annotated[str, typer.Argument(metavar="FILE", help=f"File in {named(read_by())}, or a shipped model's name.")]
 Json = Annotated[bool, option("--json", "Print JSON.")]

@@ -106,7 +106,7 @@ def ik(
         _all(system, X, frame, task, axis, hold, start, tolerance, deg, out, plot, json)
         return
     wanted: dict[str, Any] = {"tolerance": rows.tolerance(tolerance or "1e-6"), "budget": Budget(rng=rng),
-                              "task": _task_argument(task, axis)}  # fmt: skip
+                              "task": task_argument(task, axis)}  # fmt: skip
     _answer(system, len(X) if X.ndim > 2 else None, SLICE, lambda i, j: system.ik(
         X[i:j] if X.ndim > 2 else X, frame, start=_part(start, i, j), **wanted), deg, out, plot, json)  # fmt: skip
 
@@ -240,7 +240,7 @@ def _all(
     from kempe.solvers.modes.modes import Modes
     from kempe.views import ik_report
 
-    answer = system.ik_all(X, frame, near, task=_task_argument(task, axis), fixed=_held(system, hold, deg),
+    answer = system.ik_all(X, frame, near, task=task_argument(task, axis), fixed=_held(system, hold, deg),
                            tolerance=None if tolerance is None else ik_report.tolerance(tolerance))  # fmt: skip
     pictures = drawn(answer, plot)
     if isinstance(answer, Modes):
@@ -279,7 +279,7 @@ def _held(system: System, hold: list[str] | None, deg: bool) -> dict[str, Any]:
     return given.known(system, hold or [], deg, frames=False)
 
 
-def _task_argument(task: str | None, axis: str | None) -> Any:
+def task_argument(task: str | None, axis: str | None) -> Any:
     """What of the target counts: a task, or a task with the axis of the tool that it points."""
     from kempe.views import ik_report
 
@@ -311,5 +311,5 @@ def plan(
 
     system.structure.frame_name(frame)
     words = [w if "=" in w else f"{w}=0" for w in hold or []]
-    answer = ik_plan(system, frame, _task_argument(task, axis), tuple(_held(system, words, False)))
+    answer = ik_plan(system, frame, task_argument(task, axis), tuple(_held(system, words, False)))
     print_json(answer.data()) if json else show(ik_report.plan(answer))

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,6 +17,8 @@ from kempe.cli.app import (
     Json,
     Lenient,
     Root,
+    Scheduler,
+    Threads,
     TimeLimit,
     Xacro,
     app,
@@ -39,11 +39,6 @@ def _picture(path: Path | None) -> None:
             raise InputError(f"{path}: a picture ends with {', '.join(PICTURES)}")
         writable(path)
         import kempe.views.workspace_plot  # noqa: F401, without matplotlib it ends here
-
-
-def _done(said: Callable[..., None], done: int, *_: float) -> None:
-    """Say how many samples are done, of what a workspace says of its progress."""
-    said(done)
 
 
 def _numbers(text: str, what: str) -> list[float]:
@@ -67,12 +62,9 @@ def workspace(
     ] = None,
     out: Annotated[Path | None, option("-o,--out", "The map to write or to go on with (Zarr).", "MAP")] = None,
     plot: Annotated[Path | None, option("--plot", "Draw a .png, .svg or .pdf file (needs matplotlib).", "FILE")] = None,
-    scheduler: Annotated[
-        str | None, option("--scheduler", "Address of the scheduler of a Dask cluster.", "ADDRESS")
-    ] = None,
+    scheduler: Scheduler = None,
     rng: Annotated[int | None, option("--rng", "Number that fixes the samples (0).", "N")] = None,
-    threads: Annotated[int | None, option("--threads", "Threads; all processors if not given.", "N")] = None,
-    time_limit: TimeLimit = None, json: Json = False, base: Base = None, root: Root = None,
+    threads: Threads = None, time_limit: TimeLimit = None, json: Json = False, base: Base = None, root: Root = None,
     package_dir: Dirs = None, xacro: Xacro = False, lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Show what a frame reaches, by any number of random configurations.
@@ -90,12 +82,11 @@ def workspace(
     ends = None if box is None else _numbers(box, "--box")
     if ends is not None and len(ends) % 2:
         raise InputError(f"--box has {len(ends)} numbers; it needs two for each axis")
-    with slices.progress(sys.stderr, int(n) if n and 1 <= n < 2**62 else None, "samples") as said:
-        tell = None if said is None else partial(_done, said)
+    with slices.paced(sys.stderr, "samples") as said:
         answer = system.workspace(
             frame, n=n, cells=along[0] if along is not None and len(along) == 1 else along,
             box=None if ends is None else np.reshape(ends, (-1, 2)), client=scheduler, path=out,
-            budget=Budget(rng=rng, threads=threads, time_limit=time_limit, progress=tell),
+            budget=Budget(rng=rng, threads=threads, time_limit=time_limit, progress=said),
         )  # fmt: skip
     if plot is not None:
         axes = answer.plot()

@@ -319,12 +319,13 @@ def probe(function: Callable[..., Any], names: Collection[str], time: bool, what
         found.append((np.isfinite(entries).all(), shape, values))
     if not found:
         raise failures[0]
-    if len({shape for _, shape, _ in found}) > 1:
-        raise InputError(f"{what} returns arrays of different shapes: {sorted({shape for _, shape, _ in found})}")
+    shapes = {shape for _, shape, _ in found}
+    if len(shapes) > 1:
+        raise InputError(f"{what} returns arrays of different shapes: {sorted(shapes)}")
     if not any(finite for finite, _, _ in found):
         where = at(found[0][2])
         raise InputError(f"{what} gives numbers that are not finite wherever it was tried, such as at {where}")
-    return found[0][1]
+    return shapes.pop()
 
 
 def _compared(

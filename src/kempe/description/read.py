@@ -23,7 +23,6 @@ from kempe.description.formats import (
 )
 from kempe.description.mechanism import Mechanism
 from kempe.description.source import SIZE_LIMIT, collecting_later, expanded, fail, folders_of, no_file, shorten
-from kempe.description.urdf.xacro import XACRO_ADVICE, expand_xacro
 from kempe.errors import DescriptionError, Fault, InputError, UnknownNameError, UnsupportedError, Where
 from kempe.library import names as library_models
 from kempe.library import path as library_path
@@ -119,9 +118,13 @@ def _is_text(source: str) -> bool:
 def _read_file(path: Path, how: _How, xacro: bool) -> Mechanism:
     data = _bytes_of(path)
     if path.suffix == ".xacro" and not xacro:
+        from kempe.description.urdf.xacro import XACRO_ADVICE
+
         raise fail("this is a xacro file, a program that writes URDF", Where(str(path)), XACRO_ADVICE)
     text, name = data, str(path)
     if xacro:
+        from kempe.description.urdf.xacro import expand_xacro
+
         text, name = expand_xacro(path, package_dirs=how.folders), f"{path} (expanded)"
         how = how._replace(format=URDF)
     how = how._replace(format=how.format or by_ending(path.name), folders=(path.parent, *how.folders), home=path.parent)

@@ -10,7 +10,7 @@ import numpy as np
 
 from kempe.calls import known
 from kempe.errors import InputError, shown
-from kempe.kernels.compiled import lane_positions
+from kempe.kernels.compiled import chain
 from kempe.kinematics.common.parallel import over_chunks
 from kempe.kinematics.configuration import as_q
 from kempe.model.kept import kept
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 FEW = 2048
-"""Configurations whose poses are held at once: a block that stays in the cache."""
-SERIAL_BELOW = 20_000
+"""Configurations whose poses, or numbers of another type, are held at once: a block that stays in the cache."""
+CHUNK, SERIAL_BELOW = 16384, 20_000
 
 
 class Form(NamedTuple):
@@ -49,7 +49,7 @@ def _position_quat_wxyz(X: Array) -> Array:
 
 
 FORMS = {
-    "pose": Form((4, 4), _pose), "3x4": Form((3, 4), _rows), "position": Form((3,), _position),
+    "matrix": Form((4, 4), _pose), "3x4": Form((3, 4), _rows), "position": Form((3,), _position),
     "position_quat_wxyz": Form((7,), _position_quat_wxyz),
 }  # fmt: skip
 """The forms by their names."""
@@ -63,12 +63,12 @@ def chain_table(system: System, frame: str) -> tuple[np.ndarray, Array]:
 
 
 def in_form(
-    system: System, q: Any, frame: Any, out: Array | None, threads: int | None, form: str, dtype: Any
+    system: System, q: Any, frame: Any, out: Array | None, threads: int | None, form: str | None, dtype: Any
 ) -> Array:  # fmt: skip
     """Poses of a frame in a chosen form and number type; arguments and errors as in `forward.fk`."""
     from kempe.kinematics.forward import fk
 
-    wanted = FORMS[known("form", form, FORMS)]
+    wanted = FORMS[known("form", "matrix" if form is None else form, FORMS)]
     try:
         kind = np.dtype(dtype)  # of None float64
     except (TypeError, ValueError, SyntaxError):
@@ -87,21 +87,25 @@ def in_form(
     rows = out.reshape(len(flat), *out.shape[q.ndim - 1 :])
     if np.may_share_memory(q, out):
         flat = flat.copy()
-    direct = form == "position" and not several
-    table = chain_table(system, system.structure.frame_name(one)) if direct else None
+    table = None if several else chain_table(system, system.structure.frame_name(one))
+    width = math.prod(wanted.shape)
 
-    def work(start: int, stop: int) -> int:
+    def some(start: int, stop: int) -> int:
         if table is None:
             rows[start:stop] = wanted.of(fk(system, flat[start:stop], one, threads=1))
             return 0
-        whole = rows.dtype == np.float64
-        points = rows[start:stop] if whole else np.empty((stop - start, 3))
-        bad = lane_positions.positions(*table, flat[start:stop], points)
-        if not whole:
-            rows[start:stop] = points
+        made = rows[start:stop] if kind == np.float64 else np.empty((stop - start, *wanted.shape))
+        bad = chain.chain_poses(*table, flat[start:stop], made.reshape(stop - start, width))
+        if kind != np.float64:
+            rows[start:stop] = made
         return bad
 
-    over_chunks(work, len(flat), 8 * FEW if direct else FEW, threads, SERIAL_BELOW)
+    def work(start: int, stop: int) -> int:
+        if table is not None and kind == np.float64:
+            return some(start, stop)
+        return sum(some(i, min(i + FEW, stop)) for i in range(start, stop, FEW))
+
+    over_chunks(work, len(flat), CHUNK, threads, SERIAL_BELOW)
     return out
 
 

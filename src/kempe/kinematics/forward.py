@@ -37,9 +37,9 @@ class Query(Protocol):
     system: System
 
     def __call__(self, q: ArrayLike, out: Array | None = None, threads: int | None = None) -> Array:
-        """Pose (..., 4, 4) of the frame in the ground frame at q (..., nq).
+        """Pose (..., 4, 4) of the frame in the ground frame at q (..., nq), or what the `form` of the query says.
 
-        `out`, where given, is a C-contiguous float64 array of this shape; it is filled and returned.
+        `out`, where given, is a C-contiguous array of this shape and type; it is filled and returned.
         """
         ...
 
@@ -57,9 +57,14 @@ class Query(Protocol):
 
 
 @explained
-def query(system: System, frame: FrameLike) -> Query:
-    """A function that computes the forward kinematics of one frame. Errors: `UnknownNameError`."""
-    chain_of = _ChainQuery(system, system.structure.frame_name(frame))
+def query(system: System, frame: FrameLike, form: str | None = None, dtype: Any = None) -> Query:
+    """A function that computes the forward kinematics of one frame, in a form and number type as of `fk`.
+
+    Errors: `UnknownNameError` for names, `InputError` for types.
+    """
+    if form is not None or dtype is not None:
+        in_form(system, system.neutral, frame, None, 1, form, dtype)
+    chain_of = _ChainQuery(system, system.structure.frame_name(frame), form, dtype)
     bound_to: Any = MethodType(_model(chain_of), chain_of)  # a method, for it is pickled as an attribute of its object
     return bound_to
 
@@ -105,7 +110,10 @@ def _model(chain_of: _ChainQuery) -> Any:
             pass
         return chain_of.jacobian(q, in_frame, None, threads)
 
-    function: Any = pose
+    def formed(_: object, q: Any, out: Any = None, threads: int | None = None) -> Array:
+        return in_form(chain_of.system, q, chain_of.name, out, threads, *chain_of.form)
+
+    function: Any = pose if chain_of.form == (None, None) else formed
     function.jacobian, function.pose_and_jacobian = jacobian, pose_and_jacobian
     function.system, function.frame = chain_of.system, chain_of.name
     function.__name__, function.__qualname__ = "query", f"query({chain_of.system.name!r}, {chain_of.name!r})"
@@ -116,14 +124,14 @@ def _model(chain_of: _ChainQuery) -> Any:
 class _ChainQuery:
     """The packed chain of one frame, and the general ways through it: conversions, batches, threads, errors."""
 
-    def __init__(self, system: System, name: str):
-        self.system, self.name = system, name
+    def __init__(self, system: System, name: str, form: str | None = None, dtype: Any = None):
+        self.system, self.name, self.form = system, name, (form, dtype)
         self.ints, self.floats = system.structure.table.pack([name], system.structure.table.path(name))
         self.tables = {key: fuse(self.ints, self.floats, kind) for key, kind in IN_FRAMES.items()}
         self.regauged = chain_table(system, name)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _ChainQuery, (self.system, self.name)
+        return _ChainQuery, (self.system, self.name, *self.form)
 
     def __repr__(self) -> str:
         return repr(self.system)
@@ -131,7 +139,7 @@ class _ChainQuery:
     @property
     def query(self) -> Query:
         """The bound forward model of the frame."""
-        return query(self.system, self.name)
+        return query(self.system, self.name, *self.form)
 
     def pose(self, q: Any, out: Array | None, threads: int | None) -> Array:
         q = as_q(self.system, q)
@@ -140,7 +148,7 @@ class _ChainQuery:
             if bound.pose(self.tables["world_aligned"], q, out):
                 refuse_bad(self.system, q)
             return out
-        flat_q, flat_out = _rows(q, 1), _rows(out, 2)
+        flat_q, flat_out = _rows(q, 1), _rows(out, 2).reshape(-1, 16)
         ints, floats = self.regauged
 
         def work(start: int, stop: int) -> int:
@@ -199,14 +207,14 @@ def fk(
     that shape. Large batches run in `threads` threads (default: as many as there are processors).
 
     `form` says what takes the place of (4, 4): "3x4" the upper three rows, "position" three numbers,
-    "position_quat_wxyz" seven, "pose" (the same as None) all. `dtype` float32 halves what is written; it is computed in
-    float64. Only "position" of one frame is less work than a pose.
+    "position_quat_wxyz" seven, "matrix" (the same as None) all. `dtype` float32 halves what is written, and what `out`
+    must be; it is computed in float64. "position" of one frame is less work than a pose, the others are less to write.
 
     A NaN, an infinity or a zero quaternion that a pose depends on is an `InputError`; in a batch the first three rows
     of such a pose are NaN and all others are right. Errors: `UnknownNameError` for names, `InputError` for shapes.
     """
     if form is not None or dtype is not None:
-        return in_form(system, q, frame, out, threads, "pose" if form is None else form, dtype)
+        return in_form(system, q, frame, out, threads, form, dtype)
     if frame is not None and not isinstance(frame, (list, tuple)):
         return _query(system, frame)(None, q, out, threads)
     key = None if frame is None else tuple(system.structure.frame_name(f) for f in frame)

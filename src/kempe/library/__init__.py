@@ -6,23 +6,23 @@ mechanisms with closed loops from the literature.
 
 from __future__ import annotations
 
-from importlib import resources
-from importlib.resources.abc import Traversable
+from pathlib import Path
 
 from kempe.errors import UnknownNameError
+
+FOLDER = Path(__file__).parent
 
 
 def names() -> tuple[str, ...]:
     """Names of the models, in the order of the alphabet."""
-    files = (f.name for f in resources.files(__name__).iterdir())
-    return tuple(sorted(name.removesuffix(".toml") for name in files if name.endswith(".toml")))
+    return tuple(sorted(path.stem for path in FOLDER.glob("*.toml")))
 
 
-def path(name: str) -> Traversable:
+def path(name: str) -> Path:
     """The file of a model, to read its text. Errors: `UnknownNameError` with the nearest names."""
     if name not in names():
         raise UnknownNameError("model", name, names(), "the library")
-    return resources.files(__name__) / f"{name}.toml"
+    return FOLDER / f"{name}.toml"
 
 
 def describe(name: str) -> str:

@@ -148,11 +148,14 @@ class System(Compiled, Pictured, FormerNames):
 
         return jacobian(self, q, frame, in_frame, threads)
 
-    def query(self, frame: FrameLike) -> Query:
-        """The forward kinematics of one frame as a fast function ``f(q, out=None)``, and ``f.jacobian(q)``."""
+    def query(self, frame: FrameLike, form: str | None = None, dtype: Any = None) -> Query:
+        """The forward kinematics of one frame as a fast function ``f(q, out=None)``, and ``f.jacobian(q)``.
+
+        In a `form` and type of numbers as of `fk`.
+        """
         from kempe.kinematics.forward import query
 
-        return query(self, frame)
+        return query(self, frame, form, dtype)
 
     @cached_property
     def symbolic(self) -> Symbolic:

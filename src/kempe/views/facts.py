@@ -12,10 +12,9 @@ from kempe import library, spatial
 from kempe.constraints.base import with_numbers
 from kempe.description.parts import Declared, Joint
 from kempe.errors import DescriptionError, Fault, KempeError
-from kempe.joints import P, R
 from kempe.kinematics.common.result import MOST_JUDGED
 from kempe.kinematics.configuration import has_loops
-from kempe.model.tree.coordinates import Follower, relation_text
+from kempe.model.tree.coordinates import Follower, coordinate_name, relation_text, units
 from kempe.words import jsonable
 
 if TYPE_CHECKING:
@@ -26,22 +25,6 @@ if TYPE_CHECKING:
 DEGREE = math.pi / 180.0
 CLOSED = 1e-5
 """Metres and radians that a loop may be open by before it is mentioned: numbers with six decimals count as closed."""
-
-
-def units(system: System) -> dict[str, str]:
-    """Unit of every coordinate and velocity coordinate by name: 'rad', 'm', or '' in a quaternion."""
-    out: dict[str, str] = {}
-    bodies = system.mechanism.bodies
-    for joint in system.structure.joints.values():
-        particle = bodies[joint.child].particle
-        names, primitives = joint.type.layout(system.dim, particle)
-        own = {p.coordinate: "m" for p in primitives if p.kind == P}
-        own |= {p.coordinate: "rad" for p in primitives if p.kind == R}  # of a screw, too
-        for i, name in enumerate(names):
-            out[_full(joint, name)] = own.get(i, "")
-        for name in joint.type.velocities(system.dim, particle):
-            out.setdefault(_full(joint, name), "rad")
-    return out
 
 
 def in_degrees(values: Any, names: Iterable[str], unit: dict[str, str], degrees: bool) -> spatial.Array:
@@ -84,7 +67,7 @@ def _dof_of_tree(system: System) -> int:
     """Degrees of freedom of the tree: those of all joints without those of the joints that it left out."""
     bodies, joints, known = system.mechanism.bodies, system.structure.joints, set(system.structure.velocity_names)
     cut = [joints[name] for name in system.structure.closures]
-    names = (_full(j, v) for j in cut for v in j.type.velocities(system.dim, bodies[j.child].particle))
+    names = (coordinate_name(j.name, v) for j in cut for v in j.type.velocities(system.dim, bodies[j.child].particle))
     return system.nv - sum(name in known for name in names)
 
 
@@ -235,7 +218,3 @@ def significant(x: float) -> str:
 
 def _number(x: Any) -> float | None:
     return jsonable(float(x))
-
-
-def _full(joint: Joint, coordinate: str) -> str:
-    return f"{joint.name}.{coordinate}" if coordinate else joint.name

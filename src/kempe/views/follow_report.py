@@ -8,6 +8,7 @@ import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from kempe.model.tree.coordinates import units
 from kempe.views import facts, report
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ def path(answer: IkPath, degrees: bool = False) -> RenderableType:
     style = "bold green" if answer else "bold yellow" if answer.success.all() else "bold red"
     shown: list[RenderableType] = [Text(report.clean(answer.status), style=style)]
     if answer.success.any():
-        q = facts.in_degrees(answer.q, system.coordinate_names, facts.units(system), degrees)
+        q = facts.in_degrees(answer.q, system.coordinate_names, units(system), degrees)
         steps = np.abs(np.diff(q, axis=0))
         lines: list[tuple[Any, ...]] = []
         for i, c in enumerate(facts.coordinates(system, degrees)):

@@ -14,6 +14,7 @@ from rich.text import Text
 from kempe import spatial
 from kempe.errors import InputError
 from kempe.kinematics.common.tabular import write_table
+from kempe.model.tree.coordinates import units
 from kempe.placement import AXES
 from kempe.status import named
 from kempe.views import facts, report, rows
@@ -150,7 +151,7 @@ def _style(good: bool, complete: bool) -> str:
 
 
 def _in_units(system: System, q: spatial.Array, degrees: bool) -> spatial.Array:
-    return facts.in_degrees(q, system.coordinate_names, facts.units(system), degrees)
+    return facts.in_degrees(q, system.coordinate_names, units(system), degrees)
 
 
 def solutions_facts(answer: Solutions, degrees: bool = False) -> dict[str, Any]:
@@ -186,7 +187,7 @@ def _one(answer: Solutions, which: Any, degrees: bool) -> dict[str, Any]:
         {"q": dict(zip(system.coordinate_names, row, strict=True)), **{n: v[k] for n, v in fields.items()}}
         for k, row in enumerate(q)
     ]
-    unit = facts.units(system)
+    unit = units(system)
     held = {n: facts.in_degrees([of_target(v)], [n], unit, degrees).item() for n, v in answer.held.items()}
     return {
         "success": bool(picked(answer.inside).any()), "code": named(of_target(answer.code)),

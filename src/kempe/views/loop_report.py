@@ -14,6 +14,7 @@ from rich.text import Text
 
 from kempe import spatial
 from kempe.kinematics.common.tabular import write_table
+from kempe.model.tree.coordinates import units
 from kempe.status import named
 from kempe.views import facts, report
 from kempe.words import jsonable
@@ -165,7 +166,7 @@ def path(answer: Path, degrees: bool = False) -> RenderableType:
     if answer.hint:
         start = ",".join(f"{x:.9g}" for x in _shown(system, answer.elsewhere[0], degrees).tolist())
         shown.append(Text(report.clean(f"  {answer.hint}: --start {start}")))
-    unit = facts.units(system)
+    unit = units(system)
     events = [*answer.turning_points[:EVENT_LIMIT], *answer.singular_points]
     if events:
         lines = [_event(e, unit, degrees) for e in sorted(events, key=lambda e: e.s)]
@@ -221,7 +222,7 @@ def _motion(answer: Path, degrees: bool) -> dict[str, Any]:
 def _event_facts(system: System, event: Event, degrees: bool) -> dict[str, Any]:
     out: dict[str, Any] = {"s": event.s, "kind": event.kind}
     if event.coordinate:
-        value, unit = _in_unit(event, facts.units(system), degrees)
+        value, unit = _in_unit(event, units(system), degrees)
         out |= {"coordinate": event.coordinate, "value": value, "unit": unit}
     else:
         out |= {"branches": 0 if event.directions is None else len(event.directions), "nullity": event.nullity}
@@ -260,7 +261,7 @@ def by_name(system: System, q: spatial.Array, degrees: bool) -> Any:
 
 
 def _shown(system: System, q: spatial.Array, degrees: bool) -> spatial.Array:
-    return facts.in_degrees(q, system.coordinate_names, facts.units(system), degrees)
+    return facts.in_degrees(q, system.coordinate_names, units(system), degrees)
 
 
 def _heads(system: System, degrees: bool) -> list[str]:

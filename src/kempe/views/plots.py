@@ -18,12 +18,12 @@ from kempe.kinematics.configuration import as_q, distance, has_loops, home_of, i
 from kempe.kinematics.forward import fk
 from kempe.kinematics.measure import judge
 from kempe.model.plot_options import PlotOptions
+from kempe.model.tree.coordinates import units
 from kempe.reals import is_sequence, reals
 from kempe.spatial import Array
 from kempe.views.drawing import page, style
 from kempe.views.drawing.scene import look
 from kempe.views.drawing.subject import Subject
-from kempe.views.facts import units
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -17,6 +17,7 @@ from rich.text import Text
 
 from kempe import spatial
 from kempe.errors import PROBLEM_LIMIT, DescriptionError, Fault
+from kempe.model.tree.coordinates import units
 from kempe.views import facts
 from kempe.views.options import in_options
 
@@ -328,7 +329,7 @@ def matrix(X: spatial.Array) -> str:
 def solution(system: System, answer: Answer, degrees: bool = False) -> RenderableType:
     """An answer of `ik`: its sentence, and the configuration by name; of many targets a line for each."""
     coordinates = facts.coordinates(system, degrees)
-    q = facts.in_degrees(answer.q, system.coordinate_names, facts.units(system), degrees)
+    q = facts.in_degrees(answer.q, system.coordinate_names, units(system), degrees)
     if np.ndim(answer.success):
         return Group(outcome(answer), *verdict(answer), "", _configurations(coordinates, q, answer))
     lines: list[tuple[Any, str, Any, str]] = []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,10 +10,12 @@ import numpy as np
 from kempe import spatial
 from kempe.description.source import expanded, no_file
 from kempe.errors import InputError, UnknownNameError
-from kempe.kinematics.common.tabular import SUFFIXES, table_file, write_table
+from kempe.kinematics.common.tabular import SUFFIXES, as_numbers, header_of, rows_of_text, table_file, write_table
 from kempe.kinematics.configuration import as_q, closed_from, from_home
+from kempe.model.tree.coordinates import units
 from kempe.reals import reals
-from kempe.views.facts import DEGREE, in_degrees, pose_rows, units
+from kempe.solvers.common.target_columns import poses_of_columns
+from kempe.views.facts import DEGREE, in_degrees, pose_rows
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -29,16 +30,7 @@ def is_file(text: str) -> bool:
 
 def numbers(text: str, what: str) -> list[float]:
     """The numbers of 'a,b,c'. Errors: `InputError` naming the one that is none."""
-    return _numbers(text.split(","), what)
-
-
-def _numbers(parts: Sequence[str], what: str) -> list[float]:
-    try:
-        return [float(part) for part in parts]
-    except ValueError:
-        bad = next(part.strip() for part in parts if not _is_number(part))
-        advice = "write numbers with commas between them"
-        raise InputError(f"{what}: {bad!r} is not a number; {advice}") from None
+    return as_numbers(text.split(","), what)
 
 
 def configuration(
@@ -111,27 +103,16 @@ def _configurations(system: System, path: Path, degrees: bool, start: bool) -> s
 def target(system: System, text: str, degrees: bool = False) -> tuple[spatial.Array, bool]:
     """Target poses (..., 4, 4) from the command line, and whether only their position counts.
 
-    'x,y,z,roll,pitch,yaw' (fixed axes, as in URDF) or 'x,y,z'; of planar systems 'x,y,angle' and 'x,y' in
-    place of 'x,y,z'; or a file of such rows, where a .npy may also hold (n, 4, 4) matrices.
+    'x,y,z,roll,pitch,yaw' (fixed axes, as in URDF), 'x,y,z,qw,qx,qy,qz' or 'x,y,z'; of planar systems 'x,y,angle' and
+    'x,y' in place of 'x,y,z'; or a file of such rows, where a .npy may also hold (n, 4, 4) matrices.
     """
     if is_file(text):
-        _, rows = read(expanded(text), matrices=True)
+        names, rows = read(expanded(text), matrices=True)
     else:
-        rows = np.array(numbers(text, "target"))
+        names, rows = None, np.array(numbers(text, "target"))
     if rows.ndim == 3:
         return rows, False
-    n = rows.shape[-1]
-    planar = system.dim == 2
-    columns = {6: range(6), 3: (0, 1, 5) if planar else range(3), 2: (0, 1) if planar else None}.get(n)
-    if columns is None:
-        allowed = "x,y (position only), x,y,angle or x,y,z,roll,pitch,yaw" if planar else (
-            "x,y,z (position only) or x,y,z,roll,pitch,yaw")  # fmt: skip
-        raise InputError(f"the target has {n} number{'s' * (n != 1)}; it must be {allowed}")
-    full = np.zeros((*rows.shape[:-1], 6))
-    full[..., list(columns)] = rows
-    if degrees:
-        full[..., 3:] *= DEGREE
-    return spatial.pose_from_xyz_rpy(full), n == (2 if planar else 3)
+    return poses_of_columns(system.dim, rows, names, degrees)
 
 
 def read(path: Path, matrices: bool = False) -> tuple[list[str] | None, spatial.Array]:
@@ -162,28 +143,13 @@ def _read_csv(path: Path) -> tuple[list[str] | None, spatial.Array]:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError:
         raise InputError(f"{path}: it is not UTF-8 text") from None
-    table = [(i, line.split(",")) for i, line in enumerate(lines, start=1) if line.strip()]
-    names = None
-    if table and not any(map(_is_number, table[0][1])):
-        names = [name.strip().strip('"') for name in table[0][1]]
+    table = [(i, line) for i, line in enumerate(lines, start=1) if line.strip()]
+    names = header_of(table[0][1]) if table else None
+    if names is not None:
         del table[0]
     if not table:
         raise InputError(f"{path}: it holds no rows of numbers")
-    width = len(table[0][1]) if names is None else len(names)
-    out = np.empty((len(table), width))
-    for row, (line, cells) in zip(out, table, strict=True):
-        if len(cells) != width:
-            raise InputError(f"{path}:{line}: {len(cells)} values; the first line has {width}")
-        row[:] = _numbers(cells, f"{path}:{line}")
-    return names, out
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+    return names, rows_of_text(path, table, len(table[0][1].split(",")) if names is None else len(names))
 
 
 def output(path: Path | None) -> Path | None:

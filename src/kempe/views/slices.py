@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Generator
+from datetime import timedelta
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -115,5 +116,28 @@ def progress(
         def said(done: int, length: float | None = None) -> None:
             at = "" if length is None else f", arc length {length:.3g}"
             bar.update(task, completed=done, description=what if count else f"{done} {what}{at}")
+
+        yield said
+
+
+@contextlib.contextmanager
+def paced(file: TextIO, what: str) -> Generator[Callable[..., None] | None, None, None]:
+    """What work calls with how much is done, of how much, how much a second, and the seconds left.
+
+    Nothing where `file` is no terminal.
+    """
+    if not file.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[pace]}")
+    with Progress(*columns, console=Console(file=file), transient=True) as bar:
+        task = bar.add_task(what, pace="")
+
+        def said(done: int, total: int, rate: float, left: float) -> None:
+            time = str(timedelta(seconds=round(left))) if left < 1e8 else "?"
+            bar.update(task, completed=done, total=total, pace=f"{done:.4g} of {total:.4g}, {rate:.3g}/s, {time} left")
 
         yield said

@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike
 from kempe.calls import explained, numbers
 from kempe.errors import InputError, UnsupportedError, shown
 from kempe.kinematics.configuration import circles, has_loops, sampling_box
+from kempe.model.tree.coordinates import units
 from kempe.reals import is_whole
 from kempe.spatial import Array
 from kempe.views.drawing import page, style
-from kempe.views.facts import units
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,7 +11,7 @@ from polygons import polygon
 
 import kempe
 from kempe import Budget, Mechanism, Status
-from kempe.analysis.spaces.configuration.single_loop import polygon_of
+from kempe.analysis.spaces.configuration.polygons import polygon_of
 from kempe.errors import InputError
 from kempe.kinematics.closure_rows import characteristic_length
 from kempe.kinematics.measure import judge
@@ -103,8 +103,18 @@ def test_cranks_and_rods_with_the_spin_left_out():
     assert connects(system, system.configuration_space.path(a, c, budget=Budget(step=0.3)), a, c, 0.3)
 
 
-def test_six_bars_on_two_curves_are_not_called_proven():
-    system = kempe.load("watt_six_bar")
+@pytest.mark.parametrize("name", ["watt_six_bar", "slider_crank"])
+def test_two_curves_are_proven_to_be_apart(name):
+    system = kempe.load(name)
+    one, two = (part.paths[0].q for part in system.configuration_space.components().parts)
+    a, b, c = one[0], two[0], one[40]
+    none = system.configuration_space.path(a, b)
+    assert none.code is Status.NONE_EXISTS and "proven" in none.status
+    assert connects(system, system.configuration_space.path(a, c), a, c)
+
+
+def test_curves_without_a_proof_are_not_called_apart():
+    system = kempe.load("schatz")
     a, b = (part.paths[0].q[0] for part in system.configuration_space.components().parts)
     none = system.configuration_space.path(a, b)
     assert none.code is Status.NOT_FOUND and "no proof" in none.status

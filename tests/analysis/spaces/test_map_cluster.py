@@ -136,9 +136,9 @@ def test_the_time_limit_gives_tasks_up(cluster):
 
 
 def test_schedulers_that_are_not_there(monkeypatch):
-    from kempe.analysis.spaces.workspace import on_cluster
+    from kempe.analysis.maps import cluster
 
-    monkeypatch.setattr(on_cluster, "PATIENCE", 0.5)
+    monkeypatch.setattr(cluster, "PATIENCE", 0.5)
     with pytest.raises(InputError, match="no scheduler answers at 'tcp://127.0.0.1:1'"):
         made(10**6, client="tcp://127.0.0.1:1")
     with pytest.raises(InputError, match="must be a distributed.Client"):

@@ -19,6 +19,7 @@ from reached_sets import shell, two_bars
 
 import kempe
 from kempe import Budget, Status
+from kempe.analysis.maps import side_by_side
 from kempe.analysis.spaces.workspace import counting_runs, recipe, sample_parts
 from kempe.errors import DamagedError, InputError, KempeError, KernelsError
 
@@ -78,7 +79,7 @@ def test_a_map_depends_on_its_seed_only(hunt):
 
 
 def test_an_interrupted_map_is_gone_on_with(tmp_path, monkeypatch):
-    monkeypatch.setattr(counting_runs, "WAKE", 0.0)
+    monkeypatch.setattr(side_by_side, "WAKE", 0.0)
     path = tmp_path / "map.zarr"
     first = made(path, budget=interrupted_after(120_000))
     assert first.code is Status.INTERRUPTED and 120_000 <= first.samples < N and not path.exists()
@@ -115,7 +116,7 @@ def test_damaged_parts_are_found_and_drawn_again(tmp_path, how):
     folder = tmp_path / "map.zarr.parts"
     part = sorted(folder.glob("*.npy"))[1]
     if how == "list":
-        (folder / "parts.json").write_text("{")
+        (folder / "parts.jsonl").write_text("{\n")
     elif how == "gone":
         part.unlink()
     else:
@@ -152,8 +153,8 @@ def test_a_full_disk_midway_loses_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr(np, "save", full)
     with pytest.raises(KempeError, match="the disk is full; what was written before stands"):
         made(path)
-    listed = json.loads((tmp_path / "map.zarr.parts" / "parts.json").read_text())["parts"]
-    assert [part[:2] for part in listed] == [[0, 50_000], [50_000, 100_000]]
+    listed = (tmp_path / "map.zarr.parts" / "parts.jsonl").read_text().splitlines()[1:]
+    assert [json.loads(line.partition(" ")[2])[:2] for line in listed] == [[0, 50_000], [50_000, 100_000]]
     assert not list((tmp_path / "map.zarr.parts").glob("*.new"))
     assert np.array_equal(made(path).map.counts, made().map.counts)
 

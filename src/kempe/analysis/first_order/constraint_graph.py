@@ -189,16 +189,6 @@ class ConstraintGraph:
     slides: np.ndarray
     """Which velocities (nv,) of the system are slides; screws count as turns."""
 
-    @cached_property
-    def index(self) -> dict[str, int]:
-        """Number of each edge by name."""
-        return {e.name: i for i, e in enumerate(self.edges)}
-
-    @property
-    def rows(self) -> int:
-        """Number of equations of all loops and laws."""
-        return sum(x.rows for x in (*self.loops, *self.laws))
-
 
 @kept
 def structure(system: System) -> ConstraintGraph:

@@ -19,7 +19,7 @@ from kempe import spatial
 from kempe.analysis.first_order.constraint_graph import Edge, structure
 from kempe.analysis.first_order.rank import ClusterRank, Rank, rows_of_loop
 from kempe.analysis.first_order.screws import Screws
-from kempe.constraints.base import Op
+from kempe.constraints.base import COUNTS, Op, position_rows
 from kempe.description.parts import Declared, Joint
 from kempe.model.closures.implicit_form import ImplicitForm, implicit_form, screw, slides_along_z
 from kempe.model.tree.topology import natural
@@ -147,7 +147,7 @@ def _rows(system: System, rank: Rank, c: ClusterRank) -> list[_JointReaction]:
         wrenches[k] = R.T @ own
         edge = s.edges[s.loops[loop].edge]
         if isinstance(edge.of, Declared):
-            labels = ("F",) if len(R) == 1 else ("Fx", "Fy")
+            labels = _reactions(edge.of, system.dim)
             rows += [_JointReaction(edge.name, label, True, edge, x) for label, x in zip(labels, own, strict=True)]
     inside = np.tensordot(c.cluster.cells, wrenches, (0, 0))  # (edges, 6, stresses)
     for i, wrench in zip(c.cluster.edges, inside, strict=True):
@@ -170,6 +170,18 @@ def _rows(system: System, rank: Rank, c: ClusterRank) -> list[_JointReaction]:
         rows += [_JointReaction(law.title, label, False, None, x) for label, x in zip(labels, own, strict=True)]
         n += law.rows
     return rows
+
+
+def _reactions(of: Declared, dim: int) -> tuple[str, ...]:
+    """Names of what the rows of a declared constraint can carry, in the order of its screws."""
+    out: list[str] = []
+    for row in position_rows(of.of, dim):
+        if row.op in COUNTS:
+            count = COUNTS[row.op][dim]
+            out += ["Mx", "My", "Mz"][-count:] if row.op is Op.ROTATION else ["Mx", "My"][:count]
+        elif row.op not in (Op.TAPE, Op.CALL):
+            out.append(REACTIONS["xyz"[row.args[0]]] if row.op is Op.POINT else "F")
+    return tuple(out) if len(out) > 1 else (out[0][0],)
 
 
 def directions(at: Screws, i: int, edge: Edge, dim: int) -> tuple[tuple[str, ...], Array]:
@@ -249,7 +261,7 @@ def _choose(rows: Sequence[_JointReaction], count: int) -> list[list[_JointReact
             options = [(own, _independent(own, left, part)) for own in owners.values()]
             options = [(own, picked) for own, picked in options if picked]
             if options:
-                found = min(options, key=lambda o: (-len(o[1]) if o[0][0].edge else 0, o[0][0].rank))[1]
+                found = min(options, key=lambda o: (-len(o[1]) * bool(o[0][0].edge), o[0][0].rank))[1]
                 break
         if found is None:
             break
@@ -290,10 +302,10 @@ def _release(rows: Sequence[_JointReaction], dim: int) -> Release:
     if edge is None:
         return Release(rows[0].owner, (), "")
     if isinstance(edge.of, Declared):
-        ops = [r.op for r in edge.of.of.rows(dim)]
-        if ops == [Op.POINT, Op.POINT] and len(rows) == 1 and dim == 3:
-            return Release(rows[0].owner, labels, "a point-on-plane pair")
-        return Release(rows[0].owner, labels, "")
+        held = _reactions(edge.of, dim)
+        every: set[str] = set(DIRECTIONS if dim == 3 else ("x", "y", "rz"))
+        free = every - {_DIRECTION_OF.get(name, "") for name in held if name not in labels}
+        return Release(rows[0].owner, labels, "" if len(rows) == len(held) else pair_name(free))
     more = {_direction(r) for r in rows}
     free = (rows[0].free & _existing(edge, dim)) | more
     if free == _existing(edge, dim):

@@ -58,15 +58,13 @@ class Screws:
         """What one row takes from the twist of frame M against F."""
         p, R, S = self.M[edge, :3, 3], self.F[edge, :3, :3], self.M[edge, :3, :3]
         d = p - self.F[edge, :3, 3]
-        if row.op is Op.ROTATION:
-            return np.hstack([np.zeros((3, 3)), np.eye(3)])[-COUNTS[row.op][dim] :]
-        if row.op is Op.TILT:
-            return np.hstack([np.zeros((3, 3)), R.T])[: COUNTS[row.op][dim]]
-        if row.op is Op.LOOK:  # z of M keeps to d: w x z - v / |d| across it
-            across = S[:, : COUNTS[row.op][dim]].T
-            size = float(np.linalg.norm(d)) or 1.0
-            about = np.cross(S[:, 2], across) - np.cross((p - self.center) / self.length, across / size)
-            return np.hstack([across / size, about])
+        if row.op in (Op.ROTATION, Op.TILT):
+            turns = np.hstack([np.zeros((3, 3)), R.T])
+            return turns[-COUNTS[row.op][dim] :] if row.op is Op.ROTATION else turns[: COUNTS[row.op][dim]]
+        if row.op is Op.LOOK:  # z of M keeps to -d: v / |d| + w x z across it; in the plane x of M is the normal
+            across = S[:, 2 - COUNTS[row.op][dim] : 2].T
+            along = across * (self.length / (float(np.linalg.norm(d)) or 1.0))
+            return np.hstack([along, np.cross(S[:, 2], across) + np.cross((p - self.center) / self.length, along)])
         along = R[:, row.args[0]] if row.op is Op.POINT else d / (float(np.linalg.norm(d)) or 1.0)
         return np.hstack([along, np.cross((p - self.center) / self.length, along)])[None]
 

@@ -283,8 +283,8 @@ def dimensions(equations: Equations, families: list[ConeFamily], order: int, rng
 
     Says whether the ways to find the dimension, and points where equations are smooth, agree.
     """
-    sound = True
-    for family in list(families):
+    sound, out = True, list[ConeFamily]()
+    for family in families:
         spots = family.spots
         for spot in spots:
             if spot.split.corank == 0:
@@ -301,9 +301,8 @@ def dimensions(equations: Equations, families: list[ConeFamily], order: int, rng
                 spot.dim, spot.tangent = like.dim, like.tangent if shaky else spot.split.null_space
         parts = _parted(family)
         sound &= shaky or len(parts) == 1
-        if shaky and len(parts) > 1:
-            families.remove(family)
-            families += parts
+        out += parts if shaky else [family]
+    families[:] = out
     return sound
 
 

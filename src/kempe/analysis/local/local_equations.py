@@ -129,7 +129,7 @@ class Equations:
         landing = self._project(q, q, 0.0, 0)
         return landing.value, landing.jacobian
 
-    def project(self, q: Array, centers: Array, radius: Array | float = 0.0, iterations: int = ITERATIONS) -> Landing:
+    def project(self, q: Array, centers: Array, radius: Array | float = 0.0) -> Landing:
         """Points of the solution set near q (N, nq).
 
         Where `radius` > 0 the points are sought at that distance from `centers` (N, nq) or (nq,).
@@ -139,11 +139,11 @@ class Equations:
         """
         q = np.array(q, dtype=float, order="C")
         q = q.reshape(math.prod(q.shape[:-1]), self.nq)
-        found = self._project(q, centers, radius, iterations)
+        found = self._project(q, centers, radius, ITERATIONS)
         radii = np.array(np.broadcast_to(np.asarray(radius, dtype=float), len(found.q)))
         left = self._left(found, radii)
         slow = np.flatnonzero((left > self.m * SHARP) & (left < BLUNT))
-        if iterations and len(slow):
+        if len(slow):
             self._finish(found, slow, left[slow], np.broadcast_to(centers, found.q.shape)[slow], radii[slow])
         return found
 
@@ -257,10 +257,3 @@ class Series:
         jet.jets(e.ints, e.floats, e.ties, e.numbers, self._q, self._v, first, last, self._poses, self._extra,
              self._frames, self._tapes, self.values)  # fmt: skip
         return self.values[:, last]
-
-    @property
-    def frames(self) -> Array:
-        """Series (n, 2 * number of ties, order + 1, 3, 4) of the frames that are tied."""
-        f = self._frames
-        R, p = f[..., :9].reshape(*f.shape[:-1], 3, 3), f[..., 9:, None]
-        return np.concatenate([R, p], axis=-1)

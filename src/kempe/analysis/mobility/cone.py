@@ -66,11 +66,6 @@ class Cone:
     rows: Array = field(repr=False)
     """The rows that are needed, in that basis: the cone across `free` is where they are not negative."""
 
-    @property
-    def kept(self) -> bool:
-        """Whether all that may move may move both ways: the active rows act as equations do."""
-        return self.dimension == self.lineality
-
     def ways(self, row: ArrayLike) -> ConeDirections:
         """Whether `row` @ v may be below and above zero, of a quantity with the gradient `row` (n,)."""
         row = np.asarray(row, dtype=float)

@@ -12,7 +12,6 @@ from typing import Any
 from kempe import constraints
 from kempe.constraints.base import FRAMES, NUMBERS, End, fields_of, needed_by
 from kempe.description.constrain import BETWEEN, between
-from kempe.description.dh.dh import add_dh, add_screws
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body
 from kempe.description.source import Source, decode, fail, folders_of, shorten
@@ -89,6 +88,8 @@ class _TomlReader:
 
     def chain(self, kind: str, table: dict[str, Any]) -> None:
         """Read the bodies and joints of [dh] or [screws]."""
+        from kempe.description.dh.dh import add_dh, add_screws
+
         rows, add = table["rows"], add_dh if kind == "dh" else add_screws
         wheres = [self.where(kind, "rows", i) for i in range(len(rows))]
         settings = {k: v for k, v in table.items() if k != "rows"}

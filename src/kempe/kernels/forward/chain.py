@@ -1,4 +1,4 @@
-"""Poses of the last frame of a chain, `LANES` configurations side by side.
+"""Poses of the last frame of a chain, or parts of them, `LANES` configurations side by side.
 
 What a row costs depends on the form of its placement: GENERAL is any, RX is [Rx(alpha) | p], and RX_FLAT
 moreover has p_y = 0 (Denavit and Hartenberg 1955, modified as by Craig 1986); `model.tree.gauge` makes such rows.
@@ -7,13 +7,11 @@ The pose stays in twelve registers, one for each entry, named as three matrix ro
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from kempe.kernels.base._jit import device, kernel
 from kempe.kernels.base.declare import OUT, F, I
-from kempe.kernels.base.trig import REACH, sincos
+from kempe.kernels.base.trig import REACH
 from kempe.kernels.base.vectors import (
     LANES,
     all_between,
@@ -26,6 +24,15 @@ from kempe.kernels.base.vectors import (
     square_root,
     store,
     store_columns,
+    where,
+)
+from kempe.kernels.forward.chain_positions import (
+    LARGEST_SQUARE,
+    SMALLEST_SQUARE,
+    position_lanes,
+    sincos_of,
+    store_points,
+    unit_quaternion,
 )
 from kempe.kernels.forward.table_layout import (
     BALL,
@@ -44,11 +51,11 @@ from kempe.kernels.forward.table_layout import (
     SLIDE,
     TURN,
 )
-from kempe.kernels.forward.table_rows import rotation, with_offset
+from kempe.kernels.forward.table_rows import rotation
 from kempe.kernels.forward.table_sweep import pose_at
 
-SMALLEST_SQUARE, LARGEST_SQUARE = 1e-200, 1e200
-"""Squared norms of quaternions that lanes normalise without scaling."""
+POSE, ROWS, POSITION_QUATERNION, POSITION = 16, 12, 7, 3
+"""Numbers that are written of a pose: all, the upper three rows, position with quaternion wxyz, position."""
 
 
 @device
@@ -139,38 +146,32 @@ def count_variables(ints):
 @device
 def read_variables(ints, floats, q, start, nq, variables):
     """Whether all lanes can be swept; `variables` gets sine and cosine, slide, or quaternion of each row."""
-    near = True
+    near, far = True, spread_lanes(0.0)
     k = 0
     for row in range(ints[N_ROWS]):
         kind, index = ints[HEADER + ROW_INTS * row + KIND], start + ints[HEADER + ROW_INTS * row + Q_INDEX]
         kx = ROW_FLOATS * row
         multiplier = floats[kx + MULTIPLIER]
-        first = gather(q, index, nq)
+        if kind == BALL:
+            sound, (w, x, y, z) = unit_quaternion(q, index, nq, multiplier)
+            near &= sound
+            store(variables, k, w)
+            store(variables, k + LANES, x)
+            store(variables, k + 2 * LANES, y)
+            store(variables, k + 3 * LANES, z)
+            k += 4 * LANES
+            continue
+        theta = multiplier * gather(q, index, nq)
+        far = far + abs(theta)
         if kind == TURN:
-            theta = multiplier * first
-            near &= all_between(-REACH, theta, REACH)
-            s, c = sincos(theta)
-            s, c = with_offset(floats, kx, s, c)
+            s, c = sincos_of(floats, kx, theta)
             store(variables, k, s)
             store(variables, k + LANES, c)
             k += 2 * LANES
-        elif kind == SLIDE:
-            theta = multiplier * first
-            near &= all_between(-REACH, theta, REACH)
+        else:
             store(variables, k, theta)
             k += LANES
-        else:
-            x, y, z = gather(q, index + 1, nq), gather(q, index + 2, nq), gather(q, index + 3, nq)
-            square = first * first + x * x + y * y + z * z
-            near &= all_between(SMALLEST_SQUARE, square, LARGEST_SQUARE)
-            scale = 1.0 / square_root(square)
-            sign = math.copysign(1.0, multiplier) * scale
-            store(variables, k, first * scale)
-            store(variables, k + LANES, x * sign)
-            store(variables, k + 2 * LANES, y * sign)
-            store(variables, k + 3 * LANES, z * sign)
-            k += 4 * LANES
-    return near
+    return near and all_between(0.0, far, REACH)
 
 
 @device
@@ -188,8 +189,8 @@ def strays(ints, floats, q, start):
 
 
 @device
-def sweep_lanes(ints, floats, variables, out, first):
-    """Write LANES poses from out[first:] on."""
+def sweep_lanes(ints, floats, variables):
+    """The matrix rows of LANES poses, of which `read_variables` has kept the variables."""
     n_rows = ints[N_ROWS]
     u, v, w = spread_row(floats, 0), spread_row(floats, 4), spread_row(floats, 8)
     row = k = 0
@@ -214,37 +215,107 @@ def sweep_lanes(ints, floats, variables, out, first):
         form = ints[HEADER + ROW_INTS * row + FORM]
         u, v, w = times_placement(form, u, v, w, floats, ROW_FLOATS * row)
     u, v, w = times_placement(GENERAL, u, v, w, floats, ROW_FLOATS * n_rows)
-    zero, one = spread_lanes(0.0), spread_lanes(1.0)
     if ints[HEADER + ROW_INTS * n_rows + PARTICLE]:
+        zero, one = spread_lanes(0.0), spread_lanes(1.0)
         u, v, w = (one, zero, zero, u[3]), (zero, one, zero, v[3]), (zero, zero, one, w[3])
-    store_columns(out, first, 16, u[0], u[1], u[2], u[3])
-    store_columns(out, first + 4, 16, v[0], v[1], v[2], v[3])
-    store_columns(out, first + 8, 16, w[0], w[1], w[2], w[3])
-    store_columns(out, first + 12, 16, zero, zero, zero, one)
+    return u, v, w
 
 
-@kernel(I("_"), F("_"), F("N", "_"), OUT("N", 4, 4))
+@device
+def quaternion(u, v, w):
+    """Unit quaternion wxyz, w >= 0, of the rotation in matrix rows, by the largest component (Shepperd 1978)."""
+    a, b, c = u[0], v[1], w[2]
+    wx, wy, wz = w[1] - v[2], u[2] - w[0], v[0] - u[1]
+    xy, xz, yz = v[0] + u[1], u[2] + w[0], w[1] + v[2]
+    ww, xx, yy, zz = 1.0 + a + b + c, 1.0 + a - b - c, 1.0 - a + b - c, 1.0 - a - b + c
+    best, p, q, r, s = larger(xx, wx, xx, xy, xz, ww, ww, wx, wy, wz)
+    best, p, q, r, s = larger(yy, wy, xy, yy, yz, best, p, q, r, s)
+    best, p, q, r, s = larger(zz, wz, xz, yz, zz, best, p, q, r, s)
+    scale = 0.5 / square_root(best)
+    scale = where(0.0 > p, -scale, scale)
+    return p * scale, q * scale, r * scale, s * scale
+
+
+@device
+def larger(new, p, q, r, s, best, a, b, c, d):
+    """The first five numbers where `new` is larger than `best`, else the others."""
+    take = new > best
+    return where(take, new, best), where(take, p, a), where(take, q, b), where(take, r, c), where(take, s, d)
+
+
+@device
+def write_lanes(width, u, v, w, out, first):
+    """Write `width` numbers of each of LANES poses from out[first:] on."""
+    if width == POSITION_QUATERNION:
+        a, b, c, d = quaternion(u, v, w)
+        store_columns(out, first, width, u[3], v[3], w[3], a)
+        store_columns(out, first + 3, width, a, b, c, d)
+        return
+    store_columns(out, first, width, u[0], u[1], u[2], u[3])
+    store_columns(out, first + 4, width, v[0], v[1], v[2], v[3])
+    store_columns(out, first + 8, width, w[0], w[1], w[2], w[3])
+    if width == POSE:
+        zero, one = spread_lanes(0.0), spread_lanes(1.0)
+        store_columns(out, first + 12, width, zero, zero, zero, one)
+
+
+@device
+def write_one(width, pose, out, first):
+    """Write `width` numbers of one pose (4, 4) from out[first:] on."""
+    if width >= ROWS:
+        for k in range(width):
+            out[first + k] = pose[k]
+        return
+    for k in range(3):
+        out[first + k] = pose[4 * k + 3]
+    if width == POSITION_QUATERNION:
+        u, v = (pose[0], pose[1], pose[2], 0.0), (pose[4], pose[5], pose[6], 0.0)
+        a, b, c, d = quaternion(u, v, (pose[8], pose[9], pose[10], 0.0))
+        out[first + 3], out[first + 4], out[first + 5], out[first + 6] = a, b, c, d
+
+
+@kernel(I("_"), F("_"), F("N", "_"), OUT("N", "_"))
 def chain_poses(ints, floats, q, out):
-    """Number of bad configurations; writes the poses (N, 4, 4) of a chain's one output at q (N, nq).
+    """Number of bad configurations; writes w numbers of the poses of a chain's one output at q (N, nq) to out (N, w).
 
-    A last block that is not full begins earlier and repeats some. One at a time go: fewer configurations than
-    lanes, and those with a coordinate beyond the polynomials' reach. No lane depends on the others.
+    What these are w says: `POSE`, `ROWS`, `POSITION_QUATERNION`, `POSITION`. A last block that is not full begins
+    earlier and repeats some; fewer configurations than lanes are repeated, too, so that no answer depends on the
+    others. One at a time go those with a coordinate beyond the polynomials' reach.
     """
     n, nq = q.shape
-    scratch = np.empty(count_variables(ints) * LANES)
+    width, total = out.shape[1], count_variables(ints)
+    few = 0 < n < LANES
+    scratch = np.empty(total * LANES + 4 * LANES + POSE + (LANES * (nq + width) if few else 0))
     i_, f_, q_, out_, variables = raw(ints), raw(floats), raw(q), raw(out), raw(scratch)
-    side_by_side = n >= LANES and ints[N_ROWS] > 0
-    strayed = 0 if not side_by_side else n  # where to begin to look for those that go alone
-    if side_by_side:
-        for block in range(0, n, LANES):
-            start = min(block, n - LANES)
+    spare, alone = raw(scratch[total * LANES :]), raw(scratch[total * LANES + 4 * LANES :])
+    held = raw(scratch[total * LANES + 4 * LANES + POSE :])
+    count = n
+    if few:
+        for i in range(LANES):
+            for k in range(nq):
+                held[i * nq + k] = q_[min(i, n - 1) * nq + k]
+        q_, out_, count = held, raw(scratch[total * LANES + 4 * LANES + POSE + LANES * nq :]), LANES
+    side_by_side = ints[N_ROWS] > 0
+    strayed = count if side_by_side else 0  # where to begin to look for those that go alone
+    for block in range(0, strayed, LANES):
+        start = min(block, count - LANES)
+        if width == POSITION:
+            near, p = position_lanes(i_, f_, q_, start * nq, nq)
+            store_points(out_, start * width, count - start, p, spare)
+        else:
             near = read_variables(i_, f_, q_, start * nq, nq, variables)
-            sweep_lanes(i_, f_, variables, out_, start * 16)
-            if rarely(not near):
-                strayed = min(strayed, start)
+            u, v, w = sweep_lanes(i_, f_, variables)
+            write_lanes(width, u, v, w, out_, start * width)
+        if rarely(not near):
+            strayed = min(strayed, start)
     bad = 0
     for i in range(strayed, n):
         if not side_by_side or strays(i_, f_, q_, i * nq):
-            bad += pose_at(i_, f_, q_, i * nq, out_, 16 * i)
+            bad += pose_at(i_, f_, q_, i * nq, alone, 0)
+            write_one(width, alone, out_, i * width)
+    if few:
+        target = raw(out)
+        for k in range(n * width):
+            target[k] = out_[k]
     keep(scratch)
     return bad

@@ -5,10 +5,13 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, wait
+from typing import TYPE_CHECKING
 
 from kempe.errors import InputError
 from kempe.reals import is_whole
+
+if TYPE_CHECKING:
+    from concurrent.futures import ThreadPoolExecutor
 
 _lock = threading.Lock()
 _pools: dict[int, ThreadPoolExecutor] = {}
@@ -56,6 +59,8 @@ def over_chunks(
         finally:
             for _ in starts:
                 pass
+
+    from concurrent.futures import ThreadPoolExecutor, wait  # which imports what one thread does not need
 
     with _lock:
         pool = _pools.get(n)

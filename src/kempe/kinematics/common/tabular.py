@@ -56,3 +56,38 @@ def table_file(path: str | Path) -> Path:
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"{path}: results are written to {' or '.join(SUFFIXES)} files")
     return path
+
+
+def as_numbers(parts: Sequence[str], what: str) -> list[float]:
+    """The numbers that texts are. Errors: `InputError` naming the one that is none."""
+    try:
+        return [float(part) for part in parts]
+    except ValueError:
+        bad = next(part.strip() for part in parts if not is_number(part))
+        raise InputError(f"{what}: {bad!r} is not a number; write numbers with commas between them") from None
+
+
+def is_number(text: str) -> bool:
+    """Whether a text is a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def header_of(line: str) -> list[str] | None:
+    """The names that a first line of a .csv holds; None where it has numbers."""
+    cells = line.split(",")
+    return None if any(map(is_number, cells)) else [name.strip().strip('"') for name in cells]
+
+
+def rows_of_text(path: Path, lines: Sequence[tuple[int, str]], width: int) -> Array:
+    """The numbers (n, width) of lines of a .csv, each with its number in the file. Errors: `InputError`."""
+    out = np.empty((len(lines), width))
+    for row, (line, text) in zip(out, lines, strict=True):
+        cells = text.split(",")
+        if len(cells) != width:
+            raise InputError(f"{path}:{line}: {len(cells)} values; the first line has {width}")
+        row[:] = as_numbers(cells, f"{path}:{line}")
+    return out

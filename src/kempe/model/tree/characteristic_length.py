@@ -11,6 +11,7 @@ import numpy as np
 from kempe.joints import Fixed
 from kempe.model.tree.own_tree import own_tree
 from kempe.model.tree.primitive_table import Table
+from kempe.reals import median
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -38,7 +39,7 @@ def characteristic_length(system: System) -> float:
             found.append(spread)
     if found:
         least = SHORT * sorted(found)[-2:][0]
-        return float(np.median([x for x in found if x > least]))
+        return median([x for x in found if x > least])
     table = own_tree(system).structure.table
     found = np.linalg.norm(table.placement[..., :3, 3], axis=-1).ravel().tolist()
     found += [float(np.linalg.norm(np.asarray(X)[..., :3, 3], axis=-1).max()) for _, X, _ in table.at.values()]

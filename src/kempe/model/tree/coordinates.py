@@ -71,11 +71,28 @@ class Coordinates:
 def coordinate_names(mechanism: Mechanism, joint: Joint) -> list[str]:
     """Full names of a joint's coordinates: the joint's name, or 'joint.x' where it has several."""
     particle = mechanism.bodies[joint.child].particle
-    return [_full(joint.name, c) for c in joint.type.coordinates(mechanism.dim, particle)]
+    return [coordinate_name(joint.name, c) for c in joint.type.coordinates(mechanism.dim, particle)]
 
 
-def _full(joint: str, coordinate: str) -> str:
+def coordinate_name(joint: str, coordinate: str) -> str:
+    """The full name of a joint's coordinate, which has a name of its own where the joint has several."""
     return f"{joint}.{coordinate}" if coordinate else joint
+
+
+def units(system: System) -> dict[str, str]:
+    """Unit of every coordinate and velocity coordinate by name: 'rad', 'm', or '' in a quaternion."""
+    out: dict[str, str] = {}
+    bodies = system.mechanism.bodies
+    for joint in system.structure.joints.values():
+        particle = bodies[joint.child].particle
+        names, primitives = joint.type.layout(system.dim, particle)
+        own = {p.coordinate: "m" for p in primitives if p.kind == P}
+        own |= {p.coordinate: "rad" for p in primitives if p.kind == R}  # of a screw, too
+        for i, name in enumerate(names):
+            out[coordinate_name(joint.name, name)] = own.get(i, "")
+        for name in joint.type.velocities(system.dim, particle):
+            out.setdefault(coordinate_name(joint.name, name), "rad")
+    return out
 
 
 def coordinates_of(mechanism: Mechanism) -> Coordinates:
@@ -87,16 +104,16 @@ def coordinates_of(mechanism: Mechanism) -> Coordinates:
         particle = mechanism.bodies[joint.child].particle
         names, primitives = joint.type.layout(mechanism.dim, particle)
         for name in dict.fromkeys(names + joint.type.velocities(mechanism.dim, particle)):
-            full = _full(joint.name, name)
+            full = coordinate_name(joint.name, name)
             if full in taken:
                 refuse(f"joint {joint.name!r}", f"its coordinate {full!r} has the same name as one of joint "
                         f"{taken[full]!r}", joint.where, "rename one of the joints")  # fmt: skip
             taken[full] = joint.name
         for name in names:
-            every[_full(joint.name, name)] = joint
+            every[coordinate_name(joint.name, name)] = joint
         for p in primitives:
             if p.kind == Q:
-                balls |= {_full(joint.name, n) for n in names[p.coordinate : p.coordinate + 4]}
+                balls |= {coordinate_name(joint.name, n) for n in names[p.coordinate : p.coordinate + 4]}
     followers, relations = _resolve(mechanism, every, balls)
     _check_written(mechanism, every, balls)
     every_name: list[str] = []
@@ -110,14 +127,14 @@ def coordinates_of(mechanism: Mechanism) -> Coordinates:
         # a screw, or a turn that is geared down, counts as a slide: it returns only by going back
         kinds |= {p.coordinate: P for p in primitives if p.kind != Q and not _returns(p, 1.0)}
         for i, name in enumerate(local):
-            full = _full(joint.name, name)
+            full = coordinate_name(joint.name, name)
             if full in followers or i not in kinds:
                 continue
             size = 4 if kinds[i] == Q else 1
             first[full] = (len(every_name), len(velocity_names))
             triples.append((kinds[i], len(every_name), len(velocity_names)))
-            every_name += [_full(joint.name, n) for n in local[i : i + size]]
-            velocity_names += [full] if size == 1 else [_full(joint.name, w) for w in ("wx", "wy", "wz")]
+            every_name += [coordinate_name(joint.name, n) for n in local[i : i + size]]
+            velocity_names += [full] if size == 1 else [coordinate_name(joint.name, w) for w in ("wx", "wy", "wz")]
     layout = layout_of(triples, len(every_name), len(velocity_names))
     lower, upper, speed = _limits(mechanism, velocity_names, followers)
     turning = np.zeros(len(velocity_names), dtype=bool)
@@ -269,7 +286,7 @@ def _limits(
     setter: list[str] = [""] * len(index)
     for joint in mechanism.joints.values():
         for local in joint.type.velocities(mechanism.dim, mechanism.bodies[joint.child].particle):
-            name = _full(joint.name, local)
+            name = coordinate_name(joint.name, local)
             low, high = joint.limits.get(local, (-math.inf, math.inf))
             fast = joint.velocity_limits.get(local, math.inf)
             follower = followers.get(name)

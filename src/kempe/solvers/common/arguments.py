@@ -47,11 +47,11 @@ def deadline(time_limit: Any) -> float:
 
 def seed_number(rng: object) -> int:
     """A whole number to draw from, of a generator or a number. Errors: `InputError`."""
+    if is_whole(rng) and 0 <= rng < 2**62:
+        return int(rng)
     if isinstance(rng, np.random.Generator):
         return int(rng.integers(2**62))
-    if not is_whole(rng) or not 0 <= rng < 2**62:
-        raise InputError(f"rng is {shown(rng)}; it must be a generator or a whole number, from 0 and below 2**62")
-    return int(rng)
+    raise InputError(f"rng is {shown(rng)}; it must be a generator or a whole number, from 0 and below 2**62")
 
 
 def tolerances(tolerance: Any) -> tuple[float, float]:

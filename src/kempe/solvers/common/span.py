@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kempe.kernels.forward.table_layout import placements_of
+from kempe.reals import median
 from kempe.spatial import Array
 
 NOISE = 1e-14
@@ -82,7 +83,7 @@ def span_of(ints: np.ndarray, floats: np.ndarray) -> Span:
     p = p[p.max(axis=1) > NOISE * p.max(initial=0.0)]
     if not p.any():
         return Span(0.0, 0.0, 0.0, away)
-    return Span(float(p[p > 0.0].min()), float(p.max()), float(np.median(p.max(axis=1))), away)
+    return Span(float(p[p > 0.0].min()), float(p.max()), median(p.max(axis=1)), away)
 
 
 def offsets(ints: np.ndarray, floats: np.ndarray) -> Array:
@@ -102,7 +103,7 @@ def evened(ints: np.ndarray, floats: np.ndarray) -> Array | None:
     steps = np.abs(p).max(axis=1)
     if not steps.any():
         return None
-    middle = float(np.median(steps[steps > NOISE * steps.max()]))
+    middle = median(steps[steps > NOISE * steps.max()])
     p = np.where(np.abs(p) > NOTHING * middle, p, 0.0)
     sizes = np.abs(p[np.nonzero(p)])
     if middle / EVEN <= sizes.min() and sizes.max() <= middle * EVEN:

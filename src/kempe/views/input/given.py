@@ -12,6 +12,7 @@ from kempe import spatial
 from kempe.description.source import expanded
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import has_loops
+from kempe.model.tree.coordinates import units
 from kempe.views import facts, report, rows
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ def _check_coordinate(system: System, name: str, frames: bool) -> None:
 
 
 def _factor(system: System, name: str, degrees: bool) -> float:
-    return facts.DEGREE if degrees and facts.units(system).get(name) == "rad" else 1.0
+    return facts.DEGREE if degrees and units(system).get(name) == "rad" else 1.0
 
 
 def _columns(system: System, path: Path, degrees: bool) -> dict[str, Any]:

@@ -17,8 +17,9 @@ from kempe.description.source import Source, decode, expanded, no_file, shorten
 from kempe.description.toml.toml_document import Document
 from kempe.errors import InputError, UnknownNameError, hint
 from kempe.kinematics.tasks.task_classes import task_of
+from kempe.model.tree.coordinates import units
 from kempe.views import rows
-from kempe.views.facts import DEGREE, units
+from kempe.views.facts import DEGREE
 
 if TYPE_CHECKING:
     from kempe.model.system import System

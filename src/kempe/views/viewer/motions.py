@@ -49,9 +49,9 @@ def motion_from(system: System, path: Any) -> Motion | None:
     q, _ = motion_of(system, path)
     if q is None:
         return None
-    own = getattr(path, "t", None)
-    timed = isinstance(own, np.ndarray) and own.shape == q.shape[:1]
-    t = own if isinstance(own, np.ndarray) and timed else np.linspace(0.0, SLOW, len(q))
+    own: Any = getattr(path, "t", None)
+    timed = np.shape(own) == q.shape[:1]
+    t = np.asarray(own, dtype=float) if timed else np.linspace(0.0, SLOW, len(q))
     finite = np.isfinite(q).all(axis=1) & np.isfinite(t)
     return Motion(q[finite], t[finite] - t[finite][0], timed)
 

@@ -250,7 +250,7 @@ def _of_ends(ends: Array) -> Array:
 
 
 def _is_length(system: System) -> list[bool]:
-    from kempe.views.facts import units
+    from kempe.model.tree.coordinates import units
 
     unit = units(system)
     return [unit.get(name) == "m" for name in system.coordinate_names]

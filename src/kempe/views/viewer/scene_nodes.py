@@ -73,7 +73,7 @@ class Drawn:
     def seen(self) -> tuple[Scene, Array]:
         """The scene that was drawn, and poses (carriers, 4, 4) of the ground seen from the carriers in it."""
         q = self.rigid.q
-        return look(self.system, q), np.linalg.inv(self.rigid.poses(q))
+        return look(self.system, q), spatial.inverse(self.rigid.poses(q))
 
     @cached_property
     def outlines(self) -> tuple[tuple[int, Any], ...]:

@@ -15,10 +15,10 @@ from kempe.kinematics.closure_rows import evaluate
 from kempe.kinematics.configuration import as_q, distance, has_loops, mid, random
 from kempe.kinematics.forward import fk
 from kempe.kinematics.measure import judge
+from kempe.model.tree.coordinates import units
 from kempe.solvers.assembly.charts import Chart, independent
 from kempe.spatial import Array
 from kempe.views.drawing.scene import links_of, look
-from kempe.views.facts import units
 from kempe.views.viewer.motions import found, motion_from
 
 if TYPE_CHECKING:

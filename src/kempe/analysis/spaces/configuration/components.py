@@ -1,4 +1,4 @@
-"""Connected components of the configuration space: by theorem, or by tracing every curve that is found."""
+"""Connected components of the configuration space: by theorem, by proven sweeps, or by tracing what is found."""
 
 from __future__ import annotations
 
@@ -12,20 +12,23 @@ import numpy as np
 from kempe.analysis.continuation.path import Event, Path
 from kempe.analysis.motion.motion import trace
 from kempe.analysis.spaces.configuration.manifold import Manifold
-from kempe.analysis.spaces.configuration.single_loop import polygon_of, rod_count
+from kempe.analysis.spaces.configuration.polygons import polygon_of
+from kempe.analysis.spaces.curves.swept import Sweep, sweep_of
 from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods
+from kempe.kinematics.closure_rows import RANK_TOLERANCE
 from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import has_loops
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.solvers.assembly.idle import spins_of
 from kempe.solvers.common.arguments import start_count
-from kempe.solvers.common.clock import TIME_LIMIT, TimeLimit
+from kempe.solvers.common.clock import TIME_LIMIT, TimeLimit, TimeUp
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import counted
 
 if TYPE_CHECKING:
+    from kempe.analysis.mobility.mobility import Mobility
     from kempe.model.system import System
 
 STARTS, VALUES = 256, 24
@@ -37,7 +40,10 @@ USUAL = Usual("components", starts=STARTS, rng=0, time_limit=TIME_LIMIT)
 
 @dataclass(frozen=True, eq=False)
 class Component:
-    """A component with one freedom (idle spins left out): the curves that it consists of, joined at bifurcations."""
+    """A component with one freedom (idle spins left out): the curves that it consists of, joined at bifurcations.
+
+    One without a freedom is a path of one configuration.
+    """
 
     paths: tuple[Path, ...]
     still: np.ndarray = field(repr=False)
@@ -47,6 +53,18 @@ class Component:
     def length(self) -> float:
         """Length of all its curves, in radians and characteristic lengths."""
         return float(sum(p.length for p in self.paths))
+
+    @property
+    def alone(self) -> bool:
+        """Whether it was traced wholly, as one curve without singular points: so nothing else is joined to it."""
+        first = self.paths[0]
+        smooth = not any("not smooth" in end for end in first.ends)
+        return first.success and len(self.paths) == 1 and smooth and not first.singular_points
+
+    @property
+    def dimension(self) -> int:
+        """Its dimension, idle spins left out: 1, or 0 of a configuration that cannot move."""
+        return int(self.length > 0.0)
 
     @property
     def ranges(self) -> dict[str, tuple[float, float]]:
@@ -59,11 +77,8 @@ class Component:
     def singular_points(self) -> tuple[Event, ...]:
         """Where curves meet, or the rank drops otherwise, each once."""
         system = self.paths[0].system
-        found: list[Event] = []
-        for event in (e for p in self.paths for e in p.singular_points):
-            if not any(Manifold(system, 1).metric.distances(event.q[None], e.q[None])[0] < SAME for e in found):
-                found.append(event)
-        return tuple(found)
+        events = [e for p in self.paths for e in p.singular_points]
+        return tuple(events[k] for k in _first(system, np.array([e.q for e in events]).reshape(-1, system.nq)))
 
     def place(self, q: Array) -> tuple[np.ndarray, Array, Array]:
         """For configurations (k, nq) the curve (k,) that is nearest, the arc length (k,) there, and the distance (k,).
@@ -83,6 +98,8 @@ class Component:
 
     def __str__(self) -> str:
         first = self.paths[0]
+        if not self.dimension:
+            return "a configuration that cannot move"
         kind = "closed curve" if first.closed else "curve"
         turns = [f"{counted(abs(k), 'turn')} of {n!r}" for n, k in first.turns.items()]
         text = f"{kind} of length {first.length:.6g}" if len(self.paths) == 1 else \
@@ -111,6 +128,15 @@ def _nearest(path: Path, q: Array, useful: np.ndarray) -> tuple[Array, Array]:
         s[near] = np.clip(s[near] + np.sum(along * way, axis=1) / size, *((-np.inf, np.inf) if path.closed
                                                                           else (0.0, path.length)))  # fmt: skip
     return np.mod(s, path.length) if path.closed and path.length else s, np.where(far < NEAR, far, np.inf)
+
+
+def _first(system: System, q: Array) -> list[int]:
+    """Which of configurations (k, nq) are not the same as one before."""
+    metric, out = Manifold(system, 1).metric, list[int]()
+    for k, x in enumerate(q):
+        if not any(metric.distances(x[None], q[j][None])[0] < SAME for j in out):
+            out.append(k)
+    return out
 
 
 @explained_methods
@@ -159,8 +185,8 @@ class Components(Report):
 
     def _data(self) -> dict[str, Any]:
         names = self.system.coordinate_names
-        parts = [{"length": p.length, "curves": len(p.paths), "closed": all(x.closed for x in p.paths),
-                  "ranges": p.ranges} for p in self.parts]  # fmt: skip
+        parts = [{"dimension": p.dimension, "length": p.length, "curves": len(p.paths),
+                  "closed": all(x.closed for x in p.paths), "ranges": p.ranges} for p in self.parts]  # fmt: skip
         singular = [dict(zip(names, q.tolist(), strict=True)) for q in self.singular]
         own = {n: getattr(self, n) for n in ("count", "complete", "reason", "dimension", "idle", "late")}
         return {"system": self.system.name} | own | {"parts": parts, "singular": singular}
@@ -170,12 +196,14 @@ class Components(Report):
 def components(system: System, *, budget: Budget | None = None) -> Components:
     """The connected components of the configuration space, with the proof, or as a lower bound with the reason.
 
-    A tree has one. Planar single loops of revolute joints have as many as the theorem on long bars says, two cranks and
-    a rod between balls as many as the roots of a quartic say (see `single_loop`). Systems with one freedom are
-    traced, idle spins held, from random assemblies and, where these have a closed form, from the assembly modes at
-    24 values of each coordinate; curves that meet at bifurcations are one component, and limits cut curves. Without a
-    theorem a curve may be missed that none of them is on: the count is then a lower bound, as it is of other systems
-    with several freedoms. Of the `budget` are read: starts (256), rng (0), time_limit (120 s).
+    A tree has one. Planar single loops of revolute joints have as many as the theorem on long bars says. Systems with
+    one freedom, idle spins and joints outside loops left out, are swept over one coordinate with proven bounds where
+    their equations can be solved one after another: planar dyads, and spatial loops of four joints (see `curves`),
+    within limits, too. Their curves are traced from there; other systems with one freedom from random assemblies and,
+    where these have a closed form, from the assembly modes at 24 values of each coordinate. Curves that meet at
+    bifurcations are one component, and limits cut curves. Without a proof a curve may be missed, or a place where two
+    meet: then curves without singular points count, and all others as one. Systems with several freedoms have at least
+    one. Of the `budget` are read: starts (256), rng (0), time_limit (120 s).
     """
     spend = USUAL.of(budget)
     time = TimeLimit(spend.time_limit)
@@ -183,50 +211,105 @@ def components(system: System, *, budget: Budget | None = None) -> Components:
         divided = bool(one_sided_rows(system).declared)
         why = "one-sided constraints may divide it" if divided else "a product of circles, intervals and rotations"
         return Components(system, 1, not divided, why, system.nv)
-    polygon, rod = polygon_of(system), rod_count(system)
-    known = rod if not isinstance(rod, str) else None
-    if not isinstance(polygon, str):
-        known = polygon.count, polygon.reason
+    known, sweep, late = _proven(system, time)
     if known and not known[0]:
         return Components(system, 0, True, known[1], None)
     mobility = system.mobility()
     if not mobility.closed or mobility.dof is None:
-        return Components(system, 0, False, mobility.sentence, None)
-    if mobility.dof == 0:
+        return Components(system, 0, False, mobility.sentence, None, late=late)
+    if mobility.dof == 0 and known is None:
         modes = system.assembly_modes()
         return Components(system, len(modes), modes.complete, f"a structure, {modes.status}", 0)
+    polygon = polygon_of(system)
     singular = np.empty((0, system.nq)) if isinstance(polygon, str) else polygon.aligned()
     if mobility.useful != 1:
-        count, why = known or (1, f"no theorem is known here for {mobility.dof} freedoms; one configuration is known")
-        return Components(system, count, known is not None, why, mobility.dof, mobility.idle, (), singular)
-    parts, late = _traced(system, mobility.q, spend, time)
-    points = [e.q for part in parts for e in part.singular_points]
+        why = f"no theorem is known here for {mobility.dof} freedoms; one configuration is known"
+        least = sweep.count if sweep else 1
+        count, why = known or (least, sweep.reason if sweep and least > 1 else why)
+        return Components(system, count, known is not None, why, mobility.dof, mobility.idle, (), singular, late)
+    found = _traced(system, mobility, sweep, spend, time, known[0] if known else None)
+    points = [e.q for part in found.parts for e in part.singular_points] + [*(sweep.crossings if sweep else ())]
     singular = np.array(points).reshape(-1, system.nq)
-    if known is None:
-        limited = "limits cut its curves, and " if one_sided_rows(system).names else ""
-        why = f"{limited}a curve that no start led to may be missed"
-        return Components(system, len(parts), False, why, 1, mobility.idle, parts, singular, late)
-    found = "" if len(parts) == known[0] else f"; {counted(len(parts), 'curve')} traced"
-    return Components(system, known[0], True, known[1] + found, 1, mobility.idle, parts, singular, late)
+    singular = singular[_first(system, singular)]
+    count, why = _lower_bound(system, found, sweep) if known is None else (known[0], known[1] + found.said(known[0]))
+    return Components(system, count, known is not None, why, mobility.dof, mobility.idle, found.parts, singular,
+                      late or found.late)  # fmt: skip
 
 
-def _traced(system: System, home: Array, spend: Budget, time: TimeLimit) -> tuple[tuple[Component, ...], bool]:
-    """All components to which starts lead, and whether the time was up before all starts were used."""
-    still = moved_by_spins(system, home)
-    q, late = _starts(system, home, spend), False
-    parts: list[Component] = []
-    while len(q):
+def _proven(system: System, time: TimeLimit) -> tuple[tuple[int, str] | None, Sweep | None, bool]:
+    """The number and its proof, if there is one; the sweep over a coordinate; and whether the time was up."""
+    polygon = polygon_of(system)
+    known = None if isinstance(polygon, str) else (polygon.count, polygon.reason)
+    try:
+        sweep = sweep_of(system, time)
+    except TimeUp:
+        return known, None, True
+    if isinstance(sweep, str):
+        return known, None, False
+    return known or ((sweep.count, sweep.reason) if sweep.complete else None), sweep, False
+
+
+@dataclass(frozen=True)
+class Traced:
+    """Curves that were traced, `several` freedoms that were found at starts, and whether the time was up."""
+
+    parts: tuple[Component, ...]
+    several: frozenset[int]
+    late: bool
+
+    def said(self, known: int | None) -> str:
+        """What is to be said of them beside a number."""
+        text = "" if known in (None, len(self.parts)) else f"; {counted(len(self.parts), 'curve')} traced"
+        dims = " or ".join(map(str, sorted(self.several)))
+        return text + (f"; configurations with {dims} freedoms were found, too" if dims else "")
+
+
+def _lower_bound(system: System, found: Traced, sweep: Sweep | None) -> tuple[int, str]:
+    """The least number of components, and why."""
+    apart = sum(part.alone for part in found.parts)
+    count = apart + (len(found.parts) > apart)
+    if sweep and sweep.count >= count:
+        return sweep.count, sweep.reason + found.said(None)
+    limited = "limits cut its curves, and " if one_sided_rows(system).names else ""
+    why = f"{limited}a curve that no start led to may be missed"
+    met = len(found.parts) - apart
+    if met > 1:
+        why += f"; {met} curves with singular points, where they may meet, count as one"
+    return count, why + found.said(None)
+
+
+def _traced(
+    system: System, mobility: Mobility, sweep: Sweep | None, spend: Budget, time: TimeLimit, enough: int | None
+) -> Traced:  # fmt: skip
+    """All components to which starts lead: those of the sweep first, then random ones unless that was complete."""
+    still, home = moved_by_spins(system, mobility.q), mobility.q
+    own = np.empty((0, system.nq)) if sweep is None else sweep.starts[np.isfinite(sweep.starts).all(axis=1)]
+    whole = sweep is not None and sweep.complete and len(own) == sweep.count
+    q = own if whole else np.concatenate([home[None], own, _starts(system, home, spend)])
+    q, several = _of_one_freedom(system, q, mobility.dof or 1)
+    parts, late = list[Component](), False
+    while len(q) and len(parts) != enough:
         left = None if time.limit is None else time.end - monotonic()
         if left is not None and left <= 0.0:
-            return tuple(parts), True
+            return Traced(tuple(parts), several, True)
         path = trace(system, start=q[0], ways="branches", budget=Budget(time_limit=left))
         late |= path.late
         part = Component((path, *path.others), still)
-        if path.success:
+        if part.dimension or (path.success and not system.mobility(q[0]).dof):
             parts.append(part)
         q = q[1:]
         q = q[~part.contains(q)] if len(q) else q
-    return tuple(parts), late
+    return Traced(tuple(parts), several, late)
+
+
+def _of_one_freedom(system: System, q: Array, dof: int) -> tuple[Array, frozenset[int]]:
+    """Those of configurations (k, nq) at which the rank leaves `dof` freedoms, or as few as anywhere, and the true
+    numbers of others."""  # fmt: skip
+    s = np.linalg.svd(Manifold(system, 1).equations(q)[1], compute_uv=False)
+    left = system.nv - (s > RANK_TOLERANCE * s.max(axis=1, initial=1.0, keepdims=True)).sum(axis=1)
+    most = max(dof, int(left.min(initial=system.nv)))
+    others = {system.mobility(q[left == k][0]).dof or 0 for k in np.unique(left) if k > most}
+    return q[left <= most], frozenset(others - {0, 1})
 
 
 def moved_by_spins(system: System, q: Array) -> np.ndarray:

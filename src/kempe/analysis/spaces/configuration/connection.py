@@ -11,8 +11,9 @@ import numpy as np
 from kempe.analysis.motion.motion import trace
 from kempe.analysis.spaces.configuration.components import SAME, Component, moved_by_spins
 from kempe.analysis.spaces.configuration.manifold import CLOSED, Manifold
+from kempe.analysis.spaces.configuration.polygons import polygon_of
 from kempe.analysis.spaces.configuration.random_trees import joined
-from kempe.analysis.spaces.configuration.single_loop import polygon_of, rod_count
+from kempe.analysis.spaces.curves.swept import sweep_of
 from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods, generator
 from kempe.errors import InputError
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
 
 STEP = 0.1
 """Longest step of the motion unless the caller says otherwise, in radians and characteristic lengths."""
-PLAINLY = 1e-3
-"""Distance from a curve from which a configuration is surely not on it."""
 USUAL = Usual("path", step=STEP, rng=0, iterations=4000, time_limit=TIME_LIMIT)
 
 
@@ -141,6 +140,10 @@ def _closed(
         if sides[0] != sides[1]:
             why = f"they are on different components, proven: {polygon.reason}"
             return Connection(_no_way(system), Status.NONE_EXISTS, why, step, system)
+    sweep = sweep_of(system, time)
+    if not isinstance(sweep, str) and (labels := sweep.labels(np.stack([a, b])))[0] != labels[1] and labels.min() >= 0:
+        why = f"they are on different components, proven: {sweep.reason}"
+        return Connection(_no_way(system), Status.NONE_EXISTS, why, step, system)
     mobility = system.mobility(a)
     exact, _ = Manifold(system, 1).closed(np.stack([a, b]))
     if mobility.useful == 1:
@@ -167,9 +170,6 @@ def _elsewhere(part: Component, ends: Array) -> tuple[Status, str] | None:
     far, first = part.place(ends)[2], part.paths[0]
     if far[1] < SAME:
         return None
-    rod = rod_count(first.system)
-    if not isinstance(rod, str) and rod[0] == 2 and first.closed and far[1] > PLAINLY:
-        return Status.NONE_EXISTS, f"they are on different components, proven: there are two, for {rod[1]}"
     whole = "was traced wholly" if first.success else f"was traced in part ({first.status})"
     return (
         Status.NOT_FOUND,

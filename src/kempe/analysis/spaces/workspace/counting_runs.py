@@ -1,50 +1,25 @@
-"""Ranges of samples counted in threads, with the time left, and stopped without loss."""
+"""Ranges of samples counted in threads, and stopped without loss."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from typing import Any
 
 import numpy as np
 
+from kempe.analysis.maps.side_by_side import ThreadWorkers, finished, thread_count
 from kempe.analysis.spaces.workspace.recipe import Recipe
-from kempe.errors import InputError, shown
-from kempe.kinematics.common.parallel import processors
-from kempe.reals import is_whole
 from kempe.solvers.common.clock import BROKEN_OFF, TimeLimit
 
 SHARED_BYTES = 256 * 2**20
 """Memory for the counts of all threads together; where each cannot have its own, they share."""
-WAKE = 0.2
-"""Seconds between two looks at the clock."""
-
-
-class Pace:
-    """Says how far the work is: calls `progress(done, total, samples a second, seconds left)` now and then."""
-
-    def __init__(self, progress: Callable[..., Any] | None, done: int, total: int):
-        self.progress, self.before, self.total = progress, done, total
-        self.begin = self.said = time.monotonic()
-
-    def __call__(self, done: int, at_once: bool = False) -> None:
-        """Say that so many samples are done, if it is time, or at once."""
-        now = time.monotonic()
-        if self.progress is None or (now - self.said < WAKE and not at_once):
-            return
-        self.said = now
-        rate = (done - self.before) / max(now - self.begin, 1e-9)
-        self.progress(done, self.total, rate, (self.total - done) / rate if rate > 0.0 else float("inf"))
 
 
 class Threads:
     """Threads that count ranges of samples of a recipe, each range in pieces that are begun in order."""
 
     def __init__(self, recipe: Recipe, threads: int | None):
-        if threads is not None and (not is_whole(threads) or threads < 1):
-            raise InputError(f"threads is {shown(threads)}; it must be None (all) or a whole number, at least 1")
-        self.recipe, self.n = recipe, int(threads or processors())
+        self.recipe, self.n = recipe, thread_count(threads)
         own = max(1, min(self.n, SHARED_BYTES // (4 * recipe.entries)))
         self.counts = [np.zeros(recipe.entries, dtype=np.uint32) for _ in range(own)]
 
@@ -57,34 +32,27 @@ class Threads:
         """
         for counts in self.counts:
             counts[:] = 0
-        piece, starts = self.recipe.piece, iter(range(first, last, self.recipe.piece))
-        slots, stop, broken = list(range(self.n)), first, None
-        running: dict[Future[Any], int] = {}
-        with ThreadPoolExecutor(self.n, thread_name_prefix="kempe") as pool:
+        piece, free, stop, done, broken = self.recipe.piece, list(range(self.n)), first, first, None
+        with ThreadWorkers(self.n) as workers:
+
+            def begin(start: int, _: int) -> Any:
+                nonlocal stop
+                stop = min(start + piece, last)
+                return workers.submit(self._piece, start, stop, free.pop())
+
             try:
-                while True:
-                    while slots and (start := next(starts, None)) is not None:
-                        slot, stop = slots.pop(), min(start + piece, last)
-                        into = self.counts[slot % len(self.counts)]
-                        running[pool.submit(self.recipe.count, start, stop, into)] = slot
-                    if not running:
-                        break
-                    self._collect(running, slots)
-                    said(stop - piece * len(running))
-                    clock.check()
+                for _, slot in finished(workers, range(first, last, piece), begin, clock.check):
+                    free.append(slot)
+                    done = min(done + piece, last)
+                    said(done)
             except BROKEN_OFF as error:
                 broken = error
-                while running:
-                    self._collect(running, slots)
         total = self.counts[0]
         for counts in self.counts[1:]:
             total += counts
         return total, stop, broken
 
-    @staticmethod
-    def _collect(running: dict[Future[Any], int], slots: list[int]) -> None:
-        """Take the slots of pieces that are done, and raise what went wrong in them."""
-        done, _ = wait(running, timeout=WAKE, return_when=FIRST_COMPLETED)
-        for future in done:
-            slots.append(running.pop(future))
-            future.result()
+    def _piece(self, start: int, stop: int, slot: int) -> int:
+        """Count a piece into the counts of a slot, which is then free."""
+        self.recipe.count(start, stop, self.counts[slot % len(self.counts)])
+        return slot

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from kempe.analysis.maps.zarr_folders import add_array, consolidate, format_of, refuse_place, take_place, zarr_library
 from kempe.analysis.spaces.workspace.cell_map import CellMap, Grid
 from kempe.analysis.spaces.workspace.sample_parts import checksum_of
-from kempe.errors import DamagedError, DiskError, InputError, KempeError, MissingExtraError
-
-if TYPE_CHECKING:
-    from kempe.model.system import System
+from kempe.errors import DamagedError, DiskError, InputError
 
 FORMAT = "kempe workspace 1"
 CHUNK = 64
@@ -36,30 +32,10 @@ class Stored:
     toml: str | None
 
 
-def zarr_library() -> Any:
-    """The package zarr. Errors: `MissingExtraError`."""
-    try:
-        import zarr
-    except ImportError:
-        raise MissingExtraError("zarr", "scale") from None
-    return zarr
-
-
-def description_of(system: System) -> str | None:
-    """The system as TOML text, to be read again; None where it holds what no file can, such as functions."""
-    from kempe.description.toml.toml_writer import write_toml
-
-    try:
-        return write_toml(system.mechanism)
-    except KempeError:
-        return None
-
-
 def write_map(path: Path, stored: Stored) -> None:
     """Write a map, which is then there whole or not at all. Errors: `DiskError`, `MissingExtraError`, `InputError`."""
     zarr = zarr_library()
-    if path.exists() and not is_map(path):
-        raise InputError(f"{path}: there is something else than a map; take another path")
+    refuse_place(path, FORMAT)
     beside = path.with_name(path.name + ".new")
     try:
         shutil.rmtree(beside, ignore_errors=True)
@@ -68,26 +44,15 @@ def write_map(path: Path, stored: Stored) -> None:
         axes, counts = stored.map.axes, stored.map.counts
         chunks = tuple(min(CHUNK, k) for k in counts.shape)
         kind = np.uint32 if counts.max(initial=0) < 2**32 else np.uint64
-        array = group.create_array(
-            "counts", shape=counts.shape, dtype=kind, chunks=chunks, dimension_names=tuple(axes),
-            attributes={"long_name": "samples in the cell", "units": "1"},
-        )  # fmt: skip
+        array = add_array(group, "counts", counts.shape, kind, chunks, tuple(axes), long_name="samples in the cell",
+                          units="1")  # fmt: skip
         array[...] = counts.astype(kind)
         for name, middles in axes.items():
-            array = group.create_array(
-                name, shape=middles.shape, dtype=np.float64, chunks=middles.shape, dimension_names=(name,),
-                attributes={"units": stored.map.unit, "long_name": f"{name} in the ground frame"},
-            )  # fmt: skip
+            array = add_array(group, name, middles.shape, np.float64, middles.shape, (name,), units=stored.map.unit,
+                              long_name=f"{name} in the ground frame")  # fmt: skip
             array[...] = middles
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # that not all readers of Zarr know the one file of all descriptions
-            zarr.consolidate_metadata(str(beside))
-        former = path.with_name(path.name + ".former")
-        shutil.rmtree(former, ignore_errors=True)
-        if path.exists():
-            os.replace(path, former)
-        os.replace(beside, path)
-        shutil.rmtree(former, ignore_errors=True)
+        consolidate(beside)
+        take_place(beside, path)
     except OSError as error:
         shutil.rmtree(beside, ignore_errors=True)
         raise DiskError(f"{path} cannot be written: {error.strerror or error}") from error
@@ -99,20 +64,12 @@ def _attributes(stored: Stored) -> dict[str, Any]:
     return {"title": f"workspace of {stored.said['frame']}", "format": FORMAT, "kempe": json.dumps(made)}
 
 
-def is_map(path: Path) -> bool:
-    """Whether there is a map at the path, sound or not."""
-    try:
-        return json.loads((path / "zarr.json").read_text(encoding="utf-8"))["attributes"]["format"] == FORMAT
-    except (OSError, ValueError, KeyError, TypeError):
-        return False
-
-
 def read_map(path: Path) -> Stored:
     """The map at a path. Errors: `InputError` where there is none, `DamagedError` where it is not what was written."""
     zarr = zarr_library()
     if not path.exists():
         raise InputError(f"{path}: there is no such map")
-    if not is_map(path):
+    if format_of(path) != FORMAT:
         raise InputError(f"{path}: this is no map of a workspace ({FORMAT!r} is not written in its zarr.json)")
     again = "make it again by the same call"
     try:

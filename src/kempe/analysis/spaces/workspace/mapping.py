@@ -8,18 +8,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.analysis.maps.cluster import connected
+from kempe.analysis.maps.part_log import refuse_other
+from kempe.analysis.maps.side_by_side import Pace
+from kempe.analysis.maps.zarr_folders import description_of, refuse_place, zarr_library
 from kempe.analysis.spaces.workspace.cell_map import CellMap
-from kempe.analysis.spaces.workspace.counting_runs import Pace, Threads
+from kempe.analysis.spaces.workspace.counting_runs import Threads
 from kempe.analysis.spaces.workspace.map_files import (
+    FORMAT,
     Stored,
-    description_of,
-    is_map,
     read_map,
     write_map,
-    zarr_library,
 )
 from kempe.analysis.spaces.workspace.recipe import Recipe, recipe_of
-from kempe.analysis.spaces.workspace.sample_parts import SampleParts, refuse_other
+from kempe.analysis.spaces.workspace.sample_parts import SampleParts
 from kempe.analysis.spaces.workspace.workspace import Workspace, of_stored
 from kempe.budget import Budget, Usual
 from kempe.calls import explained
@@ -68,8 +70,6 @@ def workspace(
     if n is not None and not (is_real(n) and 1 <= n <= MOST and n == int(n)):
         raise InputError(f"n is {shown(n)}; it must be a whole number of samples, from 1 to {MOST:.2g}")
     if client is not None:
-        from kempe.analysis.spaces.workspace.on_cluster import connected
-
         own, client = isinstance(client, str), connected(client)
     else:
         own = False
@@ -165,13 +165,10 @@ class _Disk:
 
     def __init__(self, recipe: Recipe, path: Path):
         zarr_library()
-        if not path.parent.is_dir():
-            raise InputError(f"{path}: there is no folder {str(path.parent)!r}")
+        refuse_place(path, FORMAT)
         self.recipe, self.path, self.redone = recipe, path, 0
         self.found: Stored | None = None
         self.parts = SampleParts(path, recipe.said(), recipe.entries)
-        if path.exists() and not is_map(path):
-            raise InputError(f"{path}: there is something else than a map; take another path")
         if path.exists():
             try:
                 self.found = read_map(path)
@@ -188,7 +185,7 @@ class _Disk:
             counts = np.zeros(recipe.entries, dtype=np.uint64)
             counts[: recipe.grid.count] = self.found.map.counts.ravel()
             counts[recipe.grid.count : recipe.grid.count + 2] = self.found.outside, self.found.left_out
-            self.parts.add(0, self.found.samples, counts)
+            self.parts.add_counts(0, self.found.samples, counts)
 
     def missing(self, n: int, most: int) -> list[tuple[int, int]]:
         """Ranges of at most `most` samples that are left of the first n."""
@@ -196,11 +193,11 @@ class _Disk:
 
     def samples(self, n: int) -> int:
         """How many of the first n samples are counted."""
-        return sum(p.last - p.first for p in self.parts.done if p.last <= n)
+        return self.parts.count(n)
 
     def add(self, first: int, last: int, counts: np.ndarray) -> None:
         """Write the counts of a range."""
-        self.parts.add(first, last, counts)
+        self.parts.add_counts(first, last, counts)
 
     def stored(self, n: int) -> Stored:
         """The map of what was written."""

@@ -11,35 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from kempe.analysis.maps.cluster import ClusterWorkers
+from kempe.analysis.maps.side_by_side import RETRIES, finished
 from kempe.analysis.spaces.workspace.recipe import Recipe, counted
-from kempe.errors import InputError, MissingExtraError, shown
 
 FAN = 8
 """Counts that one task adds up."""
-RETRIES = 5
-"""How often a task that failed is done again."""
-LOOK = 0.5
-"""Seconds between two looks at the clock."""
-PATIENCE = 10.0
-"""Seconds in which a scheduler must answer."""
-
-
-def connected(client: Any) -> Any:
-    """The client, or a new one for the address of a scheduler. Errors: `InputError` where nobody answers there."""
-    try:
-        from distributed import Client
-    except ImportError:
-        raise MissingExtraError("distributed", "scale") from None
-    if isinstance(client, str):
-        try:
-            return Client(client, timeout=PATIENCE, set_as_default=False)
-        except (OSError, TimeoutError, ValueError) as error:
-            raise InputError(f"no scheduler answers at {client!r} within {PATIENCE:g} s: {error}") from None
-    if not isinstance(client, Client):
-        raise InputError(f"client is {shown(client)}; it must be a distributed.Client, or the address of a scheduler")
-    if client.status != "running":
-        raise InputError(f"the client is {client.status}: it has no scheduler")
-    return client
 
 
 def added(many: bool, *counts: np.ndarray) -> np.ndarray:
@@ -58,27 +35,12 @@ def parts_of(
     `check` is called now and then, and raises what ends the work early; tasks that are left are then given up.
     Errors: those of the tasks, after `RETRIES`.
     """
-    import distributed
 
-    tasks: Any = distributed
+    def begin(part: tuple[int, int], attempt: int) -> Any:
+        return _tree(client, recipe, *part, each, attempt)
 
-    waiting = {_tree(client, recipe, first, last, each, 0): (first, last, 0) for first, last in ranges}
-    try:
-        while waiting:
-            try:
-                done: set[Any] = tasks.wait(list(waiting), timeout=LOOK, return_when="FIRST_COMPLETED").done
-            except TimeoutError:
-                done = set()
-            for future in done:
-                first, last, attempt = waiting.pop(future)
-                if isinstance(future.exception(), tasks.KilledWorker) and attempt < RETRIES:  # workers ended, not it
-                    again = _tree(client, recipe, first, last, each, attempt + 1)
-                    waiting[again] = (first, last, attempt + 1)
-                    continue
-                yield first, last, future.result()
-            check()
-    finally:
-        client.cancel(list(waiting))
+    for (first, last), counts in finished(ClusterWorkers(client, len(ranges)), ranges, begin, check):
+        yield first, last, counts
 
 
 def _tree(client: Any, recipe: Recipe, first: int, last: int, each: int, attempt: int) -> Any:

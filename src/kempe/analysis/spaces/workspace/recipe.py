@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import __version__
+from kempe.analysis.maps.cluster import refuse_kernels
 from kempe.analysis.spaces.workspace.cell_map import Grid, grid_of
-from kempe.errors import InputError, KernelsError
+from kempe.errors import InputError
 from kempe.kernels.compiled import VARIANT, lane_positions
 from kempe.kernels.forward.table_layout import Q_INDEX, rows_of
 from kempe.kinematics.configuration import circles, has_loops, sampling_box
@@ -90,12 +91,7 @@ class Recipe:
 
     def check(self) -> None:
         """Refuse to count with kernels that would round otherwise. Errors: `KernelsError`."""
-        if (self.variant, self.version) != (VARIANT, __version__):
-            raise KernelsError(
-                f"the map is made by the kernels {self.variant!r} of Kempe {self.version}, and here run {VARIANT!r} of "
-                f"{__version__}, which round otherwise: set KEMPE_KERNELS={self.variant} and install that version, or "
-                f"make the map anew"
-            )
+        refuse_kernels(self.variant, self.version)
 
     def count(self, first: int, last: int, counts: np.ndarray) -> None:
         """Add the samples `first` to `last` to counts (entries,) of uint32, which threads may share."""

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.analysis.maps.part_log import refuse_other
+from kempe.analysis.maps.zarr_folders import description_of
 from kempe.analysis.spaces.workspace import map_measures
 from kempe.analysis.spaces.workspace.cell_map import CellMap
-from kempe.analysis.spaces.workspace.map_files import Stored, description_of, read_map, write_map
-from kempe.analysis.spaces.workspace.sample_parts import refuse_other
+from kempe.analysis.spaces.workspace.map_files import Stored, read_map, write_map
 from kempe.calls import explained, explained_methods
 from kempe.errors import InputError
 from kempe.kinematics.common.result import Cells, Report

@@ -51,11 +51,6 @@ class Samples:
 class TolerantMotion(Points, Curve):
     """What a chain can do with its target reached to a tolerance [m, rad]."""
 
-    @property
-    def n(self) -> int:
-        """How many joints the chain has."""
-        return len(self.aim.lines)
-
     # ---- from a solution
 
     def through(self, theta: Array, known: Callable[[Array], bool]) -> list[Samples]:

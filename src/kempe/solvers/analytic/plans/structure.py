@@ -74,11 +74,6 @@ def meets(axes: Axes, i: int, j: int) -> bool:
     return not parallel(axes.h[i], axes.h[j]) and apart(axes, i, j) <= EXACT
 
 
-def coincide(axes: Axes, i: int, j: int) -> bool:
-    """Whether two axes are one line."""
-    return parallel(axes.h[i], axes.h[j]) and apart(axes, i, j) <= EXACT
-
-
 def meeting(axes: Axes, places: tuple[int, ...]) -> Array | None:
     """The point (3,) in which these axes meet, None where they do not (or are all parallel)."""
     across = np.eye(3) - axes.h[list(places), :, None] * axes.h[list(places), None, :]

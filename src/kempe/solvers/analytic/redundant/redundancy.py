@@ -26,7 +26,7 @@ from kempe.solvers.analytic.redundant.sweep_curves import ChainMotion, CurvePiec
 from kempe.solvers.analytic.redundant.sweep_net import arcs_through
 from kempe.solvers.common.problem import Problem, Solver, choose, chosen_by
 from kempe.solvers.common.targets import Z_AXIS, axis_for, refuse_position, targets_of, task_and_axis, task_of
-from kempe.spatial import Array, log_so3
+from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -219,7 +219,7 @@ class ArmCurves:
     domain = (-math.pi, math.pi)
 
     def __init__(self, over: SweepProblem, arm: Arm):
-        self.over, self.posed, self.lines, self.base = over, Posed(arm, over.target), arm.lines, over.near
+        self.posed, self.lines, self.base = Posed(arm, over.target), arm.lines, over.near
         self.held: dict[str, float] = {}
         names = (arm.lines.names[1], arm.lines.names[ELBOW], arm.lines.names[5])
         self.labels = tuple(
@@ -230,15 +230,6 @@ class ArmCurves:
     def intervals(self, limited: bool) -> list[list[tuple[float, float]]]:
         """For each branch, where it exists, inside the limits where `limited`."""
         return self.posed.intervals(limited)
-
-    def residual(self, q: Array) -> Array:
-        """Distance (...) of configurations (..., nq) from the target: the norm of position error [m] and angle [rad].
-
-        It is the root of the sum of both squares.
-        """
-        X = self.over.system.fk(q, self.over.frame)
-        turn = log_so3(np.swapaxes(X[..., :3, :3], -1, -2) @ self.over.target[:3, :3])
-        return np.linalg.norm(np.concatenate([X[..., :3, 3] - self.over.target[:3, 3], turn], axis=-1), axis=-1)
 
     def rows(self, values: Array, branch: int | None = None) -> tuple[Array, np.ndarray]:
         """Coordinates (m, 8, 7), and which branches are there (m, 8); (m, 1, 7) and (m, 1) of one branch."""
@@ -263,10 +254,6 @@ class JointCurves:
     def intervals(self, limited: bool) -> list[list[tuple[float, float]]]:
         """For each branch, where it exists, inside the limits where `limited`."""
         return [[(a * self.unit, b * self.unit) for a, b in arc.intervals(limited)] for arc in self.arcs]
-
-    def residual(self, q: Array) -> Array:
-        """Distance (...) of configurations (..., nq) from the target, as in `ArmCurves`."""
-        return np.linalg.norm(self.motion.missing(q) * np.repeat([self.lines.length, 1.0], 3), axis=-1)
 
     def rows(self, values: Array, branch: int | None = None) -> tuple[Array, np.ndarray]:
         """Coordinates (m, K, n), and which branches are there (m, K); of one branch K = 1."""
@@ -295,9 +282,9 @@ def _joint_curves(over: SweepProblem, parameter: str | None, samples: int) -> Jo
         )
     name = locked[0] if parameter is None else parameter
     others = {n: float(over.fixed[n]) for n in locked if n in over.fixed}
-    if len(others) + 1 < len(locked):
+    if left := [n for n in locked if n not in (name, *others)]:
         q = over.place()
-        others |= {n: float(q[lines.q_index[lines.names.index(n)]]) for n in locked if n not in (name, *others)}
+        others |= {n: float(q[lines.q_index[lines.names.index(n)]]) for n in left}
     i = lines.names.index(name)
     first, last = domains(lines)[:, i].tolist()
     domain: tuple[float, float] = first, last

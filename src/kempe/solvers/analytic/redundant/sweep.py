@@ -21,7 +21,7 @@ from kempe.solvers.analytic.plans.chain_lines import Lines
 from kempe.solvers.analytic.redundant.intervals import Intervals, spelled, union
 from kempe.solvers.common.answer import Answer, ConfigurationList
 from kempe.solvers.common.targets import Z_AXIS
-from kempe.spatial import Array
+from kempe.spatial import Array, log_so3
 from kempe.status import Status, member
 from kempe.words import counted
 
@@ -60,10 +60,6 @@ class Curves(Protocol):
 
     def rows(self, values: Array, branch: int | None) -> tuple[Array, np.ndarray]:
         """Coordinates (m, K, n) of the chain, in any turn, and which are there (m, K); of one branch K = 1."""
-        ...
-
-    def residual(self, q: Array) -> Array:
-        """Norm (...) of position error [m] and orientation error [rad] of configurations (..., nq)."""
         ...
 
 
@@ -185,7 +181,10 @@ class Sweep(Answer):
 
     def _slice(self, x: Array) -> Slice:
         q, mask, fits = self._sampled(np.atleast_1d(x), False)
-        error = np.where(mask, self.curves.residual(np.where(mask[..., None], q, self.near)), np.nan)
+        X = self.system.fk(np.where(mask[..., None], q, self.near), self.frame)
+        turn = log_so3(np.swapaxes(X[..., :3, :3], -1, -2) @ self.target[:3, :3])
+        error = np.linalg.norm(np.concatenate([X[..., :3, 3] - self.target[:3, 3], turn], axis=-1), axis=-1)
+        error = np.where(mask, error, np.nan)
         branch = np.where(mask, np.arange(mask.shape[1], dtype=np.int64), -1)
         if x.ndim:
             return Slice(self, x, q, mask, fits, error, branch)
@@ -242,7 +241,7 @@ class Sweep(Answer):
         low, high = next((a, b) for a, b in self.intervals[best.branch] if a <= best.value <= b)
         step = (high - low) / (TRIES - 1)
         while step > 1e-10:
-            values = np.clip(best.value + step * np.linspace(-1.0, 1.0, 21), low, high)
+            values = np.clip(np.linspace(best.value - step, best.value + step, 21), low, high)
             best = self._best_of(score, best.branch, values, best) or best
             step *= 0.1
         return best

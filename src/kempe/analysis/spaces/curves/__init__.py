@@ -1,0 +1,1 @@
+"""Configuration spaces with one freedom as curves, whose components are proven."""

@@ -1,0 +1,163 @@
+"""Where the branches of a curve exist, over one coordinate: intervals on which it is proven.
+
+Each interval is cut until on it every branch is proven to exist throughout, or nowhere, or to end once: where one of
+its functions has one simple root, which opposite signs at the ends of the interval and a slope that is not zero prove
+(Moore, Kearfott, Cloud, *Introduction to Interval Analysis*, 2009). A function that is convex on an interval, positive
+at its ends, and zero to rounding between them, only touches zero there, as at a change point of a parallelogram.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from kempe.analysis.spaces.curves.branches import SOUND, Branches
+from kempe.kinematics.common.enclosures import interval
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.solvers.common.clock import TimeLimit
+
+FIRST = 48
+"""Intervals at the beginning."""
+SPLIT = 0.4871
+"""Where intervals are cut: not in the middle, so that roots at round numbers do not fall on their ends."""
+COARSE, FINE = 1e-6, 1e-13
+"""Widths, as parts of the whole, at which functions that touch zero are looked for, and at which it is given up."""
+MOST = 16_000
+"""Intervals, times branches, at most."""
+TOUCHING = 4e-12
+"""Size of a function, as a part of its largest, at which it counts as zero where it touches it."""
+DEAD, ALIVE, LEFT, RIGHT, TOUCH, POINT, OPEN = range(7)
+"""What is known of a branch on an interval: it exists nowhere; throughout; at its left, or right, end; throughout, and
+touches another one; at one point only; nothing."""
+NONE = -3
+"""In place of a kind of function: none ends the branch."""
+
+
+class Cells(NamedTuple):
+    """Intervals from `low` (n,) to `high` (n,), in order; the states (n, k) of branches, and kinds of what ends them.
+
+    Where a branch touches another one, `place` (n, k) is the coordinate.
+    """
+
+    low: Array
+    high: Array
+    state: np.ndarray
+    kind: np.ndarray
+    place: Array
+
+    @property
+    def open(self) -> np.ndarray:
+        """Which (n,) are not decided."""
+        return (self.state == OPEN).any(axis=1)
+
+    def only(self, which: np.ndarray) -> Cells:
+        """Some of them."""
+        return Cells(*(x[which] for x in self))
+
+
+class Decider:
+    """Decides about the intervals of a curve; `signs` (k, m) are those of its branches."""
+
+    def __init__(self, branches: Branches, time: TimeLimit):
+        m = branches.signs
+        self.branches, self.time, self.left = branches, time, MOST // 2**m
+        self.signs = np.array(list(product((1.0, -1.0), repeat=m))).reshape(2**m, m)
+        self.size = np.zeros(0)
+
+    def cells(self) -> Cells:
+        """All intervals, decided as far as can be."""
+        edges = np.linspace(self.branches.low, self.branches.high, FIRST + 1)
+        coarse = self._touched(self._refined(edges[:-1], edges[1:], COARSE))
+        left = coarse.only(coarse.open)
+        return _ordered([coarse.only(~coarse.open), self._refined(left.low, left.high, FINE)])
+
+    def _values(self, low: Array, high: Array, order: int) -> tuple[Array, Array, np.ndarray]:
+        """Middles and radii (order + 1, f, n, k) of all functions on intervals, and their kinds (f)."""
+        n, k = len(low), len(self.signs)
+        x = interval(np.repeat(low, k), np.repeat(high, k), order)
+        found = self.branches.functions(x, np.tile(self.signs, (n, 1)))
+        mid, rad = (np.stack([np.broadcast_to(a, (order + 1, n * k)) for a in each], axis=1)
+                    for each in ([f.mid for f, _ in found], [f.rad for f, _ in found]))  # fmt: skip
+        shape = order + 1, len(found), n, k
+        return mid.reshape(shape), rad.reshape(shape), np.array([kind for _, kind in found])
+
+    def _at(self, x: Array) -> tuple[Array, Array]:
+        """Lower and upper bounds (f, n, k) at points (n,)."""
+        mid, rad, _ = self._values(x, x, 0)
+        return mid[0] - rad[0], mid[0] + rad[0]
+
+    def _refined(self, low: Array, high: Array, least: float) -> Cells:
+        """Intervals cut until they are decided, or down to a part `least` of the whole."""
+        least *= self.branches.high - self.branches.low
+        done = [Cells(low[:0], high[:0], *(np.zeros((0, len(self.signs)), dtype=t) for t in (int, int, float)))]
+        while len(low):
+            self.time.check()
+            state, kind = self._decided(low, high)
+            self.left -= len(low)
+            end = ~(state == OPEN).any(axis=1) | (high - low <= least) | (self.left < 0)
+            done.append(Cells(low, high, state, kind, np.full(state.shape, np.nan)).only(end))
+            low, high = low[~end], high[~end]
+            cut = low + SPLIT * (high - low)
+            low, high = np.concatenate([low, cut]), np.concatenate([cut, high])
+        return _ordered(done)
+
+    def _decided(self, low: Array, high: Array) -> tuple[np.ndarray, np.ndarray]:
+        """States and kinds (n, k) on intervals, from values, slopes, and values at their middles and ends."""
+        mid, rad, kinds = self._values(low, high, 1)
+        (a, a_high), (c, c_high), (b, b_high) = (self._at(x) for x in (low, 0.5 * (low + high), high))
+        if not len(self.size):
+            self.size = np.abs(c).max(axis=(1, 2), initial=1e-300)
+        steep = (np.abs(mid[1]) + rad[1]) * (0.5 * (high - low) * (1.0 + 1e-9))[:, None]
+        holds = np.maximum(mid[0] - rad[0], c - steep) > 0.0
+        fails = np.minimum(mid[0] + rad[0], c_high + steep) < 0.0
+        state, kind, single = _known(holds, kinds)
+        for end, which in ((LEFT, (mid[1] < -rad[1]) & (a > 0.0) & (b_high < 0.0)),
+                           (RIGHT, (mid[1] > rad[1]) & (a_high < 0.0) & (b > 0.0))):  # fmt: skip
+            state[single & (~holds & which).any(axis=0)] = end
+        state[fails.any(axis=0)] = DEAD
+        return state, kind
+
+    def _touched(self, cells: Cells) -> Cells:
+        """The intervals, open neighbours made one where branches only touch there."""
+        out = [cells.only(~cells.open)]
+        groups = np.split(np.flatnonzero(cells.open), np.flatnonzero(np.diff(np.flatnonzero(cells.open)) > 1) + 1)
+        for group in groups if cells.open.any() else ():
+            found = self._touch(cells.low[group[:1]], cells.high[group[-1:]])
+            out.append(cells.only(group) if found.open[0] else found)
+        return _ordered(out)
+
+    def _touch(self, low: Array, high: Array) -> Cells:
+        """One interval, on which functions may touch zero."""
+        mid, rad, kinds = self._values(low, high, 2)
+        (a, a_high), (b, b_high) = self._at(low), self._at(high)
+        state, kind, single = _known(mid[0] - rad[0] > 0.0, kinds)
+        place = np.full(state.shape, np.nan)
+        for k in np.flatnonzero(single[0] & (kind[0] >= 0)):
+            j = int(np.argmin((mid[0] - rad[0] > 0.0)[:, 0, k]))
+            centre = self._values(0.5 * (low + high), 0.5 * (low + high), 2)[0][:, j, 0, k]
+            x = np.clip(0.5 * (low + high) - 0.5 * centre[1] / centre[2], low, high)
+            least, most = (bound[j, 0, k] for bound in self._at(x))
+            if max(-least, most) < TOUCHING * self.size[j]:
+                up = mid[2, j, 0, k] > rad[2, j, 0, k] and a[j, 0, k] > 0.0 and b[j, 0, k] > 0.0
+                down = mid[2, j, 0, k] < -rad[2, j, 0, k] and a_high[j, 0, k] < 0.0 and b_high[j, 0, k] < 0.0
+                state[0, k], place[0, k] = (TOUCH if up else POINT if down else OPEN), float(x[0])
+        state[(mid[0] + rad[0] < 0.0).any(axis=0)] = DEAD
+        return Cells(low, high, state, kind, place)
+
+
+def _known(holds: np.ndarray, kinds: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """States (n, k), where functions are positive (f, n, k); kinds of what is not, and whether that is one that ends a
+    branch."""  # fmt: skip
+    kind = np.where(holds.all(axis=0), NONE, kinds[np.argmin(holds, axis=0)])
+    single = ((~holds).sum(axis=0) == 1) & (kind != SOUND)
+    return np.where(holds.all(axis=0), ALIVE, OPEN), kind, single
+
+
+def _ordered(parts: list[Cells]) -> Cells:
+    joined = [np.concatenate(x) for x in zip(*parts, strict=True)]
+    order = np.argsort(joined[0])
+    return Cells(*(x[order] for x in joined))

@@ -1,0 +1,580 @@
+"""Verbs over files: the same answers as the plain verbs, stopped, killed, damaged, changed, and gone on with."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+import kempe
+from kempe import Budget, Status, spatial
+from kempe.analysis.maps import file_map, row_sources, side_by_side
+from kempe.errors import DamagedError, InputError, KempeError, UnknownNameError
+
+zarr = pytest.importorskip("zarr", reason="zarr is not installed (extra scale)")
+parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed (extra scale)")
+pyarrow = pytest.importorskip("pyarrow", reason="pyarrow is not installed (extra scale)")
+PUMA, BAR, TWO = kempe.load("puma560"), kempe.load("four_bar"), kempe.load("two_link")
+N = 1000
+
+
+@pytest.fixture(autouse=True)
+def small_chunks(monkeypatch):
+    """Chunks and blocks of a size for tests."""
+    monkeypatch.setattr(file_map, "CHUNK_BYTES", 2**13)
+    monkeypatch.setattr(row_sources, "BLOCK_ROWS", 70)
+    monkeypatch.setattr(side_by_side, "WAKE", 0.001)
+
+
+@pytest.fixture
+def q():
+    rows = PUMA.random(1, N)
+    rows[[3, 700], 2] = np.nan
+    return rows
+
+
+def interrupted_after(rows, kind=KeyboardInterrupt):
+    """A budget whose progress raises when so many rows are done."""
+
+    def said(done, *_):
+        if done >= rows:
+            raise kind
+
+    return Budget(progress=said, threads=1)
+
+
+def written(path, name, rows, columns=None):
+    """A file of rows in one of the formats, and what is given as its path."""
+    file = path / name
+    if name.endswith(".npy"):
+        np.save(file, rows)
+    elif name.endswith(".csv"):
+        np.savetxt(file, rows, delimiter=",", fmt="%.17g", header=",".join(columns or []), comments="")
+    elif name.endswith(".parquet"):
+        table = pyarrow.table({c: x for c, x in zip(columns, rows.T, strict=True)})
+        parquet.write_table(table, file, row_group_size=90)
+    elif columns is None:
+        zarr.create_array(str(file), shape=rows.shape, dtype=rows.dtype, chunks=(33, *rows.shape[1:]))[...] = rows
+    else:
+        group = zarr.open_group(str(file), mode="w")
+        for c, x in zip(columns, rows.T, strict=True):
+            group.create_array(c, shape=x.shape, dtype=x.dtype, chunks=(50,))[...] = x
+    return file
+
+
+def arrays(path):
+    group = zarr.open_group(str(path), mode="r")
+    return {name: array[...] for name, array in group.arrays()}
+
+
+def same(a, b):
+    return all(np.array_equal(x, b[name], equal_nan=x.dtype.kind == "f") for name, x in a.items())
+
+
+# ---- the answers
+
+
+FILES = ["rows.npy", "rows.csv", "rows.zarr", "named.csv", "named.parquet", "named.zarr"]
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_configurations_in_all_formats(tmp_path, q, name):
+    columns = list(PUMA.coordinate_names) if name.startswith("named") else None
+    answer = kempe.map_file(PUMA, "fk", written(tmp_path, name, q, columns), tmp_path / "out.zarr", "tool")
+    assert answer.rows == answer.requested == N and answer.chunk < N / 10
+    assert np.array_equal(arrays(answer.path)["pose"], PUMA.fk(q, "tool"), equal_nan=True)
+    assert answer.outcomes == {"SOLVED": N - 2, "BAD_INPUT": 2} and answer.code is Status.PARTLY
+
+
+@pytest.mark.parametrize(("form", "name"), [
+    ("matrix", "pose"), ("3x4", "pose"), ("position", "position"), ("position_quat_wxyz", "position_quat_wxyz"),
+])  # fmt: skip
+@pytest.mark.parametrize("frame", ["tool", None])
+def test_forms(tmp_path, q, form, name, frame):
+    options = {"form": form, "dtype": "float32"}
+    kempe.map_file(PUMA, "fk", written(tmp_path, "q.npy", q), tmp_path / "out.zarr", frame, options=options)
+    found = arrays(tmp_path / "out.zarr")[name]
+    assert found.dtype == np.float32 and np.array_equal(found, PUMA.fk(q, frame, **options), equal_nan=True)
+
+
+def test_some_coordinates_by_name_in_any_order(tmp_path, q):
+    file = written(tmp_path, "q.parquet", q[:, [4, 1]], ["q5", "q2"])
+    kempe.map_file(PUMA, "fk", file, tmp_path / "out.zarr", "tool")
+    assert np.array_equal(
+        arrays(tmp_path / "out.zarr")["pose"], PUMA.fk(PUMA.q({"q5": q[:, 4], "q2": q[:, 1]}), "tool"), equal_nan=True
+    )
+
+
+def test_columns_choose_and_name(tmp_path, q):
+    wide = written(tmp_path, "wide.parquet", np.c_[q, np.arange(N)], [*PUMA.coordinate_names, "time"])
+    kempe.map_file(PUMA, "fk", wide, tmp_path / "a.zarr", "tool", columns=PUMA.coordinate_names)
+    bare = written(tmp_path, "bare.npy", q[:, ::-1])
+    kempe.map_file(PUMA, "fk", bare, tmp_path / "b.zarr", "tool", columns=PUMA.coordinate_names[::-1])
+    assert same(arrays(tmp_path / "a.zarr"), {**arrays(tmp_path / "b.zarr"), "source_checksum": (
+        arrays(tmp_path / "a.zarr")["source_checksum"])})  # fmt: skip
+
+
+def targets(shape):
+    """Poses of which one is no number, and the same as rows of this shape."""
+    X = PUMA.fk(PUMA.random(2, N), "tool")
+    X[11] = np.nan
+    if shape == "rpy":
+        return X, spatial.xyz_rpy_from_pose(X), ["x", "y", "z", "roll", "pitch", "yaw"]
+    if shape == "quaternion":
+        quat = np.full((N, 4), np.nan)
+        good = np.arange(N) != 11
+        quat[good] = spatial.matrix_to_quat_wxyz(X[good, :3, :3])
+        return X, np.c_[X[:, :3, 3], -quat], ["x", "y", "z", "qw", "qx", "qy", "qz"]
+    return X, X[:, :3] if shape == "3x4" else X, None
+
+
+@pytest.mark.parametrize("shape", ["4x4", "3x4", "rpy", "quaternion"])
+def test_targets_as_rows(tmp_path, shape):
+    X, rows, columns = targets(shape)
+    order = None if columns is None else np.random.default_rng(0).permutation(len(columns))
+    file = written(tmp_path, "x.npy", rows) if columns is None else (
+        written(tmp_path, "x.parquet", rows[:, order], [columns[k] for k in order]))  # fmt: skip
+    answer = kempe.map_file(PUMA, "ik", file, tmp_path / "out.zarr", "tool")
+    found = arrays(answer.path)
+    assert answer.outcomes == {"SOLVED": N - 1, "BAD_INPUT": 1} and np.isnan(found["q"][11]).all()
+    good = np.arange(N) != 11
+    assert np.abs(PUMA.fk(found["q"][good], "tool") - X[good]).max() < 1e-5
+
+
+def test_ik_is_the_plain_verb(tmp_path):
+    X, rows, _ = targets("4x4")
+    options = {"start": PUMA.mid + 0.1, "tolerance": 1e-4}
+    budget = Budget(rng=5)
+    path = tmp_path / "out.zarr"
+    kempe.map_file(PUMA, "ik", written(tmp_path, "x.npy", rows), path, "tool", options=options, budget=budget)
+    plain, found = PUMA.ik(X, "tool", budget=budget, **options), arrays(tmp_path / "out.zarr")
+    assert np.array_equal(found["q"], plain.q, equal_nan=True) and np.array_equal(found["code"], plain.code)
+    assert np.array_equal(found["position_error"], plain.position_error, equal_nan=True)
+
+
+@pytest.mark.parametrize("options", [{}, {"limits": True}])
+@pytest.mark.parametrize("name", ["puma560", "panda"])
+def test_ik_all_is_the_plain_verb(tmp_path, name, options):
+    system = kempe.load(name)
+    X = system.fk(system.random(3, 300), "tool")
+    X[5] = np.nan
+    kempe.map_file(system, "ik_all", written(tmp_path, "x.npy", X), tmp_path / "out.zarr", "tool", options=options)
+    plain, found = system.ik_all(X, "tool", **options), arrays(tmp_path / "out.zarr")
+    assert np.array_equal(found["q"], plain.q, equal_nan=True) and np.array_equal(found["inside"], plain.inside)
+    assert np.array_equal(found["count"], plain.mask.sum(-1)) and np.array_equal(found["complete"], plain.complete)
+
+
+def test_assemble_is_the_plain_verb(tmp_path):
+    known = np.linspace(0.0, 6.0, N)[:, None].copy()
+    known[8] = np.nan
+    answer = kempe.map_file(BAR, "assemble", written(tmp_path, "a.csv", known, ["A"]), tmp_path / "out.zarr")
+    plain, found = BAR.assemble({"A": known[:, 0]}), arrays(answer.path)
+    assert answer.outcomes == {"SOLVED": N - 1, "BAD_INPUT": 1}
+    assert np.array_equal(found["q"], plain.q, equal_nan=True) and np.array_equal(found["residual"], plain.residual,
+                                                                                  equal_nan=True)  # fmt: skip
+
+
+def test_degrees_and_the_plane(tmp_path):
+    rows = np.degrees(TWO.random(0, 50))
+    kempe.map_file(TWO, "fk", written(tmp_path, "q.csv", rows, TWO.coordinate_names), tmp_path / "x.zarr", "e",
+                   degrees=True)  # fmt: skip
+    X = arrays(tmp_path / "x.zarr")["pose"]
+    assert np.abs(X - TWO.fk(np.radians(rows), "e")).max() < 1e-12
+    kempe.map_file(TWO, "ik", written(tmp_path, "p.csv", X[:, :2, 3], ["x", "y"]), tmp_path / "q.zarr", "e")
+    assert np.abs(TWO.fk(arrays(tmp_path / "q.zarr")["q"], "e")[:, :2, 3] - X[:, :2, 3]).max() < 1e-6
+
+
+def test_one_map_is_the_rows_of_the_next(tmp_path, q):
+    kempe.map_file(PUMA, "fk", written(tmp_path, "q.npy", q), tmp_path / "x.zarr", "tool")
+    answer = kempe.map_file(PUMA, "ik", tmp_path / "x.zarr" / "pose", tmp_path / "q.zarr", "tool")
+    kempe.map_file(PUMA, "fk", tmp_path / "q.zarr" / "q", tmp_path / "y.zarr", "tool")
+    X, Y = (arrays(tmp_path / name)["pose"] for name in ("x.zarr", "y.zarr"))
+    assert answer.outcomes["BAD_INPUT"] == 2 and np.nanmax(np.abs(X - Y)) < 1e-5
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_without_rows(tmp_path, name):
+    columns = list(PUMA.coordinate_names)
+    rows = np.zeros((0, 6))
+    if name == "rows.csv":
+        (tmp_path / name).write_text(",".join(columns) + "\n")
+        answer = kempe.map_file(PUMA, "fk", tmp_path / name, tmp_path / "out.zarr", "tool")
+    else:
+        file = written(tmp_path, name, rows, columns if name.startswith("named") else None)
+        answer = kempe.map_file(PUMA, "fk", file, tmp_path / "out.zarr", "tool")
+    assert answer.rows == 0 and answer and arrays(answer.path)["pose"].shape == (0, 4, 4)
+
+
+def test_parts_of_a_parquet_folder(tmp_path, q):
+    (tmp_path / "q").mkdir()
+    for k, part in enumerate(np.array_split(q, 3)):
+        written(tmp_path / "q", f"{k}.parquet", part, PUMA.coordinate_names)
+    os.rename(tmp_path / "q", tmp_path / "q.parquet")
+    kempe.map_file(PUMA, "fk", tmp_path / "q.parquet", tmp_path / "out.zarr", "tool")
+    assert np.array_equal(arrays(tmp_path / "out.zarr")["pose"], PUMA.fk(q, "tool"), equal_nan=True)
+
+
+def test_whole_numbers_and_missing_ones(tmp_path):
+    table = pyarrow.table({"q1": pyarrow.array([1, None, 2]), "q2": pyarrow.array([0.5, 0.5, 0.5], pyarrow.float32())})
+    parquet.write_table(table, tmp_path / "q.parquet")
+    answer = kempe.map_file(PUMA, "fk", tmp_path / "q.parquet", tmp_path / "out.zarr", "tool")
+    assert answer.outcomes == {"SOLVED": 2, "BAD_INPUT": 1}
+    assert np.array_equal(arrays(answer.path)["pose"][2], PUMA.fk(PUMA.q({"q1": 2.0, "q2": 0.5})[None], "tool")[0])
+
+
+def test_opened_without_kempe(tmp_path, q):
+    xarray = pytest.importorskip("xarray", reason="xarray is not installed (extra scale)")
+    X = PUMA.fk(q, "tool")
+    kempe.map_file(PUMA, "ik", written(tmp_path, "x.npy", X), tmp_path / "out.zarr", "tool", options={"task": "pose"})
+    data = xarray.open_zarr(tmp_path / "out.zarr")
+    assert data.q.dims == ("row", "coordinate") and list(data.coordinate.values) == list(PUMA.coordinate_names)
+    assert set(data.unit.values) == {"rad"} and data.position_error.attrs["units"] == "m"
+    assert data.code.attrs["flag_meanings"].split()[int(data.code[3])] == "BAD_INPUT"
+    made = json.loads(data.attrs["kempe"])
+    assert made["system"] == PUMA.structure.content_hash and made["verb"] == "ik" and made["frame"] == "tool"
+    assert made["options"] == {"task": "pose"} and made["source"]["file"] == "x.npy" and made["version"] and (
+        made["variant"])  # fmt: skip
+
+
+# ---- any number of threads, any end
+
+
+@pytest.fixture
+def whole(tmp_path, q):
+    """A file of targets, and the map of it."""
+    X = PUMA.fk(q, "tool")
+    file = written(tmp_path, "x.npy", X)
+    kempe.map_file(PUMA, "ik", file, tmp_path / "whole.zarr", "tool")
+    return file, arrays(tmp_path / "whole.zarr")
+
+
+def mapped(file, path, **more):
+    return kempe.map_file(PUMA, "ik", file, path, "tool", **more)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_one_thread_and_many_write_the_same(tmp_path, whole, threads):
+    answer = mapped(whole[0], tmp_path / "out.zarr", budget=Budget(threads=threads))
+    assert same(arrays(answer.path), whole[1])
+
+
+def test_a_map_is_what_the_verb_answers(tmp_path, hunt, monkeypatch):
+    """Whatever the chunks, the threads and the interruptions."""
+    rng = hunt.rng()
+    for k in range(hunt.cases(12)):
+        system = [PUMA, TWO, BAR, kempe.load("panda")][int(rng.integers(4))]
+        n, frame = int(rng.integers(1, 400)), system.body_names[-1]
+        monkeypatch.setattr(file_map, "CHUNK_BYTES", int(2 ** rng.integers(8, 15)))
+        rows = system.random(int(rng.integers(100)), n)
+        rows[rng.random(n) < 0.02, 0] = np.nan
+        file, path, threads = written(tmp_path, f"{k}.npy", rows), tmp_path / f"{k}.zarr", int(rng.integers(1, 4))
+        kempe.map_file(system, "fk", file, path, frame, budget=interrupted_after(rng.integers(1, n + 1)))
+        kempe.map_file(system, "fk", file, path, frame, budget=Budget(threads=threads))
+        assert np.array_equal(arrays(path)["pose"], system.fk(rows, frame), equal_nan=True)
+
+
+def test_an_interrupted_map_is_gone_on_with(tmp_path, whole):
+    path = tmp_path / "out.zarr"
+    first = mapped(whole[0], path, budget=interrupted_after(300))
+    assert first.code is Status.INTERRUPTED and 200 <= first.rows < N and not path.exists() and not first
+    done = []
+    second = mapped(whole[0], path, budget=Budget(progress=lambda *said: done.append(said)))
+    assert second.rows == N and same(arrays(path), whole[1]) and second.redone == 0
+    assert done[-1][:2] == (N, N) and done[-1][3] == 0.0
+    assert not path.with_name("out.zarr.parts").exists()
+
+
+def test_the_time_limit(tmp_path, whole):
+    answer = mapped(whole[0], tmp_path / "out.zarr", budget=Budget(time_limit=1e-9))
+    assert answer.code is Status.OUT_OF_TIME and answer.late and answer.rows < N
+    assert mapped(whole[0], tmp_path / "out.zarr").rows == N and same(arrays(tmp_path / "out.zarr"), whole[1])
+
+
+def test_a_finished_map_is_left_as_it_is(tmp_path, whole):
+    before = {p: p.stat().st_mtime_ns for p in (tmp_path / "whole.zarr").rglob("*")}
+    assert mapped(whole[0], tmp_path / "whole.zarr").rows == N
+    assert before == {p: p.stat().st_mtime_ns for p in (tmp_path / "whole.zarr").rglob("*")}
+
+
+def flip(file):
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 16
+    file.write_bytes(data)
+
+
+@pytest.mark.parametrize("how", ["changed", "gone", "cut"])
+@pytest.mark.parametrize("finished", [True, False])
+def test_damaged_chunks_are_found_and_made_again(tmp_path, whole, how, finished):
+    path = tmp_path / "out.zarr"
+    mapped(whole[0], path, budget=None if finished else interrupted_after(500))
+    folder = path if finished else tmp_path / "out.zarr.parts" / "rows.zarr"
+    chunk = folder / "q" / "c" / "1" / "0"
+    if how == "changed":
+        flip(chunk)
+    elif how == "gone":
+        chunk.unlink()
+    else:
+        chunk.write_bytes(chunk.read_bytes()[:-100])
+    again = mapped(whole[0], path)
+    assert again.redone == 1 and same(arrays(path), whole[1]) and "redone" in str(again)
+    assert mapped(whole[0], path).redone == 0
+
+
+@pytest.mark.parametrize("name", ["q/zarr.json", "checksum/zarr.json"])
+def test_a_damaged_description_is_made_again(tmp_path, whole, name):
+    path = tmp_path / "out.zarr"
+    mapped(whole[0], path)
+    (path / name).write_text("{")
+    (path / "zarr.json").write_text(json.dumps({**json.loads((path / "zarr.json").read_text()),
+                                                "consolidated_metadata": None}))  # fmt: skip
+    assert mapped(whole[0], path).redone == 1 and same(arrays(path), whole[1])
+
+
+@pytest.mark.parametrize(("line", "redone"), [(-1, 0), (2, 1), (0, 1)], ids=["torn", "one", "first"])
+def test_a_damaged_list_costs_what_it_says(tmp_path, whole, line, redone):
+    path = tmp_path / "out.zarr"
+    mapped(whole[0], path, budget=interrupted_after(500))
+    log = tmp_path / "out.zarr.parts" / "parts.jsonl"
+    lines = log.read_bytes().split(b"\n")
+    lines[line] = lines[line - 1][:20]
+    log.write_bytes(b"\n".join(lines))
+    assert mapped(whole[0], path).redone == redone and same(arrays(path), whole[1])
+
+
+def test_a_full_disk_midway_loses_nothing(tmp_path, whole, monkeypatch):
+    path, write, writes = tmp_path / "out.zarr", zarr.Array.__setitem__, []
+
+    def full(self, where, value):
+        writes.append(1)
+        if len(writes) == 20:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write(self, where, value)
+
+    monkeypatch.setattr(zarr.Array, "__setitem__", full)
+    with pytest.raises(KempeError, match="the disk is full; what was written before stands"):
+        mapped(whole[0], path, budget=Budget(threads=1))
+    done = (tmp_path / "out.zarr.parts" / "parts.jsonl").read_bytes().count(b"\n") - 1
+    monkeypatch.undo()
+    monkeypatch.setattr(file_map, "CHUNK_BYTES", 2**13)
+    seen = []
+    mapped(whole[0], path, budget=Budget(progress=lambda done, *_: seen.append(done)))
+    assert done >= 2 and same(arrays(path), whole[1])
+
+
+def test_a_small_disk_is_refused_early(tmp_path, whole, monkeypatch):
+    usage = shutil.disk_usage(tmp_path)._replace(free=1000)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage)
+    with pytest.raises(KempeError, match="are free on this disk"):
+        mapped(whole[0], tmp_path / "out.zarr")
+
+
+def test_a_place_that_may_not_be_written(tmp_path, whole, monkeypatch):
+    def refused(self, *_, **__):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(type(tmp_path), "mkdir", refused)
+    with pytest.raises(KempeError, match=r"out\.zarr\.parts cannot be made: Permission denied"):
+        mapped(whole[0], tmp_path / "out.zarr")
+
+
+SCRIPT = """
+import sys, kempe
+from kempe.analysis.maps import file_map
+file_map.CHUNK_BYTES = 2**14
+kempe.map_file(kempe.load("puma560"), "ik", {file!r}, {path!r}, "tool", budget=kempe.Budget(threads=2))
+"""
+
+
+@pytest.mark.parametrize("ending", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
+def test_a_process_that_is_ended_at_any_moment(tmp_path, ending):
+    X = PUMA.fk(PUMA.random(0, 20_000), "tool")
+    file, path = written(tmp_path, "x.npy", X), tmp_path / "out.zarr"
+    command = [sys.executable, "-c", SCRIPT.format(file=str(file), path=str(path))]
+    log, ended = tmp_path / "out.zarr.parts" / "parts.jsonl", 0
+    for lines in (40,):
+        process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        end = time.monotonic() + 60.0
+        while process.poll() is None and time.monotonic() < end:
+            if log.exists() and log.read_bytes().count(b"\n") > lines:
+                process.send_signal(ending)
+                ended += 1
+                break
+            time.sleep(0.005)
+        process.wait()
+    subprocess.run(command, check=True)
+    plain, found = PUMA.ik(X, "tool"), arrays(path)
+    assert ended and np.array_equal(found["q"], plain.q) and np.array_equal(found["code"], plain.code)
+
+
+# ---- something else, and what is wrong
+
+
+@pytest.mark.parametrize(("words", "more"), [
+    ("system", {"system": kempe.load("panda")}), ("verb", {"verb": "ik_all"}), ("frame", {"frame": "wrist_3"}),
+    ("options", {"options": {"task": "position"}}), ("degrees", {"degrees": True}), ("rng", {"budget": Budget(rng=3)}),
+], ids=lambda x: x if isinstance(x, str) else "")  # fmt: skip
+@pytest.mark.parametrize("finished", [True, False])
+def test_maps_of_something_else_are_refused(tmp_path, whole, words, more, finished):
+    path = tmp_path / "out.zarr"
+    mapped(whole[0], path, budget=None if finished else interrupted_after(300))
+    given = {"system": PUMA, "verb": "ik", "frame": "tool", **more}
+    given["frame"] = PUMA.body_names[2] if given["frame"] == "wrist_3" else given["frame"]
+    with pytest.raises(InputError, match=f"belongs to another map: its {words}"):
+        kempe.map_file(given.pop("system"), given.pop("verb"), whole[0], path, **given)
+    assert mapped(whole[0], path).redone == 0 and same(arrays(path), whole[1])
+
+
+@pytest.mark.parametrize("finished", [True, False])
+def test_rows_that_have_changed_are_refused_and_copies_are_not(tmp_path, whole, finished):
+    path, X = tmp_path / "out.zarr", np.load(whole[0])
+    mapped(whole[0], path, budget=None if finished else interrupted_after(300))
+    (tmp_path / "other").mkdir()
+    changed = X.copy()
+    changed[10, 0, 3] += 1e-12
+    with pytest.raises(InputError, match=r"rows 0 to \d+ of .* have changed since"):
+        mapped(written(tmp_path / "other", "x.npy", changed), path)
+    copy = written(tmp_path / "other", "y.npy", X)
+    os.utime(copy, (1, 1))
+    assert mapped(copy, path).redone == 0 and same(arrays(path), whole[1])
+
+
+def test_more_rows_are_another_map(tmp_path, whole):
+    X = np.load(whole[0])
+    mapped(whole[0], tmp_path / "out.zarr")
+    with pytest.raises(InputError, match=f"its rows is {N}, and here it is {2 * N}"):
+        mapped(written(tmp_path, "y.npy", np.concatenate([X, X])), tmp_path / "out.zarr")
+
+
+def test_what_stands_at_the_path_is_kept(tmp_path, whole):
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "x").write_text("precious")
+    TWO.workspace("e", n=1000).save(tmp_path / "space.zarr")
+    for place in ("data", "space.zarr"):
+        with pytest.raises(InputError, match="something else than a map"):
+            mapped(whole[0], tmp_path / place)
+    with pytest.raises(InputError, match="no folder"):
+        mapped(whole[0], tmp_path / "none" / "out.zarr")
+    assert (tmp_path / "data" / "x").read_text() == "precious" and kempe.open_workspace(tmp_path / "space.zarr")
+
+
+def test_a_source_that_is_damaged_midway(tmp_path, q):
+    file = written(tmp_path, "q.zarr", q)
+    chunk = file / "c" / "9" / "0"
+    data = chunk.read_bytes()
+    chunk.write_bytes(data[:100])
+    with pytest.raises(DamagedError, match=r"q\.zarr: rows \d+ to \d+ cannot be read"):
+        kempe.map_file(PUMA, "fk", file, tmp_path / "out.zarr", "tool")
+    chunk.write_bytes(data)
+    kempe.map_file(PUMA, "fk", file, tmp_path / "out.zarr", "tool")
+    assert np.array_equal(arrays(tmp_path / "out.zarr")["pose"], PUMA.fk(q, "tool"), equal_nan=True)
+
+
+def test_text_that_is_no_number_names_its_line(tmp_path, q):
+    lines = [",".join(map(str, row)) for row in q[:500]]
+    lines[321] = lines[321].replace(",", ",x", 1)
+    (tmp_path / "q.csv").write_text("\n".join(lines))
+    with pytest.raises(InputError, match=r"q\.csv:322: 'x.*' is not a number"):
+        kempe.map_file(PUMA, "fk", tmp_path / "q.csv", tmp_path / "out.zarr", "tool")
+
+
+def rows_of(*shape, columns=None, name=None):
+    """A file of zeros, made when it is needed."""
+    return lambda path: written(path, name or ("x.npy" if columns is None else "x.csv"), np.zeros(shape), columns)
+
+
+def text(name, words):
+    def write(path):
+        (path / name).write_text(words)
+        return path / name
+
+    return write
+
+
+def two_lengths(path):
+    file = written(path, "x.zarr", np.zeros((5, 1)), ["q1"])
+    zarr.open_group(str(file))["q1"]
+    zarr.open_group(str(file), mode="r+").create_array("q2", shape=(6,), dtype=float, chunks=(6,))
+    return file
+
+
+def words_in_parquet(path):
+    parquet.write_table(pyarrow.table({"q1": ["a", "b"]}), path / "x.parquet")
+    return path / "x.parquet"
+
+
+WRONG = [
+    (lambda path: path / "none.npy", {}, "no such file"),
+    (text("x.npy", "hello"), {}, r"cannot be read as \.npy"),
+    (text("x.parquet", "hello"), {}, r"cannot be read as \.parquet"),
+    (text("x.txt", "1,2,3"), {}, "rows are read from Zarr, and from"),
+    (lambda path: path, {}, "cannot be read as Zarr"),
+    (rows_of(5, 7), {}, "q has 7 coordinates; .* needs 6: q1, q2"),
+    (rows_of(5, 2, columns=["q1", "elbow"]), {}, "no coordinate 'elbow'; .*q1"),
+    (rows_of(5, 2, columns=["q1", "q1"]), {}, "'q1' appears twice"),
+    (rows_of(5, 2, columns=["q1", "q2"]), {"columns": ["q9"]}, "no column 'q9'"),
+    (rows_of(5, 6), {"columns": ["q1"]}, "1 columns are named"),
+    (rows_of(5, 5), {"verb": "ik"}, "the target has 5 numbers; it must be x,y,z .position only., x,y,z,roll"),
+    (rows_of(5, 3, columns=["a", "b", "c"]), {"verb": "ik"}, "the columns a, b, c; it must be x,y,z"),
+    (rows_of(5, 3, 3), {"verb": "ik"}, r"a row is of shape \(3, 3\); a target is \(4, 4\)"),
+    (rows_of(5, 3), {"verb": "ik", "options": {"task": "pose"}}, "needs targets with an orientation"),
+    (rows_of(5, 6), {"verb": "ik", "frame": None}, "ik needs a frame"),
+    (rows_of(5, 6), {"verb": "ik", "frame": "hand"}, "hand"),
+    (rows_of(5, 6), {"verb": "turn"}, "no verb 'turn'; there are: 'fk', 'ik'"),
+    (rows_of(5, 6), {"options": {"task": "pose"}}, "no option of map fk 'task'"),
+    (rows_of(5, 6), {"options": {"form": "quaternion"}}, "no form 'quaternion'"),
+    (rows_of(5, 6), {"verb": "ik_all", "options": {"limits": "turns"}}, "'turns' gives as many"),
+    (rows_of(5, 6), {"verb": "ik", "options": {"start": np.zeros((5, 6))}}, "start must be one configuration"),
+    (rows_of(5, 6), {"verb": "ik", "options": {"start": len}}, "built-in function len"),
+    (rows_of(5, 6), {"system": BAR, "verb": "assemble", "frame": None}, "the columns have no names"),
+    (rows_of(5, 1, columns=["A"]), {"system": BAR, "frame": None}, "'B' is missing, which the loops of 'four_bar'"),
+    (rows_of(5, 1, columns=["Z"]), {"system": BAR, "verb": "assemble", "frame": None}, "'Z'"),
+    (rows_of(5, 1, columns=["A"]), {"system": BAR, "verb": "assemble"}, "assemble needs no frame"),
+    (rows_of(5, 6), {"budget": Budget(threads=0)}, "threads is 0"),
+    (rows_of(5, 6), {"budget": Budget(starts=3)}, "budget has starts"),
+    (rows_of(5, 6), {"client": "tcp://127.0.0.1:1"}, "no scheduler answers"),
+    (two_lengths, {}, r"it holds .*q1 \(5,\).*; name columns of one length, or give the path of an array"),
+    (words_in_parquet, {}, "column 'q1' holds"),
+]
+
+
+@pytest.mark.parametrize(("file", "more", "words"), WRONG, ids=[words for _, _, words in WRONG])
+def test_wrong_questions(tmp_path, monkeypatch, file, more, words):
+    from kempe.analysis.maps import cluster
+
+    monkeypatch.setattr(cluster, "PATIENCE", 0.5)
+    given = {"system": PUMA, "verb": "fk", "frame": "tool", **more}
+    with pytest.raises((InputError, UnknownNameError), match=words):
+        kempe.map_file(given.pop("system"), given.pop("verb"), file(tmp_path), tmp_path / "out.zarr", **given)
+    assert not (tmp_path / "out.zarr").exists() and not (tmp_path / "out.zarr.parts").exists()
+
+
+def test_blocks_that_are_too_large_are_refused(tmp_path, q, monkeypatch):
+    monkeypatch.setattr(row_sources, "BLOCK_BYTES", 1000)
+    with pytest.raises(InputError, match="a row group of it has 90 rows"):
+        kempe.map_file(
+            PUMA, "fk", written(tmp_path, "q.parquet", q, PUMA.coordinate_names), tmp_path / "o.zarr", "tool"
+        )
+
+
+# ---- on a cluster
+
+
+def test_workers_of_a_cluster_answer_the_same(tmp_path, whole):
+    distributed = pytest.importorskip("distributed", reason="distributed is not installed (extra scale)")
+    path = tmp_path / "out.zarr"
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=2, processes=True, dashboard_address=None, memory_limit=None
+    ) as cluster, distributed.Client(cluster) as client:  # fmt: skip
+        first = mapped(whole[0], path, client=client, budget=interrupted_after(300))
+        second = mapped(whole[0], path, client=client)
+        third = kempe.map_file(PUMA, "ik", whole[0], tmp_path / "three.zarr", "tool", client=cluster.scheduler_address)
+    assert 300 <= first.rows < N and second.rows == third.rows == N
+    assert same(arrays(path), whole[1]) and same(arrays(tmp_path / "three.zarr"), whole[1])
