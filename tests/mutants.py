@@ -18,7 +18,6 @@ import gc
 import hashlib
 import json
 import os
-import random
 import resource
 import shutil
 import signal
@@ -73,12 +72,17 @@ def modules() -> list[str]:
 
 
 def draw(seed: int, count: int) -> list[tuple[str, Site]]:
-    """Mutations, as many from each area, as modules and sites."""
-    rng, pools = random.Random(seed), {name: [] for name in AREAS}
+    """Mutations, as many from each area, as modules and sites; a change of other code does not change what is drawn."""
+    pools: dict[str, list[tuple[str, Site]]] = {name: [] for name in AREAS}
+    lots: dict[tuple[str, Site], bytes] = {}
     for module in modules():
-        pools[area(module)] += [(module, site) for site in sites((SOURCE / module).read_text())]
+        seen: Counter[tuple[str, str, str]] = Counter()
+        for site in sites((SOURCE / module).read_text()):
+            seen[name := (site.function, site.before, site.after)] += 1
+            lots[module, site] = hashlib.sha1(repr((seed, module, *name, seen[name])).encode()).digest()
+            pools[area(module)].append((module, site))
     for pool in pools.values():
-        rng.shuffle(pool)
+        pool.sort(key=lots.__getitem__)
     return [pool.pop() for i in range(count) if (pool := pools[list(AREAS)[i % len(AREAS)]])]
 
 
@@ -91,8 +95,9 @@ def copy_of_source(folder: str, edit: dict[str, str]) -> str:
 
 
 def pytest_arguments(files: list[str]) -> list[str]:
-    """Pytest in this process, without what slows it down."""
+    """Pytest in this process, without what slows it down, with all cases of hunts and all rows but the slow ones."""
     quick = ["-q", "-s", "-n", "0", "-p", "no:cacheprovider", "-p", "no:faulthandler", "--tb=no", "--no-header"]
+    quick += ["-m", "not slow", "--hunt-times", "1"]
     return [*quick, "--rootdir", str(ROOT), *files]
 
 

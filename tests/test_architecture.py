@@ -37,7 +37,7 @@ FOLDERS: dict[str, list[set[str]]] = {
     "solvers.analytic": [{"plans"}, {"answers"}, {"."}, {"describe", "redundant"}],
     "analysis": [{"first_order"}, {"local"}, {"mobility"}, {"continuation"}, {"motion"}, {"manoeuvre"}, {"simulation"},
                  {"maps"}, {"spaces"}],
-    "analysis.spaces": [{"curves", "planar", "singular", "workspace"}, {"configuration"}, {"reach"}],
+    "analysis.spaces": [{"curves", "kinds", "singular"}, {"planar"}, {"configuration", "workspace"}, {"reach"}],
     "views": [{"drawing"}, {"."}, {"input", "viewer"}],
 }  # fmt: skip
 """In each package the order of its folders, and of single modules that stand apart; "." is what lies in no folder.
@@ -342,10 +342,11 @@ PLACES = set(
 
 UNPACKED = {
     "analysis/local/local_equations.py": {"N_ROWS", "N_OUT"},
+    "analysis/spaces/curves/dyad_branches.py": {"HEADER"},
     "solvers/dyads/decompose.py": {"HEADER"},
     "solvers/tasks/effort.py": {"AT_PLACES", "AT_VARS", "PLACE_INTS"},
 }
-"""Modules outside of kernels and model that know such places: those that pack arrays of their own."""
+"""Modules outside of kernels and model that know such places: they pack arrays of their own, or walk such programs."""
 
 
 def test_packed_layouts_are_read_where_they_are_written():

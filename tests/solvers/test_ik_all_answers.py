@@ -83,7 +83,7 @@ def test_rows_of_one_trajectory_do_not_depend_on_another():
         np.testing.assert_array_equal(both.along().q[i], alone.along().q)
 
 
-# ---- derivatives of what is asked of an axis
+# ---- derivatives of the error of an axis
 
 
 @pytest.mark.parametrize("task", ["direction", "position_axis"])

@@ -409,3 +409,15 @@ def test_wrong_arguments_are_named():
     with pytest.raises(kempe.KempeError, match="frame of expression"):
         robot.jacobian(robot.neutral, "tool", ["body"])
     assert robot.ik(target, "tool", tolerance=np.array([1e-6, 1e-6]))
+
+
+@pytest.mark.parametrize(("p", "distance"), [((0.5, 0.0, 0.0), 0.5), ((0.0, 0.0, -3.0), 2.0), ((2.0, 2.0, 1.0), 2.0)])
+def test_a_ball_joint_leads_a_point_on_a_sphere(p, distance):
+    """No axis of it stays where it is, so that the lengths about an axis that turns say nothing there."""
+    m = Mechanism("ball")
+    rod = m.body("rod")
+    m.spherical("S", m.ground, rod)
+    m.frame("tip", rod, (0.0, 0.0, 1.0))
+    s = m.build().ik(p, "tip")
+    assert s.code == Status.OUT_OF_REACH and f"outside the workspace by at least {distance:g} m" in s.status
+    np.testing.assert_allclose(s.position_error, distance, atol=1e-6)

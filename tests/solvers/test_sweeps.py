@@ -37,14 +37,14 @@ def test_solutions_at_a_value_are_those_with_the_joint_held(case, joint):
     name = system.coordinate_names[joint]
     X = arm.model.fk(q)
     target = X[:3, 3] if task == "position" else X[:3, :3] @ axis if task == "direction" else X
-    asked = (task, axis) if axis == AXIS else task
-    sweep = ik_sweep(system, target, "tool", name, task=asked, n=21, budget=kempe.Budget(points=24))
+    what = (task, axis) if axis == AXIS else task
+    sweep = ik_sweep(system, target, "tool", name, task=what, n=21, budget=kempe.Budget(points=24))
     theta = arm.model.theta(sweep.q[sweep.mask])
     off = oracle.error(arm.model.pose(theta), X, task, axis)
     assert sweep.mask.any() and max(np.max(e) for e in off) < 1e-9
     assert any(low <= q[joint] <= high for low, high in sweep.feasible)
     for i, value in enumerate(sweep.values):
-        held = system.ik_all(target, "tool", task=asked, fixed={name: value})
+        held = system.ik_all(target, "tool", task=what, fixed={name: value})
         assert len(held) == sweep.mask[i].sum() and held.inside.sum() == sweep.inside[i].sum()
         rows = arm.model.theta(sweep.q[i][sweep.mask[i]])
         assert all(arm.model.apart(rows, x).min() < 1e-6 for x in arm.model.theta(held.q))

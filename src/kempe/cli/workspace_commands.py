@@ -12,6 +12,7 @@ import typer
 from kempe.cli.app import (
     OPEN,
     Base,
+    Deg,
     Dirs,
     File,
     Json,
@@ -27,7 +28,9 @@ from kempe.cli.app import (
     writable,
 )
 from kempe.errors import InputError
+from kempe.views.facts import DEGREE
 from kempe.views.terminal import guarded, leave, print_json, show
+from kempe.words import counted
 
 PICTURES = (".png", ".svg", ".pdf")
 
@@ -49,25 +52,41 @@ def _numbers(text: str, what: str) -> list[float]:
         raise InputError(f"{what} is {text!r}; it must be numbers, separated by commas") from None
 
 
+def _turned(text: str, what: str, deg: bool) -> Any:
+    """An angle, several, or roll, pitch and yaw. Errors: `InputError`."""
+    angles = [x * DEGREE if deg else x for x in _numbers(text, what)]
+    return angles[0] if len(angles) == 1 else angles
+
+
 @app.command(rich_help_panel=OPEN)
 @guarded
 def workspace(
     file: File, frame: Annotated[str, option("--frame", "Body or frame whose places are wanted.", "NAME")],
-    n: Annotated[float | None, option("-n,--samples", "How many configurations are drawn: 1e8 (1e7).", "N")] = None,
+    n: Annotated[float | None, option("-n,--samples", "How many samples are drawn: 1e8 (1e7).", "N")] = None,
     cells: Annotated[
         str | None, option("--cells", "Cells along the longest edge, or along each: 64 or 64,64,32.", "N")
     ] = None,
     box: Annotated[
         str | None, option("--box", "The box in metres: xmin,xmax,ymin,ymax[,zmin,zmax].", "NUMBERS")
     ] = None,
+    kind: Annotated[
+        str | None,
+        option("--kind", "Which places: reachable, constant-orientation, dexterous; or orientation.", "KIND"),
+    ] = None,
+    orientation: Annotated[
+        str | None,
+        option("--orientation", "The orientation that counts: roll,pitch,yaw; in the plane angles.", "ANGLES"),
+    ] = None,
+    at: Annotated[str | None, option("--at", "The place x,y[,z] at which orientations are wanted.", "POINT")] = None,
     out: Annotated[Path | None, option("-o,--out", "The map to write or to go on with (Zarr).", "MAP")] = None,
     plot: Annotated[Path | None, option("--plot", "Draw a .png, .svg or .pdf file (needs matplotlib).", "FILE")] = None,
     scheduler: Scheduler = None,
     rng: Annotated[int | None, option("--rng", "Number that fixes the samples (0).", "N")] = None,
-    threads: Threads = None, time_limit: TimeLimit = None, json: Json = False, base: Base = None, root: Root = None,
-    package_dir: Dirs = None, xacro: Xacro = False, lenient_limits: Lenient = False,
+    threads: Threads = None, time_limit: TimeLimit = None, deg: Deg = False, json: Json = False,
+    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
-    """Show what a frame reaches, by any number of random configurations.
+    """Show what a frame reaches, by any number of random configurations, or in one orientation or all of them.
 
     Ctrl-C or the time limit ends it with what was done; with -o the same command goes on from there.
 
@@ -84,7 +103,9 @@ def workspace(
         raise InputError(f"--box has {len(ends)} numbers; it needs two for each axis")
     with slices.paced(sys.stderr, "samples") as said:
         answer = system.workspace(
-            frame, n=n, cells=along[0] if along is not None and len(along) == 1 else along,
+            frame, kind=kind, orientation=None if orientation is None else _turned(orientation, "--orientation", deg),
+            at=None if at is None else _numbers(at, "--at"), n=n,
+            cells=along[0] if along is not None and len(along) == 1 else along,
             box=None if ends is None else np.reshape(ends, (-1, 2)), client=scheduler, path=out,
             budget=Budget(rng=rng, threads=threads, time_limit=time_limit, progress=said),
         )  # fmt: skip
@@ -106,28 +127,35 @@ def workspace(
 def query(
     path: Annotated[Path, typer.Argument(metavar="MAP", help="A map that 'kempe workspace' wrote.")],
     points: Annotated[list[str], typer.Argument(metavar="POINT...", help="Points x,y[,z] in the ground frame [m].")],
-    json: Json = False,
-) -> None:
+    deg: Deg = False, json: Json = False,
+) -> None:  # fmt: skip
     """Say whether points are reached, and how far they are from the boundary.
 
-    The map decides where all cells around have samples, else the inverse model.
+    The exact boundary decides where it is known, else the map where all cells around have samples, else the inverse
+    model. Of a map of orientations points are orientations: angles of the plane, or roll,pitch,yaw.
 
     Example: kempe query map.zarr 0.3,0.2,0.5 0.9,0,0
     """
+    from kempe.analysis.spaces.kinds.questions import read_rotations
     from kempe.analysis.spaces.workspace.workspace import open_workspace
 
     space = open_workspace(path)
-    dim = space.system.dim
+    turned, dim = space.kind == "orientation", space.system.dim
+    wanted = 1 if turned and dim == 2 else dim
     rows = [_numbers(p, "a point") for p in points]
-    if any(len(row) != dim for row in rows):
-        raise InputError(f"points must have {dim} numbers, separated by commas")
-    inside, far = space.contains(rows), space.distance(rows)
+    if any(len(row) != wanted for row in rows):
+        raise InputError(f"points must have {counted(wanted, 'number')}, separated by commas")
+    if turned:
+        inside = [bool(space.contains(read_rotations(_turned(p, "a point", deg), dim))) for p in points]
+        far: Any = [None] * len(rows)
+    else:
+        inside, far = space.contains(rows).tolist(), space.distance(rows).tolist()
+    off = 0.0 if space.exact is not None else space.resolution
     if json:
-        found = [{"point": p, "reached": bool(i), "distance": float(f)} for p, i, f in
-                 zip(rows, inside, far, strict=True)]  # fmt: skip
-        print_json({"frame": space.frame, "resolution": space.resolution, "points": found})
+        found = [{"point": p, "reached": i, "distance": f} for p, i, f in zip(rows, inside, far, strict=True)]
+        print_json({"frame": space.frame, "kind": space.kind, "resolution": off, "points": found})
         return
+    edge = "the exact boundary" if not off else f"the boundary of the map (+- {off:.2g} m)"
     for p, i, f in zip(points, inside, far, strict=True):
-        said = "reached" if i else "not reached"
-        print(f"{p}: {said}, {abs(f):.4g} m {'inside' if f >= 0 else 'outside'} the boundary of the map "
-              f"(+- {space.resolution:.2g} m)")  # fmt: skip
+        beside = "" if turned else f", {abs(f):.4g} m {'inside' if f >= 0 else 'outside'} {edge}"
+        print(f"{p}: {'reached' if i else 'not reached'}{beside}")

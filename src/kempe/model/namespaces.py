@@ -261,8 +261,8 @@ class ReachStudies(Namespace):
         return capability_map(self.system, frame, box, cells, directions, rolls, budget=budget)
 
     @explained
-    def planar(self, frame: FrameLike) -> PlanarWorkspace:
-        """The exact workspace of a planar chain; see `kempe.analysis.spaces.planar.planar_workspace`."""
+    def planar(self, frame: FrameLike, kind: str | None = None, orientation: Any = None) -> PlanarWorkspace:
+        """The exact workspace of a planar system; see `kempe.analysis.spaces.planar.planar_workspace`."""
         from kempe.analysis.spaces.planar.planar_workspace import planar_workspace
 
-        return planar_workspace(self.system, frame)
+        return planar_workspace(self.system, frame, kind, orientation)

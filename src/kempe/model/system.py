@@ -114,13 +114,18 @@ class System(Compiled, Pictured, FormerNames):
 
     @explained
     def workspace(
-        self, frame: FrameLike, *, n: float | None = None, cells: Any = None, box: Any = None, client: Any = None,
+        self, frame: FrameLike, *, kind: str | None = None, orientation: Any = None, at: ArrayLike | None = None,
+        n: float | None = None, cells: Any = None, box: Any = None, client: Any = None,
         path: str | FilePath | None = None, budget: Budget | None = None,
     ) -> Workspace:  # fmt: skip
-        """The workspace of a frame as a sampled map; see `kempe.analysis.spaces.workspace.mapping`."""
+        """The workspace of a frame, of whatever `kind`, as a sampled map.
+
+        See `kempe.analysis.spaces.workspace.mapping`.
+        """
         from kempe.analysis.spaces.workspace.mapping import workspace
 
-        return workspace(self, frame, n=n, cells=cells, box=box, client=client, path=path, budget=budget)
+        return workspace(self, frame, kind=kind, orientation=orientation, at=at, n=n, cells=cells, box=box,
+                         client=client, path=path, budget=budget)  # fmt: skip
 
     # ---- where everything is
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Callable, Generator
 from datetime import timedelta
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO, cast
 
 import numpy as np
 
@@ -122,7 +123,7 @@ def progress(
 
 @contextlib.contextmanager
 def paced(file: TextIO, what: str) -> Generator[Callable[..., None] | None, None, None]:
-    """What work calls with how much is done, of how much, how much a second, and the seconds left.
+    """What work calls with how much is done, and of how much: a bar with how much a second, and the time left.
 
     Nothing where `file` is no terminal.
     """
@@ -134,10 +135,13 @@ def paced(file: TextIO, what: str) -> Generator[Callable[..., None] | None, None
 
     columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[pace]}")
     with Progress(*columns, console=Console(file=file), transient=True) as bar:
-        task = bar.add_task(what, pace="")
+        task, first = bar.add_task(what, pace=""), cast("tuple[int, float] | None", None)
 
-        def said(done: int, total: int, rate: float, left: float) -> None:
-            time = str(timedelta(seconds=round(left))) if left < 1e8 else "?"
-            bar.update(task, completed=done, total=total, pace=f"{done:.4g} of {total:.4g}, {rate:.3g}/s, {time} left")
+        def said(done: int, total: int) -> None:
+            nonlocal first
+            first = first or (done, time.monotonic())  # what an earlier call did is not of this pace
+            rate = (done - first[0]) / max(time.monotonic() - first[1], 1e-9)
+            left = str(timedelta(seconds=round((total - done) / rate))) if rate > 0.0 else "?"
+            bar.update(task, completed=done, total=total, pace=f"{done:.4g} of {total:.4g}, {rate:.3g}/s, {left} left")
 
         yield said

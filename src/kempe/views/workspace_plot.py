@@ -33,8 +33,9 @@ PAIRS = ((0, 1, 2), (0, 2, 1), (1, 2, 0))
 def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
     """Axes with the counts of a workspace, white where no sample fell; ``.figure.savefig("name.png")`` writes it.
 
-    In the plane one axes; in space an array of three, slices through the point `at` (3,) [m], by default the middle of
-    what is reached. `ax` are the axes to draw on, as many. Errors: `InputError`.
+    In the plane one axes, with the exact boundary in red where it is known; in space an array of three, slices through
+    the point `at` (3,) [m], by default the middle of what is reached (of orientations azimuth, height, roll). `ax` are
+    the axes to draw on, as many. Errors: `InputError`.
     """
     grid, counts = workspace.map.grid, workspace.map.counts
     d = len(grid.axes)
@@ -48,6 +49,9 @@ def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
         axes = page.new_figure(5.6, 4.6).add_subplot() if ax is None else page.axes_given(ax)[0]
         _slice(workspace, axes, counts, 0, 1, counts.max(initial=1))
         _bar(axes, [axes])
+        for piece in () if workspace.exact is None else workspace.exact.boundary:
+            p = shapes.piece_points(piece)
+            axes.plot(np.real(p), np.imag(p), color=style.OPEN, linewidth=1.2, gid="boundary")
         return axes
     point = numbers(at, "at", 3) if at is not None else workspace.map.points.mean(axis=0)
     place, inside = grid.places(np.asarray(point))
@@ -64,7 +68,7 @@ def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
     for one, layer, (right, up, cut) in zip(axes, layers, PAIRS, strict=True):
         _slice(workspace, one, layer, right, up, most)
         name, here = grid.axes[cut], grid.centres(grid.axes[cut])[place[cut]]
-        one.set_title(f"{name} = {here:.3g} m", size=style.FONT, color=style.INK)
+        one.set_title(f"{name} = {here:.3g}{_unit(workspace, name)}", size=style.FONT, color=style.INK)
     _bar(axes[0], list(axes))
     return axes
 
@@ -81,10 +85,15 @@ def _slice(workspace: Workspace, ax: Axes, counts: np.ndarray, right: int, up: i
     x, y = (_around(grid.centres(names[k]), float(grid.size[k])) for k in (right, up))
     if filled.any():
         ax.contour(x, y, filled, levels=[0.5], colors=style.INK, linewidths=0.8)
-    ax.set_xlabel(f"{names[right]} [m]", size=style.FONT, color=style.INK)
-    ax.set_ylabel(f"{names[up]} [m]", size=style.FONT, color=style.INK)
+    units = {name: f" [{unit}]" if (unit := _unit(workspace, name).strip()) else "" for name in names}
+    ax.set_xlabel(f"{names[right]}{units[names[right]]}", size=style.FONT, color=style.INK)
+    ax.set_ylabel(f"{names[up]}{units[names[up]]}", size=style.FONT, color=style.INK)
     ax.tick_params(labelsize=style.FONT - 1, colors=style.GROUND)
-    ax.set_aspect("equal")
+    ax.set_aspect("equal" if workspace.map.unit == "m" else "auto")
+
+
+def _unit(workspace: Workspace, axis: str) -> str:
+    return "" if axis == "height" else f" {workspace.map.unit}"
 
 
 def _around(middles: Array, size: float) -> Array:

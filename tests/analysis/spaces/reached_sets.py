@@ -17,6 +17,30 @@ def two_bars(a, b, limits=None):
     return m.build()
 
 
+def bars(*lengths):
+    """A planar arm of bars of these lengths, without limits."""
+    m = Mechanism("bars", dim=2)
+    parent, at = m.ground, 0.0
+    for k, length in enumerate(lengths):
+        body = m.body(f"b{k}")
+        m.revolute(f"q{k}", parent, body, at=(at, 0))
+        parent, at = body, length
+    m.frame("tip", parent, (at, 0))
+    return m.build()
+
+
+def scara(a, b, height):
+    """Two bars that turn about z, and a slide along it: the tip covers an annulus times the stroke."""
+    m = Mechanism("scara")
+    first, second, rod, hand = m.body("first"), m.body("second"), m.body("rod"), m.body("hand")
+    m.revolute("A", m.ground, first, axis="z")
+    m.revolute("B", first, second, at=(a, 0, 0), axis="z")
+    m.prismatic("C", second, rod, at=(b, 0, 0), axis="z", limits=(0.0, height))
+    m.revolute("D", rod, hand, axis="z")
+    m.frame("tip", hand)
+    return m.build()
+
+
 def shell(a, b):
     """An arm of two bars in space on a shoulder that turns twice: its tip covers a spherical shell."""
     m = Mechanism("shell")

@@ -156,7 +156,7 @@ def test_without_a_proof_the_number_is_a_lower_bound():
     assert all(p.dimension == 1 and len(p.singular_points) for p in answer.parts)
 
 
-def test_pieces_of_other_dimensions_are_told_apart():
+def test_pieces_of_other_dimensions_are_distinguished():
     """Bricard's loop of six turns has positions in which it is rigid: six equations, six unknowns, regular."""
     system = kempe.load("bricard_line_symmetric")
     parts = system.configuration_space.components().parts

@@ -7,7 +7,8 @@ import pytest
 from hunts import Hunt
 
 import kempe
-from kempe.analysis.spaces.planar.planar_workspace import planar_workspace
+from kempe.analysis.spaces.kinds.questions import question_of
+from kempe.analysis.spaces.planar.planar_workspace import planar_answer, planar_workspace
 from kempe.errors import InputError, UnsupportedError
 
 
@@ -92,7 +93,7 @@ def test_slides():
 
 def grid(system, workspace, n=90):
     """The area by a grid of points, each decided by `ik` with limits, and the largest it can be wrong by."""
-    size = workspace.chain.size
+    size = workspace.region.size
     x = np.linspace(-size, size, n)
     points = np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1)
     return points.reshape(-1, 2), (x[1] - x[0]) ** 2
@@ -153,3 +154,108 @@ def test_what_cannot_be_done_is_said():
     w = planar_workspace(arm(("R", 0.0, None), ("R", 0.6, None)), "tool")
     with pytest.raises(InputError, match="points has shape"):
         w.contains([1.0, 2.0, 3.0, 4.0])
+
+
+# ---- kinds, and what bounds them, beside the inverse model
+
+
+def random_arm(rng, wrist):
+    """Two to four joints, of which some have one axis, are held by limits, or do not move the tool."""
+    count, joints = int(rng.integers(2, 5)), []
+    for k in range(count):
+        turns = wrist and k == count - 1 or rng.random() < 0.7
+        limits = tuple(np.sort(rng.uniform(-3.0, 3.0, 2) if turns else rng.uniform(-1.0, 1.0, 2)).tolist())
+        limits = None if turns and (wrist and k == count - 1 or rng.random() < 0.4) else limits
+        limits = (0.3, 0.3) if rng.random() < 0.1 and not wrist else limits
+        joints.append(("R" if turns else "P", float(rng.choice([0.0, 0.3, rng.uniform(0.1, 1.0)])), limits))
+    return arm(*joints, tool=float(rng.choice([0.0, 0.3, rng.uniform(0.05, 0.8)])))
+
+
+@pytest.mark.parametrize("kind", ["reachable", "constant-orientation", "dexterous", "some angles"])
+def test_hunt_for_points_that_are_decided_wrongly(hunt: Hunt, kind):
+    """What the boundary goes round is what the inverse model reaches, and configurations within limits are inside."""
+    rng, wrist = hunt.rng(), kind != "reachable"
+    turns = {"constant-orientation": 1, "some angles": 3}
+    for _ in range(hunt.cases(12)):
+        system = random_arm(rng, wrist)
+        angles = rng.uniform(-3.0, 3.0, turns[kind]) if kind in turns else None
+        if kind == "constant-orientation":
+            angles = float(angles[0])
+        given = {"kind": "dexterous" if kind == "some angles" else kind, "orientation": angles}
+        try:
+            w = planar_workspace(system, "tool", **given)
+            if w.region.is_curve:
+                continue
+        except (UnsupportedError, InputError):
+            continue
+        points = np.concatenate([system.fk(system.random(rng, 8), "tool")[:, :2, 3], rng.uniform(-2.0, 2.0, (12, 2))])
+        clear = w.distance(points) > (0.02 if kind == "dexterous" else 1e-4)
+        question = question_of(system, "tool", given["kind"], angles, None)
+        reached = question.reached(system, "tool", np.pad(points, ((0, 0), (0, 1))), 0)
+        assert np.array_equal(w.contains(points)[clear], reached[clear]), (system.mechanism, given)
+        each = [w.region.solutions(complex(*p)) > 0 for p in points[clear]]
+        assert each == reached[clear].tolist()
+
+
+def test_a_joint_about_the_tool_does_not_move_it():
+    w = planar_workspace(arm(("R", 0.0, None), ("R", 0.6, None), ("R", 0.4, (-1.0, 1.0)), tool=0.0), "tool")
+    assert w.area == pytest.approx(np.pi * (1.0 - 0.04), abs=1e-12) and w.regions[0].solutions is None
+    with pytest.raises(InputError, match="does not move"):
+        planar_workspace(arm(("R", 0.0, None), tool=0.0), "tool")
+    with pytest.raises(InputError, match="held by their limits"):
+        planar_workspace(arm(("R", 0.0, (0.3, 0.3)), ("R", 0.5, (1.0, 1.0))), "tool")
+
+
+def test_turns_about_one_axis_are_one_turn():
+    one = planar_workspace(arm(("R", 0.0, (-0.5, 1.0)), ("R", 0.5, (0.2, 2.0))), "tool")
+    two = planar_workspace(arm(("R", 0.0, (-0.2, 0.5)), ("R", 0.0, (-0.3, 0.5)), ("R", 0.5, (0.2, 2.0))), "tool")
+    assert two.area == pytest.approx(one.area, abs=1e-12) and one.region.counted and not two.region.counted
+
+
+def test_a_five_bar_reaches_what_both_legs_reach():
+    """Two annuli about the ground joints; see Cervantes-Sanchez, Rendon-Sanchez, "A simplified approach for obtaining
+    the workspace of a class of 2-dof planar parallel manipulators", Mech. Mach. Theory 34 (1999)."""  # fmt: skip
+    system = kempe.load("five_bar")
+    w = planar_workspace(system, "tip")
+    circles = {(round(p.centre.real, 9), round(p.centre.imag, 9), round(p.radius, 9)) for p in w.boundary}
+    points = np.random.default_rng(0).uniform(*w.extent, (2000, 2))
+    far = np.abs(points[:, None] @ [1.0, 1j] - np.array([complex(x, y) for x, y, _ in sorted(circles)]))
+    radii = np.array([r for _, _, r in sorted(circles)])
+    clear = (np.abs(far - radii) > 1e-6).all(axis=1) & (np.arange(2000) < 200)
+    assert np.array_equal(system.ik(points[clear], "tip").success, w.contains(points[clear]))
+    assert np.prod(w.extent[1] - w.extent[0]) * w.contains(points).mean() == pytest.approx(w.area, rel=0.1)
+
+
+def test_a_planar_parallel_robot_in_one_orientation():
+    """Of each leg an annulus, moved by where the leg holds the platform (Gosselin, Angeles 1988)."""
+    w = kempe.load("three_rrr").reach.planar("tool", orientation=0.2)
+    thirds = np.exp(2.0j * np.pi / 3.0 * np.arange(3))
+    points = np.random.default_rng(0).uniform(*w.extent, (400_000, 2))
+    far = np.abs((points @ [1.0, 1j])[:, None] + (0.15 * np.exp(0.2j) - 0.5) * thirds)
+    inside = ((far > 0.05) & (far < 0.55)).all(axis=1)
+    assert np.array_equal(w.contains(points), inside)
+    assert w.area == pytest.approx(np.prod(w.extent[1] - w.extent[0]) * inside.mean(), rel=5e-3)
+    assert {r.solutions for r in w.regions} == {8} and w.kind == "constant-orientation"
+    assert "three_rrr, tool (constant-orientation): area" in w.status
+
+
+def test_dexterous_places_of_three_links():
+    """The ring within which a circle of the last link's length lies in the annulus of the first two."""
+    w = planar_workspace(arm(("R", 0.0, None), ("R", 0.6, None), ("R", 0.4, None), tool=0.1), "tool", kind="dexterous")
+    assert w.area == pytest.approx(np.pi * (0.9**2 - 0.3**2), abs=1e-10) and len(w.voids) == 1
+    empty = planar_workspace(arm(("R", 0.0, None), ("R", 0.6, None), ("R", 0.4, None), tool=2.0), "tool", "dexterous")
+    assert empty.area == 0.0 and "no place is reached" in empty.status and not empty.contains([0.0, 0.0])
+    with pytest.raises(UnsupportedError, match="without limits"):
+        planar_workspace(arm(("R", 0.0, None), ("R", 0.6, None), ("R", 0.4, (0.0, 1.0))), "tool", kind="dexterous")
+    with pytest.raises(UnsupportedError, match="one of places"):
+        planar_answer(w.system, "tool", question_of(w.system, "tool", None, None, (0.1, 0.2)))
+
+
+@pytest.mark.parametrize("over", [1e-2, 1e-3, 3e-4, 1e-4])
+def test_curves_that_nearly_coincide(over):
+    """A slide that goes just over the place where it is nearest to the axis: the hole stays one, however thin the ring
+    of two solutions is."""  # fmt: skip
+    w = planar_workspace(arm(("R", 0.0, None), ("P", 0.5, (-0.8, over)), tool=0.0), "tool")
+    assert w.area == pytest.approx(np.pi * 0.64, abs=1e-8) and not w.contains([0.1, 0.2])
+    assert w.contains([[0.6, 0.0], [0.0, -0.6]]).all() and [r.solutions for r in w.regions] == [1, 2]
+    assert w.regions[1].area == pytest.approx(np.pi * over**2, rel=1e-6)

@@ -12,22 +12,23 @@ from kempe import Budget, Mechanism, Status
 from kempe.analysis.spaces.configuration.polygons import polygon_of
 from kempe.analysis.spaces.curves.dyad_branches import dyad_branches
 from kempe.analysis.spaces.curves.skew_branches import skew_branches
-from kempe.analysis.spaces.curves.swept import Sweep, sweep_of, swept
+from kempe.analysis.spaces.curves.swept import CurveSweep, sweep_of, swept
 from kempe.solvers.common.clock import TimeLimit
 
 
-def every(system: kempe.System) -> list[Sweep]:
+def every(system: kempe.System) -> list[CurveSweep]:
     """Sweeps over each coordinate that can be used."""
     found = dyad_branches(system) if system.dim == 2 else skew_branches(system)
     return [] if isinstance(found, str) else [swept(b, TimeLimit(None)) for b in found]
 
 
-def best(system: kempe.System) -> Sweep:
+def best(system: kempe.System) -> CurveSweep:
     found = sweep_of(system, TimeLimit(None))
-    assert isinstance(found, Sweep)
+    assert isinstance(found, CurveSweep)
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("narrow", [False, True])
 def test_dyads_are_counted_as_a_grid_counts_them(hunt, narrow):
     rng, complete, seen = hunt.rng(), 0, set()
@@ -45,6 +46,7 @@ def test_dyads_are_counted_as_a_grid_counts_them(hunt, narrow):
     assert complete > 3 and len(seen) > 1
 
 
+@pytest.mark.slow
 def test_curves_that_are_traced_keep_their_component(hunt):
     """The tracer knows nothing of branches: all along a curve it is in one component, and in each there is a curve."""
     rng, several = hunt.rng(), 0
@@ -81,6 +83,7 @@ def test_slider_cranks_are_counted_by_their_lengths(hunt):
     assert len(seen) > 1
 
 
+@pytest.mark.slow
 def test_small_gaps_are_gaps(hunt):
     """Loops of four bars near their change points, against Grashof's rule: proven, or an honest lower bound."""
     rng, proven = hunt.rng(), 0
@@ -110,8 +113,13 @@ def test_branches_that_touch_are_one_component(name):
     assert (answer.count, answer.complete, len(answer.singular)) == (1, True, 2)
 
 
-@pytest.mark.parametrize(("name", "count"), [("andrews_squeezer", 4), ("klann", 3), ("stephenson_six_bar", 4),
-                                             ("watt_six_bar", 2), ("slider_crank", 2), ("four_bar_spatial", 2)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "count"),
+    [
+        ("andrews_squeezer", 4), ("klann", 3), ("stephenson_six_bar", 4), ("watt_six_bar", 2), ("slider_crank", 2),
+        ("four_bar_spatial", 2),
+    ],
+)  # fmt: skip
 def test_all_coordinates_say_the_same(name, count):
     """Counts over different coordinates share no function; those curves that are traced are as many."""
     system = kempe.load(name)

@@ -104,7 +104,7 @@ def map_file(
     What is done is written beside the path chunk by chunk, with checksums: after any interruption the same call goes
     on, and makes damaged chunks again. Answers do not depend on threads or workers: with a `client`, a
     `distributed.Client` or the address of a scheduler, those of a Dask cluster answer. Of the `budget` are read: rng
-    (0), threads, time_limit (none), progress(rows, of them, rows a second, seconds left).
+    (0), threads, time_limit (none), progress(rows, n).
 
     Errors: `InputError` and `UnknownNameError` for what the file is not, and for what is at the path; those of the verb
     for its options; `DiskError`; `DamagedError` for a source that cannot be read; `MissingExtraError` without the extra
@@ -138,7 +138,7 @@ def _chunk(job: RowJob, rows: RowSource) -> int:
 
 def _fill(store: RowStore, client: Any, threads: int, spend: Budget, clock: TimeLimit) -> None:
     """Answer all rows that are not answered. Errors: those of tasks, and what broke it off."""
-    n, pace = store.source.n, Pace(spend.progress, 0, store.source.n)
+    n, pace = store.source.n, Pace(spend.progress, store.source.n)
 
     def checked(done: int) -> None:
         pace(done)
@@ -149,7 +149,6 @@ def _fill(store: RowStore, client: Any, threads: int, spend: Budget, clock: Time
     if store.whole:
         return
     done = store.count(n)
-    pace = Pace(spend.progress, done, n)
     tasks = store.missing(n, store.chunk, store.chunk)
     for part in _local(store, tasks, threads, clock) if client is None else _far(store, tasks, client, clock):
         store.add(part)

@@ -139,7 +139,7 @@ class RowStore(PartLog):
             self.write_list()  # the same rows in another file
 
     def _make_arrays(self) -> None:
-        """A new group, which fills up, and its arrays. Errors: `DiskError`."""
+        """Make a new group, which fills up, and its arrays. Errors: `DiskError`."""
         try:
             self._describe(zarr_library().open_group(str(self.folder / ROWS), mode="w", zarr_format=3))
         except OSError as error:

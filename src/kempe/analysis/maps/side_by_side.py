@@ -20,11 +20,10 @@ RETRIES = 5
 
 
 class Pace:
-    """Says how far the work is: calls `progress(done, total, done a second, seconds left)` now and then."""
+    """Says how far the work is: calls `progress(done, total)` now and then."""
 
-    def __init__(self, progress: Callable[..., Any] | None, done: int, total: int):
-        self.progress, self.before, self.total = progress, done, total
-        self.begin = self.said = time.monotonic()
+    def __init__(self, progress: Callable[..., Any] | None, total: int):
+        self.progress, self.total, self.said = progress, total, time.monotonic()
 
     def __call__(self, done: int, at_once: bool = False) -> None:
         """Say that so many are done, if it is time, or at once."""
@@ -32,8 +31,7 @@ class Pace:
         if self.progress is None or (now - self.said < WAKE and not at_once):
             return
         self.said = now
-        rate = (done - self.before) / max(now - self.begin, 1e-9)
-        self.progress(done, self.total, rate, (self.total - done) / rate if rate > 0.0 else float("inf"))
+        self.progress(done, self.total)
 
 
 class Workers(Protocol):
@@ -80,7 +78,7 @@ class ThreadWorkers:
         return False
 
     def give_up(self, futures: list[Future[Any]]) -> None:
-        """Wait for those that are begun."""
+        """Let those end that are begun."""
         wait(futures)
 
 

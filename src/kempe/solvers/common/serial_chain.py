@@ -168,7 +168,7 @@ def reach_bounds(ints: np.ndarray, floats: np.ndarray, limits: Array) -> list[Re
     start, slides = p[0], 0.0
     for row in np.flatnonzero(kinds == SLIDE):
         slides += float(np.max(np.abs(numbers_of(ints, floats)[row, MULTIPLIER] * limits[:, table[row, V_INDEX]])))
-    if n and kinds[0] != SLIDE:
+    if n and kinds[0] == TURN:
         start = start + p[1, 2] * R[0, :, 2]
         p[1, 2] = 0.0
     out = [_bound(start, p[1:], slides, bool(np.any(kinds == SLIDE)), np.zeros(3))]

@@ -13,7 +13,7 @@ from kempe.analysis.continuation.path import Event, Path
 from kempe.analysis.motion.motion import trace
 from kempe.analysis.spaces.configuration.manifold import Manifold
 from kempe.analysis.spaces.configuration.polygons import polygon_of
-from kempe.analysis.spaces.curves.swept import Sweep, sweep_of
+from kempe.analysis.spaces.curves.swept import CurveSweep, sweep_of
 from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods
 from kempe.kinematics.closure_rows import RANK_TOLERANCE
@@ -236,7 +236,7 @@ def components(system: System, *, budget: Budget | None = None) -> Components:
                       late or found.late)  # fmt: skip
 
 
-def _proven(system: System, time: TimeLimit) -> tuple[tuple[int, str] | None, Sweep | None, bool]:
+def _proven(system: System, time: TimeLimit) -> tuple[tuple[int, str] | None, CurveSweep | None, bool]:
     """The number and its proof, if there is one; the sweep over a coordinate; and whether the time was up."""
     polygon = polygon_of(system)
     known = None if isinstance(polygon, str) else (polygon.count, polygon.reason)
@@ -264,7 +264,7 @@ class Traced:
         return text + (f"; configurations with {dims} freedoms were found, too" if dims else "")
 
 
-def _lower_bound(system: System, found: Traced, sweep: Sweep | None) -> tuple[int, str]:
+def _lower_bound(system: System, found: Traced, sweep: CurveSweep | None) -> tuple[int, str]:
     """The least number of components, and why."""
     apart = sum(part.alone for part in found.parts)
     count = apart + (len(found.parts) > apart)
@@ -279,7 +279,7 @@ def _lower_bound(system: System, found: Traced, sweep: Sweep | None) -> tuple[in
 
 
 def _traced(
-    system: System, mobility: Mobility, sweep: Sweep | None, spend: Budget, time: TimeLimit, enough: int | None
+    system: System, mobility: Mobility, sweep: CurveSweep | None, spend: Budget, time: TimeLimit, enough: int | None
 ) -> Traced:  # fmt: skip
     """All components to which starts lead: those of the sweep first, then random ones unless that was complete."""
     still, home = moved_by_spins(system, mobility.q), mobility.q

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from kempe.analysis.spaces.curves.branches import SOUND, Branches
+from kempe.analysis.spaces.curves.branch_functions import SOUND, BranchFunctions
 from kempe.kinematics.common.enclosures import interval
 from kempe.spatial import Array
 
@@ -62,7 +62,7 @@ class Cells(NamedTuple):
 class Decider:
     """Decides about the intervals of a curve; `signs` (k, m) are those of its branches."""
 
-    def __init__(self, branches: Branches, time: TimeLimit):
+    def __init__(self, branches: BranchFunctions, time: TimeLimit):
         m = branches.signs
         self.branches, self.time, self.left = branches, time, MOST // 2**m
         self.signs = np.array(list(product((1.0, -1.0), repeat=m))).reshape(2**m, m)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.analysis.first_order.constraint_graph import structure
-from kempe.analysis.spaces.curves.branches import SOUND, Branches, Function, within, within_turn
+from kempe.analysis.spaces.curves.branch_functions import SOUND, BranchFunctions, Function, within, within_turn
 from kempe.kernels.dyads import dyads_layout as K
 from kempe.kinematics.common.enclosures import Enclosure, constant, cos_sin
 from kempe.kinematics.configuration import circles
@@ -36,7 +36,7 @@ Vector = tuple[Enclosure, Enclosure]
 
 
 @kept
-def dyad_branches(system: System) -> tuple[Branches, ...] | str:
+def dyad_branches(system: System) -> tuple[BranchFunctions, ...] | str:
     """The branches over each coordinate from which all others follow by dyads, or why there are none."""
     parts = parts_of(system)
     if parts.trouble:
@@ -48,7 +48,7 @@ def dyad_branches(system: System) -> tuple[Branches, ...] | str:
     if Decomposition(system, parts, []).freedom() - len(slots) + len({*slots}) != 1 + len(aside):
         return "by counting, its loops have not one freedom"
     turns, layout = circles(system), system.structure.layout
-    out: list[tuple[bool, Branches]] = []
+    out: list[tuple[bool, BranchFunctions]] = []
     places = zip(map(int, layout.vector_q), map(int, layout.vector_v), strict=True)
     for iq, iv in places:
         name: str = system.coordinate_names[iq]
@@ -58,7 +58,9 @@ def dyad_branches(system: System) -> tuple[Branches, ...] | str:
             walk = Walk(system, plan)
             if walk.sound:
                 ends = (0.1 - math.pi, 0.1 + math.pi + 1e-15) if turns[iv] else (low, high)
-                found = Branches(system, name, *ends, bool(turns[iv]), plan.signs, walk, _solved(plan), _signs(plan))
+                found = BranchFunctions(
+                    system, name, *ends, bool(turns[iv]), plan.signs, walk, _solved(plan), _signs(plan)
+                )
                 out.append((bool(turns[iv]), found))
     out.sort(key=lambda x: (not x[0], x[1].signs))
     return tuple(x for _, x in out) or "no coordinate that is bounded gives all others by dyads"

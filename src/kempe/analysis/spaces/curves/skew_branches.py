@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from kempe.analysis.spaces.curves.branches import Branches, Function, within, within_turn
+from kempe.analysis.spaces.curves.branch_functions import BranchFunctions, Function, within, within_turn
 from kempe.analysis.spaces.curves.loops import loop_of, pin, primitives_of
 from kempe.joints import P, Q, R
 from kempe.kinematics.common.enclosures import Enclosure, cos_sin
@@ -44,7 +44,7 @@ class Rod(NamedTuple):
 
 
 @kept
-def skew_branches(system: System) -> tuple[Branches, ...] | str:
+def skew_branches(system: System) -> tuple[BranchFunctions, ...] | str:
     """The branches over each crank whose neighbour is the other one, or a slide, or why there are none."""
     found = loop_of(system)
     if isinstance(found, str) or system.dim != 3:
@@ -52,7 +52,7 @@ def skew_branches(system: System) -> tuple[Branches, ...] | str:
     bodies, names = found
     if one_sided_rows(system).declared or len(bodies) != 4:
         return "it has one-sided constraints, or other than four joints in its loop"
-    out: list[Branches] = []
+    out: list[BranchFunctions] = []
     for k in range(4):
         for order in ((0, 1, 2, 3), (0, -1, -2, -3)):
             at = [(k + i) % 4 for i in order]
@@ -62,7 +62,7 @@ def skew_branches(system: System) -> tuple[Branches, ...] | str:
     return tuple(out) or "it is not a rod between two cranks, or a crank and a slide, nor four turns of one sphere"
 
 
-def _over(system: System, ring: list[str], joints: list[Joint]) -> list[Branches]:
+def _over(system: System, ring: list[str], joints: list[Joint]) -> list[BranchFunctions]:
     """The branches over the first of four joints, with the last one as the other: none where they do not fit."""
     first, ball, other, last = joints
     base, crank, rod, rocker = ring
@@ -93,7 +93,7 @@ def _over(system: System, ring: list[str], joints: list[Joint]) -> list[Branches
             out[i] = same[0] if len(same) else np.nan
         return out
 
-    return [Branches(system, first.name, *ends, bool(turns[first.name]), 1, walk, at, signs_of)]
+    return [BranchFunctions(system, first.name, *ends, bool(turns[first.name]), 1, walk, at, signs_of)]
 
 
 def _limits(system: System) -> dict[str, tuple[float, float]]:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from kempe.analysis.spaces.curves.branch_functions import LIMIT, BranchFunctions
 from kempe.analysis.spaces.curves.branch_intervals import (
     ALIVE,
     DEAD,
@@ -25,7 +26,6 @@ from kempe.analysis.spaces.curves.branch_intervals import (
     Cells,
     Decider,
 )
-from kempe.analysis.spaces.curves.branches import LIMIT, Branches
 from kempe.analysis.spaces.curves.dyad_branches import dyad_branches
 from kempe.analysis.spaces.curves.skew_branches import skew_branches
 from kempe.model.kept import kept
@@ -43,14 +43,14 @@ AT_LEFT, AT_RIGHT = (ALIVE, LEFT, TOUCH, OPEN), (ALIVE, RIGHT, TOUCH, OPEN)
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep:
+class CurveSweep:
     """A curve of k branches with `signs` (k, m) over n intervals, its `cells`.
 
     `label` (n, k) is the number of the component of each branch on each interval, from 0 to `count` - 1, or -1; `ends`
     (count,) is how many ends each component has: 2 if it is an arc.
     """
 
-    branches: Branches
+    branches: BranchFunctions
     signs: Array
     cells: Cells
     label: np.ndarray
@@ -104,7 +104,7 @@ class Sweep:
         return out
 
 
-def swept(branches: Branches, time: TimeLimit) -> Sweep:
+def swept(branches: BranchFunctions, time: TimeLimit) -> CurveSweep:
     """The components of a curve."""
     run = Decider(branches, time)
     cells = run.cells()
@@ -115,10 +115,10 @@ def swept(branches: Branches, time: TimeLimit) -> Sweep:
     if not branches.closes:
         stops += [label[c][np.isin(cells.state[c], there)] for c, there in ((0, AT_LEFT), (-1, AT_RIGHT))]
     ends = np.bincount(np.concatenate(stops) + 1, minlength=len(present) + 1)[1:]
-    return Sweep(branches, run.signs, cells, label, len(present), ends)
+    return CurveSweep(branches, run.signs, cells, label, len(present), ends)
 
 
-def _joined(branches: Branches, signs: Array, cells: Cells) -> np.ndarray:
+def _joined(branches: BranchFunctions, signs: Array, cells: Cells) -> np.ndarray:
     """The numbers (n, k) of what is joined, of each branch on each interval."""
     from scipy.sparse import coo_matrix, csgraph
 
@@ -139,17 +139,17 @@ def _joined(branches: Branches, signs: Array, cells: Cells) -> np.ndarray:
 
 
 @kept
-def _found(_system: System) -> list[Sweep | str]:
+def _found(_system: System) -> list[CurveSweep | str]:
     """Where what was found of a system is kept."""
     return []
 
 
-def sweep_of(system: System, time: TimeLimit) -> Sweep | str:
+def sweep_of(system: System, time: TimeLimit) -> CurveSweep | str:
     """The sweep that proves most, over the coordinates that can be used; or why there is none."""
     found = _found(system)
     if not found:
         branches = dyad_branches(system) if system.dim == 2 else skew_branches(system)
-        best: Sweep | str = branches if isinstance(branches, str) else ""
+        best: CurveSweep | str = branches if isinstance(branches, str) else ""
         for way in branches[:TRIES] if not isinstance(branches, str) else ():
             sweep = swept(way, time)
             better = isinstance(best, str) or (sweep.complete, sweep.count) > (best.complete, best.count)

@@ -10,20 +10,14 @@ of manipulator workspaces", J. Mechanical Design 118 (1996).
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from kempe.analysis.spaces.planar.planar_region import NOTHING, SAME, PlanarRegion
 from kempe.analysis.spaces.planar.plane_curves import TURN, PlanePiece, meetings, merged
-
-NOTHING = 1e-12
-SAME = 1e-10
-"""Difference, in sizes of the chain, up to which circles and lines are the same."""
-BESIDE = 1e-6
-"""How far beside a curve points are tried, in sizes of the chain, and at most as a part of the curve's length."""
-PART = 0.02
 
 
 @dataclass(frozen=True)
@@ -80,13 +74,49 @@ class PlanarJoint:
             out += x[:1].tolist()
         return out
 
+    def with_next(self, other: PlanarJoint) -> PlanarJoint | None:
+        """One joint for this and the next, where they turn about one axis or slide along one way; else None."""
+        if self.axis is None or other.axis is None:
+            if self.axis is not other.axis or abs(np.imag(self.way * np.conj(other.way))) > NOTHING * abs(
+                self.way * other.way):  # fmt: skip
+                return None
+            rates = 1.0, float(np.real(other.way / self.way))
+        elif abs(self.axis - other.axis) > NOTHING * (abs(self.axis) + abs(other.axis)):
+            return None
+        else:
+            rates = self.rate, other.rate
+        ends = [sorted((r * j.low, r * j.high)) for r, j in zip(rates, (self, other), strict=True)]
+        low, high = (sum(x) for x in zip(*ends, strict=True))
+        return replace(self, rate=1.0 if self.axis is not None else self.rate, low=low, high=high)
+
 
 @dataclass(frozen=True)
-class PlanarChain:
-    """The joints of a chain from the ground on, and the point that they lead, all of them at zero."""
+class PlanarChain(PlanarRegion):
+    """The joints of a chain from the ground on, and the point that they lead, all of them at zero.
+
+    `spare` joints more move it no further than these do.
+    """
 
     joints: tuple[PlanarJoint, ...]
     tip: complex
+    spare: int = 0
+
+    @classmethod
+    def of(cls, joints: Iterable[PlanarJoint], tip: complex) -> PlanarChain:
+        """The chain of joints, of which those that turn about one axis or slide along one way are one.
+
+        A joint with the tip on its axis is left out.
+        """
+        kept: list[PlanarJoint] = []
+        given = tuple(joints)
+        for joint in given:
+            one = kept[-1].with_next(joint) if kept else None
+            kept[len(kept) - (one is not None) :] = [one or joint]
+        chain = cls(tuple(kept), tip, len(given) - len(kept))
+        last = kept[-1].axis if kept else None
+        if last is not None and abs(tip - last) <= NOTHING * max(chain.size, abs(tip)):
+            return cls(chain.joints[:-1], tip, chain.spare + 1)
+        return chain
 
     @cached_property
     def size(self) -> float:
@@ -113,9 +143,13 @@ class PlanarChain:
     def _of(self, choice: tuple[float | None, ...]) -> list[PlanePiece]:
         """The pieces with joints at these limits, the others (None) singular."""
         free = [i for i, x in enumerate(choice) if x is None]
+        if not free:
+            return []
         last = free[-1]
         tip = _carried(self._fixed(choice, last + 1, len(choice)), self.tip)
         states = self._first_state(last, tip)
+        if not states:  # the tip is on the axis, and stays there
+            return self._of((*choice[:last], 0.0, *choice[last + 1 :]))
         for i, k in zip(free[-2::-1], free[:0:-1], strict=True):
             a, b = self._fixed(choice, i + 1, k)
             states = [s for t, u in states for s in self._before(i, k, a, b, t, u)]
@@ -152,7 +186,7 @@ class PlanarChain:
         else:
             line = 1j * first.way if first.axis is None else a * joint.axis + b - first.axis
             if abs(line) < NOTHING * self.size:
-                return []  # axes that coincide
+                return [] if joint.limits or first.limits else [(a * t + b, a * u)]  # axes that coincide: one joint
             turn = line / abs(line) / (a * u)
             values = joint.turned_to([turn, -turn])
         out: list[tuple[complex, complex]] = []
@@ -161,34 +195,25 @@ class PlanarChain:
             out.append((a * (c * t + d) + b, a * c * u))
         return out
 
-    # ---- which points are reached
+    @property
+    def counted(self) -> bool:
+        """Whether it says in how many ways a point is reached: two joints do."""
+        return len(self.joints) == 2 and not self.spare
 
-    @cached_property
-    def ends(self) -> list[PlanePiece]:
-        """The boundary of the workspace: pieces that have the workspace to their left only."""
-        return [p for p, left, right in self.sides if left and not right]
+    @property
+    def limited(self) -> int:
+        """How many joints have limits."""
+        return sum(bool(j.limits) for j in self.joints)
 
-    @cached_property
-    def sides(self) -> list[tuple[PlanePiece, int, int]]:
-        """The candidates, cut where they meet, with how many solutions (of two joints; else 1) are on either side.
+    @property
+    def is_curve(self) -> bool:
+        """Whether it is a curve, without area."""
+        return len(self.joints) == 1
 
-        Each is turned so that it has more to its left.
-        """
-        out: list[tuple[PlanePiece, int, int]] = []
-        for i, piece in enumerate(self.candidates):
-            cuts = [meetings(piece, other) for j, other in enumerate(self.candidates) if j != i]
-            t = np.unique(np.concatenate([[0.0, 1.0], *cuts]).clip(0.0, 1.0))
-            t = t[np.concatenate([[True], np.diff(t) * piece.length > 10.0 * SAME * self.size])]
-            t[-1] = 1.0
-            for a, b in itertools.pairwise(t):
-                part = piece.part(a, b)
-                beside = min(BESIDE * self.size, PART * part.length) * 1j * part.tangent(0.47)
-                left, right = (self.solutions(complex(part.at(0.47)) + s * beside) for s in (1.0, -1.0))
-                if left >= right:
-                    out.append((part, left, right))
-                else:
-                    out.append((part.part(1.0, 0.0), right, left))
-        return out
+    def moved(self, by: complex) -> PlanarChain:
+        """The chain, moved as a whole."""
+        joints = [j if j.axis is None else replace(j, axis=j.axis + by) for j in self.joints]
+        return replace(self, joints=tuple(joints), tip=self.tip + by)
 
     def solutions(self, p: complex) -> int:
         """In how many ways two joints reach a point; of more whether they do, 0 or 1."""
@@ -199,13 +224,7 @@ class PlanarChain:
             return len(meetings(curve, self.joints[1].curve(self.tip), 0.0))
         t = np.concatenate([[0.0, 1.0], *[meetings(curve, end) for end in self.tail.ends]])
         t = np.unique(t.clip(0.0, 1.0))
-        return int(any(self.tail.holds(complex(curve.at(0.5 * (a + b)))) for a, b in itertools.pairwise(t)))
-
-    def holds(self, p: complex) -> bool:
-        """Whether a point, which is not on the boundary, is inside it: by how often the boundary goes round it."""
-        if len(self.joints) == 1:
-            return False
-        return round(sum(_turn_about(piece, p) for piece in self.ends) / TURN) != 0
+        return int(self.tail.holds(curve.at(0.5 * (t[1:] + t[:-1]))).any())
 
 
 def _carried(motion: tuple[complex, complex], z: complex) -> complex:
@@ -215,21 +234,3 @@ def _carried(motion: tuple[complex, complex], z: complex) -> complex:
 def _moved(piece: PlanePiece, motion: tuple[complex, complex]) -> PlanePiece:
     a, centre = motion[0], _carried(motion, piece.centre)
     return PlanePiece(centre, piece.radius, piece.start + float(np.angle(a)), piece.sweep, a * piece.way)
-
-
-def _turn_about(piece: PlanePiece, p: complex) -> float:
-    """The angle by which the way from p to a point turns as this goes along a piece."""
-    a, b = complex(piece.at(0.0)) - p, complex(piece.at(1.0)) - p
-    if not piece.is_arc:
-        return float(np.angle(b / a))
-    # along the arc the angle is that of the chord, and a full turn more where p lies between the two
-    parts = max(1, int(np.ceil(abs(piece.sweep) / 1.5)))
-    total = 0.0
-    for k in range(parts):
-        small = piece.part(k / parts, (k + 1) / parts)
-        a, b = complex(small.at(0.0)) - p, complex(small.at(1.0)) - p
-        angle = float(np.angle(b / a))
-        inside = abs(p - small.centre) < small.radius
-        beyond = np.imag((p - small.at(0.0)) * np.conj(small.at(1.0) - small.at(0.0))) * np.sign(small.sweep) < 0.0
-        total += angle + (TURN * np.sign(small.sweep) if inside and beyond else 0.0)
-    return total

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.analysis.spaces.planar.planar_chain import PlanarChain, PlanarJoint
+from kempe.analysis.spaces.kinds.questions import DEXTEROUS, ORIENTATION, REACHABLE, Question, question_of
+from kempe.analysis.spaces.planar.planar_of_systems import planar_region
+from kempe.analysis.spaces.planar.planar_region import PlanarRegion
 from kempe.analysis.spaces.planar.plane_curves import PlanePiece
 from kempe.calls import brief, explained, explained_methods, numbers
 from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.common.result import Report
-from kempe.model.tree.primitive_table import local_chain
-from kempe.solvers.common.serial_chain import obstacle
+from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import counted
 
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
 
     from kempe.model.system import FrameLike, System
 
-MOST = 6
-"""Joints that a chain may have: the work grows with a power of their number."""
 MEET = 1e-7
 """How far ends of pieces may be apart, in sizes of the chain, to be the same corner."""
 
@@ -48,25 +47,24 @@ class SolutionRegion:
 @explained_methods
 @dataclass(frozen=True, eq=False)
 class PlanarWorkspace(Report):
-    """The points of the plane that the origin of a frame of a planar chain reaches, within the limits, exactly.
+    """The points of the plane that the origin of a frame reaches, within the limits, exactly.
 
     `boundary` are arcs of circles and segments that have the workspace to their left; `regions` tell how many solutions
-    there are where. Lengths are in metres.
+    there are where. The `kind` says in which orientations, as in `System.workspace`. Lengths are in metres.
     """
 
     __repr__ = brief
 
     system: System
     frame: str
-    chain: PlanarChain = field(repr=False)
+    region: PlanarRegion = field(repr=False)
+    kind: str = REACHABLE
     code: Any = Status.SOLVED
 
     @cached_property
     def boundary(self) -> tuple[PlanePiece, ...]:
         """Arcs and segments that bound it; of a single joint the curve that it is."""
-        if len(self.chain.joints) == 1:
-            return tuple(self.chain.candidates)
-        return tuple(self.chain.ends)
+        return tuple(self.region.candidates if self.region.is_curve else self.region.ends)
 
     @cached_property
     def area(self) -> float:
@@ -74,40 +72,55 @@ class PlanarWorkspace(Report):
         return sum((r.area for r in self.regions), 0.0)
 
     @cached_property
+    def extent(self) -> Array:
+        """The least and the largest x and y (2, 2) of its boundary in metres."""
+        p = np.concatenate([piece.extremes for piece in self.boundary] or [np.zeros(1, dtype=complex)])
+        x = np.stack([np.real(p), np.imag(p)])
+        return np.stack([x.min(axis=1), x.max(axis=1)])
+
+    @cached_property
     def regions(self) -> tuple[SolutionRegion, ...]:
-        """For each number of solutions the points that have it; for more than two joints one region."""
-        if len(self.chain.joints) == 1:
+        """For each number of solutions the points that have it; one region where solutions are not counted."""
+        if self.region.is_curve:
             return ()
-        sides, several = self.chain.sides, len(self.chain.joints) > 2
+        sides = self.region.sides
         counts = sorted({n for _, left, right in sides for n in (left, right) if n > 0})
         out: list[SolutionRegion] = []
         for n in counts:
             edges = [p if left == n else p.part(1.0, 0.0) for p, left, right in sides if (left == n) != (right == n)]
-            out.append(SolutionRegion(None if several else n, float(sum(p.moment for p in edges)), tuple(edges),
-                              _loops(edges, MEET * self.chain.size)))  # fmt: skip
+            out.append(SolutionRegion(n if self.region.counted else None, float(sum(p.moment for p in edges)),
+                              tuple(edges), _loops(edges, MEET * self.region.size)))  # fmt: skip
         return tuple(out)
 
     @cached_property
     def voids(self) -> tuple[tuple[PlanePiece, ...], ...]:
         """Closed curves round holes of the workspace."""
-        loops = _loops(list(self.boundary), MEET * self.chain.size) if self.regions else ()
-        return tuple(loop for loop in loops if sum(p.moment for p in loop) < 0.0)
+        loops = _loops(list(self.boundary), MEET * self.region.size) if self.regions else ()
+        return tuple(loop for loop in loops if _area(loop) < 0.0)
 
     def contains(self, points: ArrayLike) -> Any:
-        """Whether points (..., 2) or (..., 3) are reached, by the inverse model; on the boundary rounding decides."""
+        """Whether points (..., 2) or (..., 3) are reached: the boundary goes round them. On it rounding decides.
+
+        Of a curve they are those within 1e-9 of its length.
+        """
         p = self._points(points)
-        out = np.zeros(p.shape, dtype=bool)
-        for i in np.ndindex(p.shape):
-            out[i] = bool(np.isfinite(p[i])) and self.chain.solutions(complex(p[i])) > 0
+        if self.region.is_curve:
+            out = np.asarray(self.distance(points) <= 1e-9 * self.region.size)
+        else:
+            finite = np.isfinite(p)
+            out = finite & self.region.holds(np.where(finite, p, 0.0))
         return bool(out) if out.ndim == 0 else out
 
     def solutions(self, points: ArrayLike) -> Any:
-        """In how many ways (...) points (..., 2) are reached by two joints. Errors: `UnsupportedError` for others."""
-        if len(self.chain.joints) != 2:
-            raise UnsupportedError(f"{self.frame!r} is moved by {counted(len(self.chain.joints), 'joint')}: solutions "
-                                   "are counted for two")  # fmt: skip
+        """In how many ways (...) points (..., 2) are reached, of chains or legs of two joints that decide the place.
+
+        Errors: `UnsupportedError` for others.
+        """
+        if not self.region.counted:
+            raise UnsupportedError(f"of {self.frame!r} solutions are not counted: they are where two joints decide the "
+                                   "place, in one orientation or whatever it is")  # fmt: skip
         p = self._points(points)
-        out = np.array([self.chain.solutions(complex(x)) if np.isfinite(x) else 0 for x in p.ravel()], dtype=np.int64)
+        out = np.array([self.region.solutions(complex(x)) if np.isfinite(x) else 0 for x in p.ravel()], dtype=np.int64)
         return int(out[0]) if p.ndim == 0 else out.reshape(p.shape)
 
     def distance(self, points: ArrayLike) -> Any:
@@ -115,14 +128,7 @@ class PlanarWorkspace(Report):
         p = self._points(points)
         best = np.full(p.shape, np.inf)
         for piece in self.boundary:
-            d = p - piece.centre
-            with np.errstate(invalid="ignore", divide="ignore"):
-                foot = piece.centre + piece.radius * d / np.abs(d) if piece.is_arc else p
-            inner = piece.parameters(foot)
-            near = np.abs(d) if piece.is_arc else np.zeros(p.shape)
-            near = np.abs(near - piece.radius) if piece.is_arc else np.abs(p - piece.at(inner[0]))
-            ends = np.minimum(np.abs(p - piece.at(0.0)), np.abs(p - piece.at(1.0)))
-            best = np.minimum(best, np.where(inner[1], near, ends))
+            best = np.minimum(best, piece.distance(p))
         return float(best) if best.ndim == 0 else best
 
     def _points(self, points: ArrayLike) -> np.ndarray:
@@ -141,22 +147,36 @@ class PlanarWorkspace(Report):
     @property
     def status(self) -> str:
         """Its area and what bounds it."""
+        of = f"{self.system.name}, {self.frame}" + (f" ({self.kind})" if self.kind != REACHABLE else "")
+        if self.region.is_curve:
+            return f"{of}: a curve, without area"
         if not self.regions:
-            return f"{self.system.name}, {self.frame}: a curve, without area"
+            return f"{of}: no place is reached"
         arcs = sum(p.is_arc for p in self.boundary)
         pieces = f"{counted(arcs, 'arc')} and {counted(len(self.boundary) - arcs, 'segment')}"
         voids = f", with {counted(len(self.voids), 'void')}" if self.voids else ""
-        return f"{self.system.name}, {self.frame}: area {self.area:.9g} m^2, bounded by {pieces}{voids}"
+        return f"{of}: area {self.area:.9g} m^2, bounded by {pieces}{voids}"
 
     def _lines(self) -> list[str]:
-        return [f"{'infinitely many solutions' if r.solutions is None else counted(r.solutions, 'solution')}: "
-                f"{r.area:.9g} m^2" for r in self.regions]  # fmt: skip
+        return [f"{word_of(r, self.kind)}: {r.area:.9g} m^2, {counted(sum(_area(x) > 0.0 for x in r.loops), 'part')}"
+                for r in self.regions]  # fmt: skip
 
     def _data(self) -> dict[str, Any]:
         regions = [{"solutions": r.solutions, "area": r.area} for r in self.regions]
         pieces = [_piece_data(p) for p in self.boundary]
-        return {"system": self.system.name, "frame": self.frame, "area": self.area, "regions": regions,
-                "voids": len(self.voids), "boundary": pieces}  # fmt: skip
+        return {"system": self.system.name, "frame": self.frame, "kind": self.kind, "area": self.area,
+                "regions": regions, "voids": len(self.voids), "boundary": pieces}  # fmt: skip
+
+
+def word_of(region: SolutionRegion, kind: str) -> str:
+    """How often the points of a region are reached."""
+    if region.solutions is not None:
+        return counted(region.solutions, "solution")
+    return "in all orientations" if kind == DEXTEROUS else "infinitely many solutions"
+
+
+def _area(loop: tuple[PlanePiece, ...]) -> float:
+    return float(sum(p.moment for p in loop))
 
 
 def _pair(z: Any) -> list[float]:
@@ -195,40 +215,28 @@ def _loops(pieces: list[PlanePiece], same: float) -> tuple[tuple[PlanePiece, ...
 
 
 @explained
-def planar_workspace(system: System, frame: FrameLike) -> PlanarWorkspace:
-    """The exact workspace of the origin of a frame of a planar open chain of revolute and prismatic joints.
+def planar_workspace(
+    system: System, frame: FrameLike, kind: str | None = None, orientation: Any = None
+) -> PlanarWorkspace:  # fmt: skip
+    """The exact workspace of the origin of a frame of a planar system of revolute and prismatic joints.
 
-    Candidates for the boundary are arcs and segments on which joints are at limits or singular; the number of solutions
-    of the inverse model on both sides decides which of them bound the workspace (see
-    `kempe.analysis.spaces.planar.planar_chain`). Prismatic joints must have limits, revolute ones may. Errors:
-    `UnsupportedError` for spatial systems, for constraints, and for chains with loops, with coupled joints or with more
-    than 6 joints; `InputError` for prismatic joints without limits and for frames that do not move.
+    `kind` and `orientation` are as in `System.workspace`; "dexterous" without orientations means all angles. Candidates
+    for the boundary are arcs and segments on which joints are at limits or singular; the number of solutions of the
+    inverse model on both sides decides which of them bound the workspace (see
+    `kempe.analysis.spaces.planar.planar_chain`). Prismatic joints must have limits, revolute ones may.
+
+    Of a mechanism with legs (see `kempe.analysis.spaces.kinds.legs`) places are those that each leg leaves: in given
+    orientations, or where all legs but one end with a joint without limits at the frame's origin. Where orientations
+    count, the last joint of each chain must turn without limits. Errors: `UnsupportedError` for all else: spatial
+    systems, constraints, other loops, coupled joints, chains with more than 6 joints; `InputError` for prismatic joints
+    without limits and for frames that do not move.
     """
     name = system.structure.frame_name(frame)
-    if system.dim != 2:
-        raise UnsupportedError(f"{system.name} is a system in space: the exact workspace is that of planar chains")
-    if (why := obstacle(system, name)) is not None:
-        raise UnsupportedError(why)
-    if system.mechanism.constraints:
-        declared = next(iter(system.mechanism.constraints))
-        raise UnsupportedError(f"constraint {declared!r} of {system.name} may bound the workspace by other curves")
-    table, q_index, v_index = local_chain(system.structure.table, name)
-    names = [system.coordinate_names[int(i)] for i in q_index]
-    if not names:
-        raise InputError(f"frame {name!r} of {system.name} does not move")
-    if len(table.iv) != len(v_index):
-        raise UnsupportedError(
-            f"the chain of {name!r} has joints that follow each other: its workspace has other curves"
-        )
-    if len(names) > MOST:
-        raise UnsupportedError(f"the chain of {name!r} has {len(names)} joints; it may have {MOST}")
-    q = system.neutral
-    tip, J = complex(*system.fk(q, name)[:2, 3]), system.jacobian(q, name)[:, v_index]
-    joints: list[PlanarJoint] = []
-    for label, iv, (vx, vy, w) in zip(names, v_index, J[[0, 1, 5]].T, strict=True):
-        low, high = float(system.lower[iv]), float(system.upper[iv])
-        if w == 0.0 and not np.isfinite(high - low):
-            raise InputError(f"slide {label!r} has no limits, so the workspace has no end: give it some")
-        axis = None if w == 0.0 else tip + 1j * complex(vx, vy) / w
-        joints.append(PlanarJoint(axis, float(w), complex(vx, vy) if w == 0.0 else 0j, low, high))
-    return PlanarWorkspace(system, name, PlanarChain(tuple(joints), tip))
+    return planar_answer(system, name, question_of(system, name, kind, orientation, None))
+
+
+def planar_answer(system: System, frame: str, question: Question) -> PlanarWorkspace:
+    """The answer to a question. Errors: see `planar_workspace`."""
+    if question.kind == ORIENTATION:
+        raise UnsupportedError("the exact workspace is one of places: `workspace` knows of orientations")
+    return PlanarWorkspace(system, frame, planar_region(system, frame, question), question.kind)

@@ -64,6 +64,21 @@ class PlanePiece:
         t = turn / size
         return t, (t > -slack) & (t < 1.0 + slack)
 
+    def distance(self, p: np.ndarray) -> np.ndarray:
+        """Distances (...) of points (...) from it."""
+        t, on = self.parameters(p)
+        near = np.abs(np.abs(p - self.centre) - self.radius) if self.is_arc else np.abs(p - self.at(t))
+        return np.where(on, near, np.minimum(np.abs(p - self.at(0.0)), np.abs(p - self.at(1.0))))
+
+    @property
+    def extremes(self) -> np.ndarray:
+        """Its ends, and where x or y is largest or least on it (k,)."""
+        ends = self.at(np.array([0.0, 1.0]))
+        if not self.is_arc:
+            return ends
+        sides = self.centre + self.radius * np.array([1.0, 1j, -1.0, -1j])
+        return np.append(ends, sides[self.parameters(sides)[1]])
+
     @property
     def moment(self) -> float:
         """Half of the integral of x dy - y dx along it: its part of the area that a closed curve has to its left."""

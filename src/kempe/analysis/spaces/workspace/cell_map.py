@@ -26,18 +26,20 @@ MOST_CELLS = 2**31 - 8
 class Grid:
     """A box of the ground's axes, cut into equal cells: `low` and `high` [m] and the number of `cells` of x, y, z.
 
-    An axis along which nothing moves has one cell, and is left out of `axes` and of the measure.
+    An axis along which nothing moves has one cell, and is left out of `axes` and of the measure. Of orientations the
+    `names` of the three are others.
     """
 
     low: tuple[float, ...]
     high: tuple[float, ...]
     cells: tuple[int, ...]
     axes: tuple[str, ...]
+    names: tuple[str, ...] = AXES
 
     @cached_property
     def kept(self) -> list[int]:
         """The numbers of the axes that are measured."""
-        return [AXES.index(a) for a in self.axes]
+        return [self.names.index(a) for a in self.axes]
 
     @property
     def count(self) -> int:
@@ -62,7 +64,7 @@ class Grid:
 
     def centres(self, axis: str) -> Array:
         """Middles of the cells along an axis [m]."""
-        k = AXES.index(axis)
+        k = self.names.index(axis)
         return self.low[k] + (np.arange(self.cells[k]) + 0.5) * (self.high[k] - self.low[k]) / self.cells[k]
 
     def places(self, points: Array) -> tuple[np.ndarray, np.ndarray]:
@@ -95,7 +97,11 @@ class CellMap:
 
     grid: Grid
     counts: np.ndarray
-    unit: str = "m"
+
+    @property
+    def unit(self) -> str:
+        """The unit of the axes: metres, or of orientations radians."""
+        return "m" if self.grid.names == AXES else "rad"
 
     @property
     def axes(self) -> dict[str, Array]:
@@ -134,11 +140,16 @@ class CellMap:
         return np.array(self.grid.low)[self.grid.kept] + (at + 0.5) * self.grid.size
 
 
-def grid_of(extent: Array, cells: Any, box: Any, length: float, dim: int) -> Grid:
+USUAL_CELLS = {1: 1024, 2: 256, 3: 64}
+FEW_CELLS = {1: 512, 2: 64, 3: 20}
+"""Cells along the longest edge: of samples that cost nothing, and of places that the inverse model decides."""
+
+
+def grid_of(extent: Array, cells: Any, box: Any, length: float, dim: int, usual: dict[int, int]) -> Grid:
     """The grid for positions that were seen in `extent` (2, 3), of a system of this characteristic length.
 
-    `cells` are how many along the longest edge of the box, or for each axis; `box` (d, 2) replaces the extent, which
-    else is made wider by a twentieth on each side. Errors: `InputError`.
+    `cells` are how many along the longest edge of the box, or for each axis, as is `usual` by the number of axes;
+    `box` (d, 2) replaces the extent, which else is made wider by a twentieth on each side. Errors: `InputError`.
     """
     names = AXES[:dim]
     moves = [k for k in range(dim) if extent[1, k] - extent[0, k] > 1e-9 * length]
@@ -150,20 +161,22 @@ def grid_of(extent: Array, cells: Any, box: Any, length: float, dim: int) -> Gri
         ends = reals(box, "box", "pairs (lower, upper) of metres, one an axis")
         if ends.shape != (dim, 2) or not np.isfinite(ends).all() or not (ends[:, 0] < ends[:, 1]).all():
             raise InputError(f"box is {shown(box)}; it must be {dim} pairs (lower, upper) of metres, of {names}")
-        low[:dim], high[:dim] = ends.T
+        for k, (a, b) in enumerate(ends.tolist()):
+            if k in moves or not a <= extent[0, k] <= b:  # else the one cell stays about the place
+                low[k], high[k] = a, b
     axes = tuple(AXES[k] for k in moves)
     numbers = [1, 1, 1]
-    for k, count in zip(moves, _cells(cells, (high - low)[moves], axes), strict=True):
+    for k, count in zip(moves, cell_counts(cells, (high - low)[moves], axes, usual), strict=True):
         numbers[k] = count
     if math.prod(numbers) > MOST_CELLS:
         raise InputError(f"cells are {shown(cells)}: {math.prod(numbers):.3g} cells; at most {MOST_CELLS:.3g} are held")
     return Grid(tuple(low.tolist()), tuple(high.tolist()), tuple(numbers), axes)
 
 
-def _cells(cells: Any, edges: Array, axes: tuple[str, ...]) -> list[int]:
+def cell_counts(cells: Any, edges: Array, axes: tuple[str, ...], usual: dict[int, int]) -> list[int]:
     """How many cells each axis has: of one number as many along the longest edge, so that they are nearly cubes."""
     if cells is None:
-        cells = {1: 1024, 2: 256, 3: 64}[len(axes)]
+        cells = usual[len(axes)]
     if is_whole(cells) and 1 <= cells <= MOST_CELLS:
         return [max(1, int(np.ceil(cells * e / edges.max() - 1e-9))) for e in edges]
     several: Any = cells

@@ -48,7 +48,8 @@ def write_map(path: Path, stored: Stored) -> None:
                           units="1")  # fmt: skip
         array[...] = counts.astype(kind)
         for name, middles in axes.items():
-            array = add_array(group, name, middles.shape, np.float64, middles.shape, (name,), units=stored.map.unit,
+            unit = "1" if name == "height" else stored.map.unit
+            array = add_array(group, name, middles.shape, np.float64, middles.shape, (name,), units=unit,
                               long_name=f"{name} in the ground frame")  # fmt: skip
             array[...] = middles
         consolidate(beside)
@@ -76,7 +77,7 @@ def read_map(path: Path) -> Stored:
         group = zarr.open_group(str(path), mode="r", zarr_format=3)
         made = json.loads(group.attrs["kempe"])
         counts = np.asarray(group["counts"][...])
-        grid = Grid(**{k: tuple(made[k]) for k in ("low", "high", "cells", "axes")})
+        grid = Grid(**{k: tuple(made[k]) for k in ("low", "high", "cells", "axes", "names")})
     except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
         raise DamagedError(f"{path} is damaged ({type(error).__name__}: {error}); {again}") from error
     if counts.shape != grid.shape or checksum_of(counts) != made["checksum"]:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from kempe.analysis.spaces.kinds.questions import Question
 from kempe.analysis.spaces.workspace.cell_map import CellMap
-from kempe.budget import Budget
 from kempe.errors import MissingExtraError
 from kempe.spatial import Array
 
@@ -21,15 +21,7 @@ SIGMAS = 2.0
 """Standard errors that the error of a measure is."""
 
 
-def reached(system: System, frame: str, points: Array, seed: int) -> np.ndarray:
-    """Whether the inverse model finds configurations within all limits and constraints for points (n, 3)."""
-    if not len(points):
-        return np.zeros(0, dtype=bool)
-    answer = system.ik(points[:, : system.dim], frame, task="position", budget=Budget(rng=seed))
-    return np.asarray(answer.success, dtype=bool)
-
-
-def measured(system: System, frame: str, cells: CellMap, seed: int) -> tuple[float, float]:
+def measured(system: System, frame: str, cells: CellMap, seed: int, question: Question) -> tuple[float, float]:
     """The measure of what is reached inside the box, and `SIGMAS` standard errors of it.
 
     Random points in three layers of the map are decided by the inverse model; the layers make the error small, they
@@ -41,11 +33,27 @@ def measured(system: System, frame: str, cells: CellMap, seed: int) -> tuple[flo
         chosen = np.flatnonzero(mask)
         if len(chosen):
             points = _within(cells, rng.choice(chosen, POINTS[name]), rng)
-            hits, n = int(reached(system, frame, points, seed).sum()), POINTS[name]
+            hits, n = int(question.reached(system, frame, points, seed).sum()), POINTS[name]
             whole, part = len(chosen) * cell, (hits + 2.0) / (n + 4.0)
             value += whole * hits / n
             variance += whole**2 * part * (1.0 - part) / (n + 4.0)
     return value, SIGMAS * math.sqrt(variance)
+
+
+def counted(cells: CellMap, samples: int, hits: int) -> tuple[float, float]:
+    """The same of places of which so many were tried, as many in each cell, and so many reached.
+
+    Cells of which each has its share make the error smaller than this one, which is that of places anywhere.
+    """
+    whole, part = math.prod(cells.cell) * cells.counts.size, (hits + 2.0) / (samples + 4.0)
+    error = SIGMAS * math.sqrt(part * (1.0 - part) / (samples + 4.0))
+    return whole * hits / max(samples, 1), whole * error
+
+
+def together(found: list[tuple[float, float]]) -> tuple[float, float]:
+    """One value and its error of several that do not depend on each other, weighed by their errors."""
+    values, weights = np.array([v for v, _ in found]), np.array([e**-2.0 for _, e in found])
+    return float(values @ weights / weights.sum()), float(weights.sum() ** -0.5)
 
 
 def _within(cells: CellMap, numbers: np.ndarray, rng: np.random.Generator) -> Array:
@@ -55,7 +63,7 @@ def _within(cells: CellMap, numbers: np.ndarray, rng: np.random.Generator) -> Ar
     return grid.whole(np.array(grid.low)[grid.kept] + (at + rng.random(at.shape)) * grid.size)
 
 
-def decided(system: System, frame: str, cells: CellMap, points: Array, seed: int) -> np.ndarray:
+def decided(system: System, frame: str, cells: CellMap, points: Array, seed: int, question: Question) -> np.ndarray:
     """Whether each of points (n, 3) is reached: by the map in inner cells, else by the inverse model."""
     grid = cells.grid
     at, inside = grid.places(points[:, grid.kept])
@@ -63,7 +71,7 @@ def decided(system: System, frame: str, cells: CellMap, points: Array, seed: int
     middle = 0.5 * (np.array(grid.low) + grid.high)
     inside = inside & (np.abs(points - middle)[:, off] <= 1e-9 * (1.0 + np.abs(middle[off]))).all(axis=1)
     out = inside & cells.layers["inner"][tuple(at.T)]
-    out[~out] = reached(system, frame, points[~out], seed)
+    out[~out] = question.reached(system, frame, points[~out], seed)
     return out
 
 

@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from kempe.analysis.maps.cluster import connected
 from kempe.analysis.maps.part_log import refuse_other
 from kempe.analysis.maps.side_by_side import Pace
 from kempe.analysis.maps.zarr_folders import description_of, refuse_place, zarr_library
+from kempe.analysis.spaces.kinds.questions import question_of
 from kempe.analysis.spaces.workspace.cell_map import CellMap
 from kempe.analysis.spaces.workspace.counting_runs import Threads
 from kempe.analysis.spaces.workspace.map_files import (
@@ -35,8 +37,6 @@ if TYPE_CHECKING:
 
 MOST = 2**62
 USUAL = Usual("workspace", rng=0, threads=None, time_limit=None, progress=None)
-FEW_SAMPLES = 10**5, 10**7
-"""Samples where none are requested: with loops or constraints, and without."""
 TREES = 16
 """SampleParts into which the work of a cluster is divided: what is done is written down part by part."""
 LARGEST_PART = 2**31
@@ -44,39 +44,49 @@ LARGEST_PART = 2**31
 
 @explained
 def workspace(
-    system: System, frame: FrameLike, *, n: float | None = None, cells: Any = None, box: Any = None,
-    client: Any = None, path: str | Path | None = None, budget: Budget | None = None,
+    system: System, frame: FrameLike, *, kind: str | None = None, orientation: Any = None, at: ArrayLike | None = None,
+    n: float | None = None, cells: Any = None, box: Any = None, client: Any = None, path: str | Path | None = None,
+    budget: Budget | None = None,
 ) -> Workspace:  # fmt: skip
-    """The places that a frame reaches, by `n` random configurations within the limits: a `Workspace`.
+    """The places that a frame reaches, by `n` random samples within all limits and constraints: a `Workspace`.
 
-    Their positions are counted in `cells` (a number along the longest edge, or one for each axis; 256 in the plane and
-    64 in space) of a `box` (d, 2) [m]; without one, of the box of the first positions, a tenth wider. Coordinates are
-    uniform within their limits, angles without limits in a full turn, quaternions uniform. Configurations of a system
-    with loops are random ones brought to where all loops are closed, and what violates a declared constraint is left
-    out; that is a thousand times slower (n is 1e7, with loops 1e5). Memory does not depend on n.
+    The `kind` says which places: "reachable", in some orientation (the default); "constant-orientation", in one
+    `orientation`; "dexterous", in several, by default 180 angles of the plane or 256 rotations in space that are spread
+    evenly; or it is "orientation": the orientations in which the frame's origin is reached `at` a place (d,) [m].
+    Orientations are angles in the plane, and rotations (..., 3, 3), or roll, pitch and yaw (3,), in space.
+
+    Samples of a reachable workspace are configurations: coordinates are uniform within their limits, angles without
+    limits in a full turn, quaternions uniform. Of a system with loops random ones are brought to where all loops are
+    closed, and what violates a declared constraint is left out; that is a thousand times slower (n is 1e7, with loops
+    1e5). Samples of the other kinds, and where slides have no limits and a box is given, are random places (or
+    orientations), as many in each cell, by default one: the inverse model decides whether they are reached.
+
+    They are counted in `cells` (a number along the longest edge, or one for each axis) of a `box` (d, 2) [m]; without
+    one, of the box of the first positions, a tenth wider. Memory does not depend on n.
 
     Samples are a function of the seed (the `rng` of the `budget`, 0) and their number, so the same map comes of any
     number of threads or workers. With a `client`, a `distributed.Client` or the address of a scheduler, the workers
     of a Dask cluster do the work. With a `path`, what is done is written beside it as it goes, and the map to it at the
     end: the same call goes on after any interruption, and with a larger `n` adds to a map that is there.
 
-    Of the `budget` are read: rng, threads, time_limit (none), progress(samples, n, samples a second, seconds left). An
-    interrupt from the keyboard or the time limit returns what was done. Errors: `InputError` for a frame that does not
-    move, slides without limits, and what belongs to another map; `KernelsError` for a map of other kernels;
-    `DiskError`; `UnknownNameError`; `MissingExtraError` without the extra [scale], for `client` and `path`.
+    Of the `budget` are read: rng, threads, time_limit (none), progress(samples, n). An interrupt from the keyboard or
+    the time limit returns what was done. Errors: `InputError` for a frame that does not move, slides without limits
+    where no box is given, and what belongs to another map; `KernelsError` for a map of other kernels; `DiskError`;
+    `UnknownNameError`; `MissingExtraError` without the extra [scale], for `client` and `path`.
     """
     name, spend = system.structure.frame_name(frame), USUAL.of(budget)
     clock = TimeLimit(spend.time_limit)
     if n is not None and not (is_real(n) and 1 <= n <= MOST and n == int(n)):
         raise InputError(f"n is {shown(n)}; it must be a whole number of samples, from 1 to {MOST:.2g}")
+    question = question_of(system, name, kind, orientation, at)
     if client is not None:
         own, client = isinstance(client, str), connected(client)
     else:
         own = False
     try:
-        recipe = recipe_of(system, name, seed_number(spend.rng), cells, box)
+        recipe = recipe_of(system, name, seed_number(spend.rng), cells, box, question)
         store = _Memory(recipe) if path is None else _Disk(recipe, Path(path))
-        return _answer(recipe, store, int(n or FEW_SAMPLES[recipe.plain]), client, spend, clock)
+        return _answer(recipe, store, int(n or recipe.usual), client, spend, clock)
     finally:
         if own and client is not None:
             client.close()
@@ -89,10 +99,12 @@ def _answer(
     if store.found is not None and store.found.samples >= count:
         return of_stored(recipe.system, store.found, store.found.samples)
     store.begin()
-    pace, each, broken = Pace(spend.progress, store.samples(count), count), recipe.part, None
+    before, pace = store.samples(count), Pace(spend.progress, count)
+    each, broken = recipe.part, None
     try:
         if client is None:
-            runs = _local(recipe, store.missing(count, min(max(each, count // 64), LARGEST_PART)), spend, clock, pace)
+            ranges = store.missing(count, min(max(each, count // 64), LARGEST_PART))
+            runs = _local(recipe, ranges, spend, clock, pace, before)
         else:
             from kempe.analysis.spaces.workspace.on_cluster import parts_of
 
@@ -112,13 +124,13 @@ def _answer(
 
 
 def _local(
-    recipe: Recipe, ranges: list[tuple[int, int]], spend: Budget, clock: TimeLimit, pace: Pace
+    recipe: Recipe, ranges: list[tuple[int, int]], spend: Budget, clock: TimeLimit, pace: Pace, before: int
 ) -> Iterator[tuple[int, int, np.ndarray]]:  # fmt: skip
     """Counts of ranges, by threads of this process: (first, last, counts), the last one shorter if it is broken off.
 
     Errors: what broke it off, after what was done by then.
     """
-    threads, before = Threads(recipe, spend.threads), pace.before
+    threads = Threads(recipe, spend.threads)
     for first, last in ranges:
         counts, stop, broken = threads.count(first, last, clock, lambda k, a=before - first: pace(a + k))
         yield first, stop, counts

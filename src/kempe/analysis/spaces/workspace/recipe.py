@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import threading
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +14,8 @@ import numpy as np
 
 from kempe import __version__
 from kempe.analysis.maps.cluster import refuse_kernels
-from kempe.analysis.spaces.workspace.cell_map import Grid, grid_of
+from kempe.analysis.spaces.kinds.questions import ORIENTATION, RANGES, TURNED, Question
+from kempe.analysis.spaces.workspace.cell_map import FEW_CELLS, USUAL_CELLS, Grid, cell_counts, grid_of
 from kempe.errors import InputError
 from kempe.kernels.compiled import VARIANT, lane_positions
 from kempe.kernels.forward.table_layout import Q_INDEX, rows_of
@@ -28,22 +30,27 @@ from kempe.words import joined
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-PIECE, SLOW_PIECE = 2**20, 1024
-"""Samples that one thread counts before it looks up: by the kernel, and with what closes loops or obeys constraints."""
-PART, SLOW_PART = 10**8, 10**5
-"""Samples of a task, a few seconds; and of systems with loops or constraints."""
+PIECE, SLOW_PIECE, TRIED_PIECE = 2**20, 1024, 64
+"""Samples that one thread counts before it looks up: by the kernel, with what closes loops or obeys constraints, and of
+places that the inverse model decides."""
+PART, SLOW_PART, TRIED_PART = 10**8, 10**5, 10**4
+"""Samples of a task, a few seconds; of systems with loops or constraints; and of places."""
+GOLDEN = 0.6180339887498949
 PILOT, SLOW_PILOT = 2**17, 2**11
 """Samples whose positions say where the box is."""
+FEW_SAMPLES = 10**5, 10**7
+"""Samples where none are requested: with loops or constraints, and without."""
 AFTER = 2
 """Counts after those of the cells: of samples outside the box, and of those left out."""
 FAR = 1e7
 """Coordinates from which on a limit is none: sines lose their digits there."""
+PLAIN = Question()
 _one_at_a_time = threading.Lock()
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """A system, a frame, a seed and a grid: all that the counts of samples number `first` to `last` depend on.
+    """A system, a frame, a seed, a grid, a question: all that the counts of samples number `first` to `last` depend on.
 
     `variant` are the kernels that make them: others round otherwise, and are refused.
     """
@@ -54,24 +61,30 @@ class Recipe:
     grid: Grid
     variant: str = VARIANT
     version: str = __version__
+    question: Question = PLAIN
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Recipe, (self.system, self.frame, self.seed, self.grid, self.variant, self.version)
+        return Recipe, (self.system, self.frame, self.seed, self.grid, self.variant, self.version, self.question)
 
     @cached_property
     def plain(self) -> bool:
         """Whether samples are independent coordinates: no loop moves the frame, no constraint is declared."""
-        return is_plain_chain(self.system)
+        return is_plain_chain(self.system) and not self.question.tried
 
     @property
     def piece(self) -> int:
         """Samples that one thread counts at once."""
-        return PIECE if self.plain else SLOW_PIECE
+        return PIECE if self.plain else TRIED_PIECE if self.question.tried else SLOW_PIECE
 
     @property
     def part(self) -> int:
         """Samples that one task of a cluster counts, and after which what is done is written down."""
-        return PART if self.plain else SLOW_PART
+        return PART if self.plain else TRIED_PART if self.question.tried else SLOW_PART
+
+    @property
+    def usual(self) -> int:
+        """How many samples are drawn where none are requested; of places one in each cell."""
+        return self.grid.count if self.question.tried else FEW_SAMPLES[self.plain]
 
     @property
     def entries(self) -> int:
@@ -81,6 +94,7 @@ class Recipe:
     def said(self) -> dict[str, Any]:
         """What is written beside a map, and must be the same for counts to be added."""
         grid = {k: list(x) for k, x in asdict(self.grid).items()}
+        grid |= json.loads(json.dumps(asdict(self.question)))  # as it is read again
         return {"system": self.system.structure.content_hash, "frame": self.frame, "seed": self.seed, **grid,
                 "variant": self.variant, "version": self.version}  # fmt: skip
 
@@ -102,13 +116,32 @@ class Recipe:
                 *table, keys, bounds, first, last - first, self.grid.packed, counts.view(np.int64)
             )
             return
-        for piece in range(first // SLOW_PIECE, -(-last // SLOW_PIECE)):
-            points = slow_positions(self.system, self.frame, self.seed, piece)
-            points = points[max(0, first - piece * SLOW_PIECE) : last - piece * SLOW_PIECE]
+        size = self.piece
+        for piece in range(first // size, -(-last // size)):
+            points = (self._tried(piece) if self.question.tried else
+                      slow_positions(self.system, self.frame, self.seed, piece))  # fmt: skip
+            points = points[max(0, first - piece * size) : last - piece * size]
             kept = points[~np.isnan(points[:, 0])]
             with _one_at_a_time:
                 np.add.at(counts, self.grid.flat(kept), np.uint32(1))
                 counts[self.grid.count + 1] += np.uint32(len(points) - len(kept))
+
+    def _tried(self, piece: int) -> Array:
+        """Points (TRIED_PIECE, 3) of one piece, in the cells in a scattered order; NaN where they are not reached."""
+        grid, rng = self.grid, np.random.Generator(np.random.Philox(key=[self.seed, piece]))
+        number = (np.arange(piece * TRIED_PIECE, (piece + 1) * TRIED_PIECE) * self._stride) % grid.count
+        at = np.stack(np.unravel_index(number, grid.shape), axis=-1)
+        points = grid.whole(np.array(grid.low)[grid.kept] + (at + rng.random(at.shape)) * grid.size)
+        points[~self.question.reached(self.system, self.frame, points, self.seed)] = np.nan
+        return points
+
+    @cached_property
+    def _stride(self) -> int:
+        """A step from cell to cell that comes to each of them once, in the order of a golden ratio."""
+        stride = max(1, int(GOLDEN * self.grid.count))
+        while math.gcd(stride, self.grid.count) > 1:
+            stride += 1
+        return stride
 
     @cached_property
     def _drawn(self) -> tuple[np.ndarray, Array]:
@@ -172,19 +205,18 @@ def slow_positions(system: System, frame: str, seed: int, piece: int) -> Array:
     return points
 
 
-def recipe_of(system: System, frame: str, seed: int, cells: Any, box: Any) -> Recipe:
+def recipe_of(system: System, frame: str, seed: int, cells: Any, box: Any, question: Question = PLAIN) -> Recipe:
     """The recipe of a map. Errors: `InputError` for a frame that does not move, unlimited slides, wrong boxes."""
-    refuse_unlimited(system, frame)
-    if is_plain_chain(system):
-        points = np.empty((PILOT, 3))
-        table = chain_table(system, frame)
-        lane_positions.random_positions(*table, keys_of(seed, system.nq), bounds_of(system), 0, points)
-    else:
-        points = np.concatenate([slow_positions(system, frame, seed, k) for k in range(SLOW_PILOT // SLOW_PIECE)])
-        points = points[~np.isnan(points[:, 0])]
-        if not len(points):
-            raise InputError(f"of {SLOW_PILOT} random configurations of {system.name!r} none could be closed within "
-                             "the limits and constraints")  # fmt: skip
+    if question.kind == ORIENTATION:
+        return Recipe(system, frame, seed, _of_orientations(cells, box, system.dim), question=question)
+    if (names := unlimited(system, frame)) and box is None:
+        raise InputError(
+            f"{joined(list(map(repr, names)))} {'has' if len(names) == 1 else 'have'} no limits, and so the frame "
+            f"{frame!r} no end of places: give a box, or limits, such as "
+            f"system.with_limits({{{names[0]!r}: (-1.0, 1.0)}})"
+        )
+    question = replace(question, tried=True) if names else question
+    points = pilot_positions(system, frame, seed)
     if not np.isfinite(points).all():
         raise InputError(f"positions of {frame!r} are not finite: a limit is too large")
     extent = np.stack([points.min(axis=0), points.max(axis=0)])
@@ -192,11 +224,39 @@ def recipe_of(system: System, frame: str, seed: int, cells: Any, box: Any) -> Re
     if not (extent[1] - extent[0] > 1e-9 * length).any():
         where = ", ".join(f"{x:.6g}" for x in extent[0][: system.dim])
         raise InputError(f"frame {frame!r} does not move: it is always at ({where})")
-    return Recipe(system, frame, seed, grid_of(extent, cells, box, length, system.dim))
+    usual = FEW_CELLS if question.tried else USUAL_CELLS
+    grid = grid_of(extent, cells, box, length, system.dim, usual)
+    return Recipe(system, frame, seed, grid, question=question)
 
 
-def refuse_unlimited(system: System, frame: str) -> None:
-    """Refuse coordinates that move a frame without end. Errors: `InputError` with their names."""
+def pilot_positions(system: System, frame: str, seed: int) -> Array:
+    """Positions (k, 3) that say where a frame comes. Errors: `InputError` where no configuration could be closed."""
+    if is_plain_chain(system):
+        points = np.empty((PILOT, 3))
+        table = chain_table(system, frame)
+        lane_positions.random_positions(*table, keys_of(seed, system.nq), bounds_of(system), 0, points)
+        return points
+    points = np.concatenate([slow_positions(system, frame, seed, k) for k in range(SLOW_PILOT // SLOW_PIECE)])
+    points = points[~np.isnan(points[:, 0])]
+    if not len(points):
+        raise InputError(f"of {SLOW_PILOT} random configurations of {system.name!r} none could be closed within "
+                         "the limits and constraints")  # fmt: skip
+    return points
+
+
+def _of_orientations(cells: Any, box: Any, dim: int) -> Grid:
+    """The grid of all orientations. Errors: `InputError`."""
+    if box is not None:
+        raise InputError("box is for places: of orientations all are tried")
+    names, ranges = TURNED[dim], RANGES[dim]
+    low, high = (tuple(x) for x in zip(*ranges, strict=True))
+    counts = cell_counts(cells, np.array(high) - low, names, FEW_CELLS)
+    rest = 3 - len(names)
+    return Grid(low + (-0.5,) * rest, high + (0.5,) * rest, (*counts, *(1,) * rest), names, names + ("",) * rest)
+
+
+def unlimited(system: System, frame: str) -> list[str]:
+    """Names of coordinates that move a frame without end."""
     layout, circle = system.structure.layout, circles(system)
     if is_plain_chain(system):
         used = set(rows_of(chain_table(system, frame)[0])[:, Q_INDEX].tolist())
@@ -204,13 +264,8 @@ def refuse_unlimited(system: System, frame: str) -> None:
         driven = {c for j in system.structure.joints.values() if j.actuated
                   for c in system.structure.coordinates_of_joint(j.name)}  # fmt: skip
         used = {k for k, name in enumerate(system.coordinate_names) if name in driven}
-    names: list[str] = []
-    for at, v in zip(layout.vector_q.tolist(), layout.vector_v.tolist(), strict=True):
-        ends = system.lower[v], system.upper[v]
-        if at in used and not circle[v] and not all(abs(x) < FAR for x in ends):
-            names.append(repr(system.structure.velocity_names[int(v)]))
-    if names:
-        raise InputError(
-            f"{joined(names)} {'has' if len(names) == 1 else 'have'} no limits, and so the frame {frame!r} no end of "
-            f"places: give limits, such as system.with_limits({{{names[0]}: (-1.0, 1.0)}})"
-        )
+    return [
+        system.structure.velocity_names[int(v)]
+        for at, v in zip(layout.vector_q.tolist(), layout.vector_v.tolist(), strict=True)
+        if at in used and not circle[v] and not all(abs(x[v]) < FAR for x in (system.lower, system.upper))
+    ]

@@ -13,11 +13,14 @@ from numpy.typing import ArrayLike
 
 from kempe.analysis.maps.part_log import refuse_other
 from kempe.analysis.maps.zarr_folders import description_of
+from kempe.analysis.spaces.kinds.questions import DEXTEROUS, ORIENTATION, Question, coordinates_of, read_rotations
+from kempe.analysis.spaces.planar.planar_workspace import PlanarWorkspace, planar_answer
 from kempe.analysis.spaces.workspace import map_measures
 from kempe.analysis.spaces.workspace.cell_map import CellMap
 from kempe.analysis.spaces.workspace.map_files import Stored, read_map, write_map
+from kempe.analysis.spaces.workspace.outer_bounds import outer_measure
 from kempe.calls import explained, explained_methods
-from kempe.errors import InputError
+from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.common.result import Cells, Report
 from kempe.reals import reals
 from kempe.spatial import Array
@@ -29,17 +32,22 @@ if TYPE_CHECKING:
 
 MEASURES = {1: ("length", "m"), 2: ("area", "m^2"), 3: ("volume", "m^3")}
 """What is measured in one, two and three dimensions, and its unit."""
+MOST_LIMITED = 4
+ROUNDING = 1e-9
+"""Error of an exact area, in squares of the size of its chain."""
 
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
 class Workspace(Report):
-    """The places that a frame reaches, as counts of random configurations in the cells of a box.
+    """The places that a frame reaches, as counts of random samples in the cells of a box.
 
-    A cell with a count above zero holds a point that is reached: no more is proven by the `map`. An empty cell may hold
-    points that are reached, too. `samples` were drawn, of the `requested` ones; `outside` of them fell outside the box,
-    `left_out` could not be closed or violated a constraint. Where the work was `interrupted`, or the time limit came
-    (`late`), the map holds what was done.
+    A cell with a count above zero holds a point that is reached: no more is proven by the `map`, which so is a lower
+    bound. An empty cell may hold points that are reached, too. `samples` were drawn, of the `requested` ones; `outside`
+    of them fell outside the box, `left_out` could not be closed or violated a constraint, or were places that are not
+    reached. Where the work was `interrupted`, or the time limit came (`late`), the map holds what was done. Of the kind
+    "orientation" points are orientations, and what is measured is their angle, in space the volume of rotations, of
+    which there are 8 pi^2.
     """
 
     system: System
@@ -68,33 +76,91 @@ class Workspace(Report):
     # ---- how much
 
     @cached_property
-    def _measure(self) -> tuple[float, float]:
-        return map_measures.measured(self.system, self.frame, self.map, self.seed)
+    def question(self) -> Question:
+        """What counts as reached."""
+        return Question.said(self.said)
+
+    @property
+    def kind(self) -> str:
+        """ "reachable", "constant-orientation", "dexterous" or "orientation"."""
+        return self.question.kind
+
+    @cached_property
+    def exact(self) -> PlanarWorkspace | None:
+        """The exact workspace of a planar system, as `System.reach.planar` has it; None where that is not known.
+
+        It is not looked for where more than four joints of a chain have limits, which takes long, nor used where it is
+        not inside the box.
+        """
+        try:
+            found = planar_answer(self.system, self.frame, self.question)
+        except (UnsupportedError, InputError):
+            return None
+        grid = self.map.grid
+        if found.region.limited > MOST_LIMITED or len(grid.axes) != 2:
+            return None
+        low, high = found.extent
+        return found if (low >= grid.low[:2]).all() and (high <= grid.high[:2]).all() else None
+
+    @cached_property
+    def measure(self) -> tuple[float, float]:
+        """Length, area or volume of what is reached in the box, as it has dimensions, and the error.
+
+        It is the `estimate`, or where the workspace is known exactly its area, with an error that is rounding.
+        """
+        if self.exact is None:
+            return self.estimate
+        return self.exact.area, ROUNDING * self.exact.region.size**2
+
+    @cached_property
+    def estimate(self) -> tuple[float, float]:
+        """The measure by samples, and two standard errors of it.
+
+        The inverse model decides random points, more of them where the map changes. What it does not find counts as not
+        reached, so that but for chance the value is too small rather than too large.
+        """
+        wanted = self.question
+        found: list[tuple[float, float]] = []
+        if wanted.tried:
+            found.append(map_measures.counted(self.map, self.samples, int(self.map.counts.sum())))
+        if wanted.kind != DEXTEROUS:  # there one point costs as much as hundreds of others
+            found.append(map_measures.measured(self.system, self.frame, self.map, self.seed, wanted))
+        return map_measures.together(found)
+
+    @cached_property
+    def bounds(self) -> tuple[float, float]:
+        """A lower and an upper bound of the measure in the box.
+
+        The lower one is the value less its error: each point that it counts is reached, so that only chance, which
+        points were drawn, makes it too large (in one of 40 cases). The upper one is proven, by lengths and limits, or
+        rounding away from an exact measure.
+        """
+        whole, (value, error) = math.prod(self.map.cell) * self.map.counts.size, self.measure
+        if self.exact is not None:
+            return value - error, value + error
+        outer = whole if self.kind == ORIENTATION else outer_measure(self.system, self.frame, self.map.grid)
+        return max(value - error, 0.0), max(outer, value - error)
 
     def _measured(self, dimension: int) -> tuple[float, float]:
         axes = self.map.grid.axes
         if len(axes) != dimension:
-            has = MEASURES[len(axes)][0]
-            raise InputError(f"{self.frame!r} moves along {', '.join(axes)}: the measure is its {has}")
-        return self._measure
+            has, what = MEASURES[len(axes)][0], "turns by" if self.kind == ORIENTATION else "moves along"
+            raise InputError(f"{self.frame!r} {what} {', '.join(axes)}: the measure is its {has}")
+        return self.measure
 
     @property
     def volume(self) -> tuple[float, float]:
-        """Volume of what is reached in the box, and its error [m^3]; see `area`."""
+        """Volume of what is reached in the box, and its error [m^3]; see `estimate`."""
         return self._measured(3)
 
     @property
     def area(self) -> tuple[float, float]:
-        """Area of what is reached in the box, and its error [m^2].
-
-        The value is estimated: the inverse model decides random points, more of them where the map changes. The error
-        is two standard errors of that. What the inverse model does not find counts as not reached.
-        """
+        """Area of what is reached in the box, and its error [m^2]; see `estimate`."""
         return self._measured(2)
 
     @property
     def length(self) -> tuple[float, float]:
-        """Length of what is reached of a line, and its error [m]; see `area`."""
+        """Length of what is reached of a line, and its error [m]; see `estimate`."""
         return self._measured(1)
 
     # ---- single points
@@ -102,21 +168,31 @@ class Workspace(Report):
     def contains(self, points: ArrayLike, check: bool = False) -> np.ndarray:
         """Whether points (..., d) in the ground frame [m] are reached (...); d is 2 or 3, as of the system.
 
-        In a cell that has samples, as all cells around it have, the map decides, unless `check` is True: that is no
-        proof for each point of it. All others are decided by the inverse model, which finds a configuration or not.
+        The `exact` workspace decides where there is one, unless `check` is True. Else the map does in a cell that has
+        samples, as all cells around it have: that is no proof for each point of it. All others, and with `check` all,
+        are decided by the inverse model, which finds a configuration or not. Of the kind "orientation" points are
+        rotations (..., 3, 3), in the plane also angles (...).
         """
         flat, lead = self._points(points)
-        if check:
-            return map_measures.reached(self.system, self.frame, flat, self.seed).reshape(lead)
-        return map_measures.decided(self.system, self.frame, self.map, flat, self.seed).reshape(lead)
+        if self.exact is not None and not check:
+            found = self.exact.contains(flat)
+        elif check:
+            found = self.question.reached(self.system, self.frame, flat, self.seed)
+        else:
+            found = map_measures.decided(self.system, self.frame, self.map, flat, self.seed, self.question)
+        return found.reshape(lead)
 
     def distance(self, points: ArrayLike) -> Array:
-        """Distance (...) [m] of points (..., d) from the boundary of the map, negative outside.
+        """Distance (...) [m] of points (..., d) from the boundary, negative outside: of the `exact` one, or of the map.
 
-        It is measured to the middle of the nearest boundary cell, so it may be off by half the diagonal of a cell
-        (`resolution`), and by what the samples missed.
+        Of the map it is that of the middle of the nearest boundary cell, so it may be off by half the diagonal of a
+        cell (`resolution`), and by what the samples missed. Errors: `UnsupportedError` for orientations.
         """
+        if self.kind == ORIENTATION:
+            raise UnsupportedError("distances are those of places, not of orientations")
         flat, lead = self._points(points)
+        if self.exact is not None:
+            return (self.exact.distance(flat) * np.where(self.exact.contains(flat), 1.0, -1.0)).reshape(lead)
         return map_measures.to_boundary(self.map, flat[:, self.map.grid.kept]).reshape(lead)
 
     @property
@@ -125,6 +201,9 @@ class Workspace(Report):
         return 0.5 * math.sqrt(sum(x * x for x in self.map.cell))
 
     def _points(self, points: ArrayLike) -> tuple[Array, tuple[int, ...]]:
+        if self.kind == ORIENTATION:
+            R = read_rotations(points, self.system.dim, "points")
+            return coordinates_of(R, self.system.dim).reshape(-1, 3), R.shape[:-2]
         x, dim = reals(points, "points"), self.system.dim
         if x.ndim == 0 or x.shape[-1] != dim:
             raise InputError(f"points have shape {x.shape}; they must be (..., {dim})")
@@ -161,34 +240,49 @@ class Workspace(Report):
     @property
     def status(self) -> str:
         """How much was drawn, and how many cells it fell into."""
-        found, of = int(self.map.occupied.sum()), self.map.counts.size
+        found, of, wanted = int(self.map.occupied.sum()), self.map.counts.size, self.question
         left = f" ({self.requested:.6g} were requested)" if self.samples < self.requested else ""
         edges = " x ".join(f"{1e3 * x:.4g}" for x in self.map.cell)
-        return (
-            f"{self.samples:.6g} samples{left} of frame {self.frame!r} fell into {found} of {counted(of, 'cell')} of "
-            f"{edges} mm: each of these holds a point that is reached"
-        )
+        size = "" if self.kind == ORIENTATION else f" of {edges} mm"
+        cells = f"{found} of {counted(of, 'cell')}{size}: each of these holds a point that is reached"
+        if not wanted.tried:
+            return f"{self.samples:.6g} samples{left} of frame {self.frame!r} fell into {cells}"
+        many = f" in all {len(wanted.turns)} orientations" if len(wanted.turns) > 1 else ""
+        hits = int(self.map.counts.sum())
+        return (f"{self.kind}: {hits} of {counted(self.samples, wanted.noun)}{left} that were tried are reached by "
+                f"frame {self.frame!r}{many}, in {cells}")  # fmt: skip
 
     def _cells(self) -> Cells:
         grid = self.map.grid
-        name, unit = MEASURES[len(grid.axes)]
-        value, error = self._measure
-        box = ", ".join(f"{a} {grid.low[k]:.6g} to {grid.high[k]:.6g} m" for a, k in zip(grid.axes, grid.kept,
-                                                                                        strict=True))  # fmt: skip
-        rows = [("box", box), (name, f"{value:.6g} +- {error:.2g} {unit}, estimated with the inverse model")]
+        (name, unit), (value, error), (low, high) = MEASURES[len(grid.axes)], self.measure, self.bounds
+        unit = unit.replace("m", self.map.unit)
+        box = ", ".join(f"{a} {grid.low[k]:.6g} to {grid.high[k]:.6g}{'' if a == 'height' else f' {self.map.unit}'}"
+                        for a, k in zip(grid.axes, grid.kept, strict=True))  # fmt: skip
+        if self.exact is not None:
+            said = [(name, f"{value:.9g} {unit}, exact but for rounding")]
+        else:
+            least, most = (
+                f"at least {low:.6g} {unit} but for chance",
+                f"at most {high:.6g} {unit} by lengths and limits",
+            )
+            said = [(name, f"{value:.6g} +- {error:.2g} {unit}, estimated with the inverse model"),
+                    ("bounds", f"{least}, {most}")]  # fmt: skip
+        rows = [("box", box), *said]
         rows += [("outside the box", counted(self.outside, "sample"))] * bool(self.outside)
         rows += [("left out", f"{counted(self.left_out, 'sample')} that could not be closed within all limits and "
-                  "constraints")] * bool(self.left_out)  # fmt: skip
+                  "constraints")] * bool(self.left_out and not self.question.tried)  # fmt: skip
         rows += [("redone", f"{counted(self.redone, 'part')} that was damaged on disk")] * bool(self.redone)
         return (), rows
 
     def _data(self) -> dict[str, Any]:
         grid, (name, _) = self.map.grid, MEASURES[len(self.map.grid.axes)]
-        value, error = self._measure
+        value, error = self.measure
         box = {a: [grid.low[k], grid.high[k]] for a, k in zip(grid.axes, grid.kept, strict=True)}
         numbers = {k: getattr(self, k) for k in ("samples", "requested", "outside", "left_out", "seed", "redone")}
-        return {"system": self.system.name, "frame": self.frame, "box": box, "cells": list(grid.shape),
-                "occupied": int(self.map.occupied.sum()), name: value, f"{name}_error": error, **numbers,
+        return {"system": self.system.name, "frame": self.frame, "kind": self.kind, "box": box,
+                "cells": list(grid.shape), "occupied": int(self.map.occupied.sum()),
+                "exact": self.exact is not None, name: value, f"{name}_error": error,
+                f"{name}_bounds": list(self.bounds), **numbers,
                 "kernels": self.said["variant"], "version": self.said["version"]}  # fmt: skip
 
 

@@ -22,7 +22,7 @@ Function = tuple[Enclosure, int]
 
 
 @dataclass(frozen=True, eq=False)
-class Branches:
+class BranchFunctions:
     """The branches of a mechanism over one coordinate `name` from `low` to `high`, which meet if it `closes`.
 
     `signs` is the number of their signs, `functions(x, signs)` are those that are positive where branches exist, for
