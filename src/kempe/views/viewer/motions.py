@@ -84,7 +84,7 @@ def possible(session: Session) -> tuple[str, ...]:
     rows = [r for c in system.mechanism.constraints.values() for r in c.of.rows(system.dim)]
     rolls = any(r.velocity for r in rows)
     falls = len(system.parent) == 1 and any(c.bounds(system.dim) for c in system.mechanism.constraints.values())
-    have = {"whole motion": freedoms == 1 and not rolls, "frame at rest": freedoms > 1 and not rolls,
+    have = {"whole motion": freedoms == 1 and not rolls, "frame at rest": freedoms > max(1, session.directions(session.task)) and not rolls,
             "manoeuvre": rolls, "fall": falls and not rolls}  # fmt: skip
     return tuple(name for name, has in have.items() if has)
 

@@ -172,14 +172,16 @@ class Session:
         if self.chart is None:
             return "position"
         with self._said():
-            whole, tries = self._whole(), () if self.chart.dependent else random(self.system, 0, 4)
-            rank = max(np.linalg.matrix_rank(self._rates(q), 1e-6) for q in (self.q, *tries))
-            return "pose" if rank == whole else "position"
+            return "pose" if self.directions("pose") == (3 if self.system.dim == 2 else 6) else "position"
         return "position"
 
-    def _whole(self) -> int:
-        """Directions in which a frame can move that is free."""
-        return 3 if self.system.dim == 2 else 6
+    def directions(self, task: str) -> int:
+        """In how many directions the frame can move, of those that a task counts: the most that were found."""
+        if self.chart is None:
+            return 0
+        tries = () if self.chart.dependent else random(self.system, 0, 4)
+        rows = self.system.dim if task == "position" else None
+        return max(int(np.linalg.matrix_rank(self._rates(q)[:rows], 1e-6)) for q in (self.q, *tries))
 
     def _rates(self, q: Array) -> Array:
         """Rates (3 or 6, p) of the frame by the independent coordinates at q."""

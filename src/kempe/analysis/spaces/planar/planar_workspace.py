@@ -238,5 +238,5 @@ def planar_workspace(
 def planar_answer(system: System, frame: str, question: Question) -> PlanarWorkspace:
     """The answer to a question. Errors: see `planar_workspace`."""
     if question.kind == ORIENTATION:
-        raise UnsupportedError("the exact workspace is one of places: `workspace` knows of orientations")
+        raise UnsupportedError("the exact workspace is one of places, not of orientations")
     return PlanarWorkspace(system, frame, planar_region(system, frame, question), question.kind)
