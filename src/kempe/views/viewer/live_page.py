@@ -175,7 +175,7 @@ class Page:
         self.play.on_click(self._play)
 
     def _buttons(self, label: str, actions: dict[str, Callable[[], Any]]) -> None:
-        """Buttons in a row, each with its action."""
+        """Add buttons in a row, each with its action."""
         if actions:
             group = self.client.gui.add_button_group(label, tuple(actions))
 

@@ -23,7 +23,7 @@ PATIENCE = Budget(time_limit=5.0)
 """What a motion may cost that a button finds."""
 
 
-class Motion(NamedTuple):
+class Played(NamedTuple):
     """Configurations `q` (n, nq), all of them finite, at times `t` (n,) [s] from 0 on; `timed`: its own times."""
 
     q: Array
@@ -42,7 +42,7 @@ class Motion(NamedTuple):
         return np.array(self.q[k - 1 if before else k])
 
 
-def motion_from(system: System, path: Any) -> Motion | None:
+def motion_from(system: System, path: Any) -> Played | None:
     """The motion of an answer, or of configurations (n, nq); None of None. Errors: `InputError` for other shapes."""
     from kempe.views.plots import motion_of
 
@@ -53,7 +53,7 @@ def motion_from(system: System, path: Any) -> Motion | None:
     timed = np.shape(own) == q.shape[:1]
     t = np.asarray(own, dtype=float) if timed else np.linspace(0.0, SLOW, len(q))
     finite = np.isfinite(q).all(axis=1) & np.isfinite(t)
-    return Motion(q[finite], t[finite] - t[finite][0], timed)
+    return Played(q[finite], t[finite] - t[finite][0], timed)
 
 
 def _whole(session: Session) -> Any:
@@ -84,12 +84,13 @@ def possible(session: Session) -> tuple[str, ...]:
     rows = [r for c in system.mechanism.constraints.values() for r in c.of.rows(system.dim)]
     rolls = any(r.velocity for r in rows)
     falls = len(system.parent) == 1 and any(c.bounds(system.dim) for c in system.mechanism.constraints.values())
-    have = {"whole motion": freedoms == 1 and not rolls, "frame at rest": freedoms > max(1, session.directions(session.task)) and not rolls,
-            "manoeuvre": rolls, "fall": falls and not rolls}  # fmt: skip
+    spare = freedoms > max(1, session.directions(session.task))
+    have = {"whole motion": freedoms == 1 and not rolls, "frame at rest": spare and not rolls, "manoeuvre": rolls,
+            "fall": falls and not rolls}  # fmt: skip
     return tuple(name for name, has in have.items() if has)
 
 
-def found(session: Session, name: str) -> tuple[Motion | None, str]:
+def found(session: Session, name: str) -> tuple[Played | None, str]:
     """The motion of this name from where the session is, if there is one, and the sentence about it.
 
     Errors: those of the verb that looks for it.

@@ -191,7 +191,7 @@ class Nodes:
                     origin_radius=0.3 * r, wxyz=quat, position=place))  # fmt: skip
 
     def lay(self, overlay: Overlay | None) -> None:
-        """Lay something over the system, in place of what was there."""
+        """Show something laid over the system, in place of what was there."""
         for node in self.laid:
             node.remove()
         self.laid = []
