@@ -39,7 +39,7 @@ RANGES = {2: ((-np.pi, np.pi),), 3: ((-np.pi, np.pi), (-1.0, 1.0), (-np.pi, np.p
 
 
 @dataclass(frozen=True)
-class Question:
+class WorkspaceKind:
     """A `kind` of workspace: of places, in the `turns` (k, 9), the orientations that count; or of orientations.
 
     These are reached `at` a place. `tried`: samples are places or orientations that the inverse model decides, not
@@ -52,8 +52,8 @@ class Question:
     tried: bool = False
 
     @classmethod
-    def said(cls, made: dict[str, Any]) -> Question:
-        """The question that a stored map answers."""
+    def said(cls, made: dict[str, Any]) -> WorkspaceKind:
+        """The kind of a stored map."""
         at, turns = tuple(made["at"]), tuple(tuple(r) for r in made["turns"])
         return cls(made["kind"], turns, at, made["tried"])
 
@@ -182,7 +182,7 @@ def read_rotations(x: Any, dim: int, what: str = "orientation") -> Array:
     return R
 
 
-def question_of(system: System, frame: str, kind: object, orientation: Any, at: Any) -> Question:
+def question_of(system: System, frame: str, kind: object, orientation: Any, at: Any) -> WorkspaceKind:
     """The question that arguments of `workspace` pose. Errors: `InputError`."""
     if kind is None:
         several = orientation is not None and np.ndim(orientation) not in ((0,) if system.dim == 2 else (1, 2))
@@ -193,7 +193,7 @@ def question_of(system: System, frame: str, kind: object, orientation: Any, at: 
         raise InputError(f"kind {word!r} {'needs' if at is None else 'reads no'} at, the place of the frame's origin, "
                          "which kind 'orientation' reads")  # fmt: skip
     if word == REACHABLE and orientation is None:
-        return Question()
+        return WorkspaceKind()
     if bool(system.structure.table.at[frame][2]):
         raise InputError(f"{frame!r} is a particle, which has no orientation: its only workspace is the reachable one")
     if word == ORIENTATION:
@@ -202,7 +202,7 @@ def question_of(system: System, frame: str, kind: object, orientation: Any, at: 
             raise InputError(f"at is {shown(at)}; it must be one place ({system.dim},) of finite numbers in metres")
         if orientation is not None:
             raise InputError("kind 'orientation' looks for orientations: it reads none")
-        return Question(word, at=(*p.tolist(), 0.0)[:3], tried=True)
+        return WorkspaceKind(word, at=(*p.tolist(), 0.0)[:3], tried=True)
     if word == REACHABLE:
         raise InputError(f"kind 'reachable' reads no orientation: kinds {CONSTANT!r} and {DEXTEROUS!r} do")
     if orientation is None and word == CONSTANT:
@@ -212,4 +212,4 @@ def question_of(system: System, frame: str, kind: object, orientation: Any, at: 
         orientation, system.dim)  # fmt: skip
     if word == CONSTANT and R.shape != (3, 3):
         raise InputError(f"kind {CONSTANT!r} reads one orientation, not {len(R)}: kind {DEXTEROUS!r} reads several")
-    return Question(word, tuple(tuple(r) for r in R.reshape(-1, 9).tolist()), tried=True)
+    return WorkspaceKind(word, tuple(tuple(r) for r in R.reshape(-1, 9).tolist()), tried=True)

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.analysis.spaces.kinds.legs import legs_of
-from kempe.analysis.spaces.kinds.questions import CONSTANT, REACHABLE, Question
+from kempe.analysis.spaces.kinds.questions import CONSTANT, REACHABLE, WorkspaceKind
 from kempe.analysis.spaces.planar.planar_chain import PlanarChain, PlanarJoint
-from kempe.analysis.spaces.planar.planar_parts import Meeting, in_all_orientations, in_one_orientation, wrist_of
+from kempe.analysis.spaces.planar.planar_parts import RegionOfLegs, in_all_orientations, in_one_orientation, wrist_of
 from kempe.analysis.spaces.planar.planar_region import NOTHING, PlanarRegion
 from kempe.errors import InputError, UnsupportedError
 from kempe.model.tree.primitive_table import local_chain
@@ -24,7 +24,7 @@ MOST = 6
 """Joints that a chain may have: the work grows with a power of their number."""
 
 
-def planar_region(system: System, frame: str, question: Question) -> PlanarRegion:
+def planar_region(system: System, frame: str, question: WorkspaceKind) -> PlanarRegion:
     """The region of a question about a frame. Errors: `UnsupportedError`, `InputError`; see `planar_workspace`."""
     if system.dim != 2:
         raise UnsupportedError(f"{system.name} is a system in space: the exact workspace is that of planar ones")
@@ -77,7 +77,7 @@ def _together(parts: Sequence[PlanarRegion], counted: bool) -> PlanarRegion:
         return parts[0]
     if any(p.is_curve for p in parts):
         raise UnsupportedError("a leg of the loop leaves a curve only: what several leave is a piece of it, or points")
-    return Meeting(tuple(parts), counted)
+    return RegionOfLegs(tuple(parts), counted)
 
 
 def _meeting_at_a_point(system: System, frame: str, chains: list[PlanarChain]) -> list[PlanarChain]:

@@ -20,7 +20,7 @@ from kempe.analysis.spaces.planar.plane_curves import TURN, PlanePiece, meetings
 
 
 @dataclass(frozen=True)
-class Meeting(PlanarRegion):
+class RegionOfLegs(PlanarRegion):
     """The points that all parts hold; each combination of their ways is one where these are `counted`."""
 
     parts: tuple[PlanarRegion, ...]

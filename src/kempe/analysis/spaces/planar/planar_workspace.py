@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.analysis.spaces.kinds.questions import DEXTEROUS, ORIENTATION, REACHABLE, Question, question_of
+from kempe.analysis.spaces.kinds.questions import DEXTEROUS, ORIENTATION, REACHABLE, WorkspaceKind, question_of
 from kempe.analysis.spaces.planar.planar_of_systems import planar_region
 from kempe.analysis.spaces.planar.planar_region import PlanarRegion
 from kempe.analysis.spaces.planar.plane_curves import PlanePiece
@@ -235,8 +235,8 @@ def planar_workspace(
     return planar_answer(system, name, question_of(system, name, kind, orientation, None))
 
 
-def planar_answer(system: System, frame: str, question: Question) -> PlanarWorkspace:
+def planar_answer(system: System, frame: str, question: WorkspaceKind) -> PlanarWorkspace:
     """The answer to a question. Errors: see `planar_workspace`."""
     if question.kind == ORIENTATION:
-        raise UnsupportedError("the exact workspace is one of places, not of orientations")
+        raise UnsupportedError("the exact workspace is one of places; one of orientations is a sampled map")
     return PlanarWorkspace(system, frame, planar_region(system, frame, question), question.kind)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from kempe.analysis.spaces.kinds.questions import Question
+from kempe.analysis.spaces.kinds.questions import WorkspaceKind
 from kempe.analysis.spaces.workspace.cell_map import CellMap
 from kempe.errors import MissingExtraError
 from kempe.spatial import Array
@@ -21,7 +21,7 @@ SIGMAS = 2.0
 """Standard errors that the error of a measure is."""
 
 
-def measured(system: System, frame: str, cells: CellMap, seed: int, question: Question) -> tuple[float, float]:
+def measured(system: System, frame: str, cells: CellMap, seed: int, question: WorkspaceKind) -> tuple[float, float]:
     """The measure of what is reached inside the box, and `SIGMAS` standard errors of it.
 
     Random points in three layers of the map are decided by the inverse model; the layers make the error small, they
@@ -63,7 +63,9 @@ def _within(cells: CellMap, numbers: np.ndarray, rng: np.random.Generator) -> Ar
     return grid.whole(np.array(grid.low)[grid.kept] + (at + rng.random(at.shape)) * grid.size)
 
 
-def decided(system: System, frame: str, cells: CellMap, points: Array, seed: int, question: Question) -> np.ndarray:
+def decided(
+    system: System, frame: str, cells: CellMap, points: Array, seed: int, question: WorkspaceKind
+) -> np.ndarray:
     """Whether each of points (n, 3) is reached: by the map in inner cells, else by the inverse model."""
     grid = cells.grid
     at, inside = grid.places(points[:, grid.kept])

@@ -14,7 +14,7 @@ import numpy as np
 
 from kempe import __version__
 from kempe.analysis.maps.cluster import refuse_kernels
-from kempe.analysis.spaces.kinds.questions import ORIENTATION, RANGES, TURNED, Question
+from kempe.analysis.spaces.kinds.questions import ORIENTATION, RANGES, TURNED, WorkspaceKind
 from kempe.analysis.spaces.workspace.cell_map import FEW_CELLS, USUAL_CELLS, Grid, cell_counts, grid_of
 from kempe.errors import InputError
 from kempe.kernels.compiled import VARIANT, lane_positions
@@ -44,7 +44,7 @@ AFTER = 2
 """Counts after those of the cells: of samples outside the box, and of those left out."""
 FAR = 1e7
 """Coordinates from which on a limit is none: sines lose their digits there."""
-PLAIN = Question()
+PLAIN = WorkspaceKind()
 _one_at_a_time = threading.Lock()
 
 
@@ -61,7 +61,7 @@ class Recipe:
     grid: Grid
     variant: str = VARIANT
     version: str = __version__
-    question: Question = PLAIN
+    question: WorkspaceKind = PLAIN
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Recipe, (self.system, self.frame, self.seed, self.grid, self.variant, self.version, self.question)
@@ -205,7 +205,7 @@ def slow_positions(system: System, frame: str, seed: int, piece: int) -> Array:
     return points
 
 
-def recipe_of(system: System, frame: str, seed: int, cells: Any, box: Any, question: Question = PLAIN) -> Recipe:
+def recipe_of(system: System, frame: str, seed: int, cells: Any, box: Any, question: WorkspaceKind = PLAIN) -> Recipe:
     """The recipe of a map. Errors: `InputError` for a frame that does not move, unlimited slides, wrong boxes."""
     if question.kind == ORIENTATION:
         return Recipe(system, frame, seed, _of_orientations(cells, box, system.dim), question=question)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from kempe.analysis.maps.part_log import refuse_other
 from kempe.analysis.maps.zarr_folders import description_of
-from kempe.analysis.spaces.kinds.questions import DEXTEROUS, ORIENTATION, Question, coordinates_of, read_rotations
+from kempe.analysis.spaces.kinds.questions import DEXTEROUS, ORIENTATION, WorkspaceKind, coordinates_of, read_rotations
 from kempe.analysis.spaces.planar.planar_workspace import PlanarWorkspace, planar_answer
 from kempe.analysis.spaces.workspace import map_measures
 from kempe.analysis.spaces.workspace.cell_map import CellMap
@@ -76,9 +76,9 @@ class Workspace(Report):
     # ---- how much
 
     @cached_property
-    def question(self) -> Question:
+    def question(self) -> WorkspaceKind:
         """What counts as reached."""
-        return Question.said(self.said)
+        return WorkspaceKind.said(self.said)
 
     @property
     def kind(self) -> str:
