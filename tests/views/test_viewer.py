@@ -165,8 +165,19 @@ class Seen:
         x = np.cross(z, camera.up_direction)
         x = x / np.linalg.norm(x)
         v = np.asarray(p) - camera.position
-        scale = 0.5 * HIGH / np.tan(0.5 * camera.fov) / (v @ z)
-        return 0.5 * WIDE + scale * (v @ x), 0.5 * HIGH - scale * (v @ np.cross(x, z))
+        wide, high = 0.5 * camera.image_width, 0.5 * camera.image_height
+        scale = high / np.tan(0.5 * camera.fov) / (v @ z)
+        return wide + scale * (v @ x), high - scale * (v @ np.cross(x, z))
+
+    def press(self, text: str, row: str | None = None) -> None:
+        """Click on a button or a check box of the panel, of several with this text on the one beside a label."""
+        found = self.tab.get_by_text(text, exact=True).all()
+        if row is not None:
+            y = self.tab.get_by_text(row, exact=True).bounding_box()["y"]
+            found.sort(key=lambda one: abs(one.bounding_box()["y"] - y))
+        found[0].scroll_into_view_if_needed()
+        box = found[0].bounding_box()
+        self.tab.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
 
     def drag(self, a, b, steps: int = 5) -> None:
         self.tab.mouse.move(*a)
@@ -227,7 +238,7 @@ def test_a_ghost_is_clicked(browser):
     with system.show([0.3, -1.2, 1.5, -0.6, -1.4, 0.2], port=0, browser=False) as viewer:
         seen = Seen(browser, viewer)
         session, q, X = seen.page.session, viewer.q, seen.page.session.pose.copy()
-        seen.tab.get_by_text("other solutions").click()
+        seen.press("show", "other solutions")
         assert seen.until(lambda: len(session.solutions) == 7)
         solutions = session.solutions.copy()
         seen.tab.wait_for_timeout(1500)

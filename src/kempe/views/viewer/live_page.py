@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,26 +15,25 @@ from kempe.errors import KempeError
 from kempe.kinematics.configuration import has_loops
 from kempe.views.drawing import style
 from kempe.views.drawing.solids import rgb
-from kempe.views.viewer.motions import possible
+from kempe.views.viewer.beside import Action, Beside
 from kempe.views.viewer.overlays import Overlay, offered, rounds
+from kempe.views.viewer.player import Player
 from kempe.views.viewer.scene_nodes import Drawn, Nodes, poses_as
-from kempe.views.viewer.session import Session, Slider
+from kempe.views.viewer.session import KINDS, Session, Slider
 
 if TYPE_CHECKING:
     from kempe.views.viewer.live import Viewer
 
 STEPS = 2000
 """Places of a slider."""
-FRAMES = 30.0
-"""Frames a second of a motion that is played."""
 SLIDE = 0.1
 """Seconds between two updates of sliders while something else is dragged."""
 PAUSE = 0.25
 """Seconds of rest after which the slower sentences are said."""
-SEES = 1.2
-"""Distance of the camera, in parts of the farthest that shall be in the picture."""
-NOTHING = "nothing"
-"""What is chosen where nothing is laid over the system."""
+SEES = 1.85
+"""Height of the picture, in parts of the farthest that shall be in it."""
+QUICK = 0.1
+"""Seconds that a search may take which is repeated while a target is dragged."""
 
 
 class Page:
@@ -46,13 +45,14 @@ class Page:
     def __init__(self, viewer: Viewer, client: Any, session: Session, drawn: Drawn):
         self.viewer, self.client, self.session = viewer, client, session
         self.waiting: dict[str, Callable[[], Any]] = {}
-        self.ready, self.open, self.playing, self.dragging = threading.Condition(), True, False, ""
+        self.ready, self.open, self.dragging = threading.Condition(), True, ""
         self.spent: list[float] = []
         self.revision = -1
         self.nodes = Nodes(client.scene, drawn, session.q)
         self.sliders: dict[str, Any] = {}
         self.arrived = self.slid = 0.0
-        self.laid: object = None
+        self.searches, self.overlays = Beside(self.post, self._say), Beside(self.post, self._say)
+        self.follow = False
         with client.atomic():
             self._panel(drawn)
             self._gizmo()
@@ -70,7 +70,9 @@ class Page:
             self.ready.notify()
 
     def close(self) -> None:
-        """End the thread of the page."""
+        """End the threads of the page."""
+        self.searches.close()
+        self.overlays.close()
         with self.ready:
             self.open = False
             self.ready.notify()
@@ -91,7 +93,7 @@ class Page:
                 slow = False
                 with self.client.atomic():
                     self._slide()
-                    self.counted.content = self.session.mobility()
+                self._count()
                 continue
             with self.session.lock:
                 try:
@@ -108,8 +110,12 @@ class Page:
         session = self.session
         if self.revision != session.revision:
             self._make_sliders()
-            if self.over.value == "curve" and session.motion is None:
-                self._lay()
+            if "curve" in self.boxes and session.motion is None:
+                self._lay("curve")
+        if self.player.motion is not session.motion:
+            self.player.make_time()
+            if "curve" in self.boxes:
+                self._lay("curve")
         with self.client.atomic():
             self.nodes.move(session.q)
             self.nodes.haunt(session.solutions, self._clicked)
@@ -149,7 +155,7 @@ class Page:
         self.said = gui.add_markdown("")
         self.folder = gui.add_folder("coordinates")
         gos = {name: lambda n=name: session.go(n) for name in session.postures}
-        self._buttons("go to", {"random": session.random} | gos)
+        self.buttons("go to", {"random": session.random} | gos)
         with gui.add_folder("frame"):
             self.frame = gui.add_dropdown("frame", session.frames, initial_value=session.frame)
             self.task = gui.add_dropdown("what counts", ("pose", "position"), initial_value=session.task)
@@ -157,57 +163,34 @@ class Page:
             if has_loops(session.system):
                 self._pair("assembly modes", "mode")
         with gui.add_folder("show"):
-            self.over = gui.add_dropdown("over it", (NOTHING, *offered(session)), initial_value=NOTHING)
+            self.boxes = {name: gui.add_checkbox(name, False) for name in offered(session)}
             self.names = gui.add_checkbox("names", False)
             self.axes = gui.add_checkbox("axes of frames", False)
-        with gui.add_folder("motion", visible=session.motion is not None or bool(possible(session))) as self.movie:
-            self._buttons("find", {n: lambda n=n: self._found(session.find_motion(n)) for n in possible(session)})
-            self.time: Any = None
-            self.play = gui.add_button("play", color="gray", visible=False)
-            self._found(session.motion is not None)
+        self.player = Player(self)
         if drawn.lost:
             gui.add_markdown(f"{len(drawn.lost)} meshes could not be shown, such as {drawn.lost[0]}")
-        self.frame.on_update(self._by_hand("frame", lambda: self._aim(self.frame.value)))
-        self.task.on_update(self._by_hand("task", lambda: self._aim(self.frame.value, self.task.value)))
-        self.over.on_update(self._by_hand("over it", self._lay))
-        self.names.on_update(self._by_hand("names", lambda: self.nodes.name(self.names.value)))
-        self.axes.on_update(self._by_hand("axes", lambda: self.nodes.mark(self.axes.value)))
-        self.play.on_click(self._play)
+        self.frame.on_update(self.by_hand("frame", lambda: self._aim(self.frame.value)))
+        self.task.on_update(self.by_hand("task", lambda: self._aim(self.frame.value, self.task.value)))
+        for name, box in self.boxes.items():
+            box.on_update(self.by_hand(name, lambda n=name: self._lay(n)))
+        self.names.on_update(self.by_hand("names", lambda: self.nodes.name(self.names.value)))
+        self.axes.on_update(self.by_hand("axes", lambda: self.nodes.mark(self.axes.value)))
 
-    def _buttons(self, label: str, actions: dict[str, Callable[[], Any]]) -> None:
-        """Add buttons in a row, each with its action."""
-        if actions:
-            group = self.client.gui.add_button_group(label, tuple(actions))
-
-            def pressed() -> None:
-                self.said.content = f"{label}: {group.value} ..."
-                actions[group.value]()
-
-            group.on_click(self._by_hand(label, pressed))
+    def buttons(self, label: str, actions: dict[str, Action]) -> Any:
+        """Add buttons in a row, each with its action; what was added."""
+        group = self.client.gui.add_button_group(label, tuple(actions))
+        group.on_click(self.by_hand(label, lambda: actions[group.value]()))
+        return group
 
     def _pair(self, label: str, kind: str) -> None:
-        self._buttons(label, {"show": lambda: self.session.solve(kind), "next": lambda: self.session.next(kind)})
+        self.buttons(label, {"show": lambda: self._solve(kind), "next": lambda: self._next(kind)})
 
-    def _found(self, has: bool) -> None:
-        """Make the slider of the motion that is played."""
-        motion = self.session.motion
-        if not has or motion is None:
-            return
-        if self.time is not None:
-            self.time.remove()
-        label, last = ("time [s]", motion.duration) if motion.timed else ("part", 1.0)
-        with self.movie:
-            self.time = self.client.gui.add_slider(label, 0.0, last, last / 1000.0, 0.0, order=self.play.order - 0.5)
-        scale = motion.duration / last
-        self.time.on_update(self._by_hand("time", lambda h=self.time: self.session.at(scale * h.value)))
-        self.play.visible = True
-
-    def _by_hand(self, key: str, action: Callable[[], Any]) -> Any:
+    def by_hand(self, key: str, action: Action) -> Any:
         """A callback of viser that posts an action where a person caused the event."""
 
         async def called(event: Any) -> None:
             if event.client is not None:
-                self.dragging = key if key in self.sliders else ""
+                self.dragging, self.follow = key if key in self.sliders else "", False
                 self.post(key, action)
 
         return called
@@ -225,7 +208,7 @@ class Page:
             for s in wanted:
                 handle = gui.add_slider(f"{s.name} [{s.unit}]", s.low, s.high, _step(s), s.value)
                 self.sliders[s.name] = handle
-                handle.on_update(self._by_hand(s.name, lambda n=s.name, h=handle: session.set(n, float(h.value))))
+                handle.on_update(self.by_hand(s.name, lambda n=s.name, h=handle: session.set(n, float(h.value))))
 
     def _gizmo(self) -> None:
         session, flat = self.session, self.session.system.dim == 2
@@ -251,49 +234,113 @@ class Page:
     # ---- actions
 
     def _reach(self, X: Any, last: bool) -> None:
-        session, ghosts = self.session, len(self.session.solutions)
+        session = self.session
         session.reach(X, quick=not last)
-        if ghosts and session.kind == "solution" and (last or not has_loops(session.system)):
+        if self.follow and session.took < QUICK:
             said = session.status
             session.solve()
             session.status = said
+        elif self.follow and last:
+            self._solve("solution")
 
     def _aim(self, frame: str, task: str | None = None) -> None:
         self.session.aim(frame, task)
-        self._lay()
+        for name in self.boxes:
+            self._lay(name)
         if self.task.value != self.session.task:
             self.task.value = self.session.task
         self.gizmo.disable_rotations = self.session.system.dim == 2 or self.session.task == "position"
+        self.player.make_finds()
 
     async def _clicked(self, event: Any) -> None:
         if event.instance_index is not None:
             self.post("ghost", lambda: self.session.choose(int(event.instance_index)))
 
-    def _lay(self) -> None:
-        """Begin to compute what is chosen to be laid over the system, and take away what was."""
-        self.laid = token = object()
-        self.nodes.lay(None)
-        if self.over.value != NOTHING:
-            self.session.status = f"{self.over.value}: being computed"
-            threading.Thread(target=self._compute, args=(token, self.over.value, copy.copy(self.session))).start()
+    # ---- what is computed beside
 
-    def _compute(self, token: object, name: str, session: Session) -> None:
-        """Send one round after the other to the page, until something else is chosen."""
+    def _say(self, text: str) -> None:
+        self.session.status = text
 
-        def said(text: str, overlay: Overlay | None = None, first: bool = False) -> None:
-            if self.laid is token:
-                self.session.status = text
-                self.nodes.lay(overlay)
-                if overlay is not None and first:
-                    self._step_back(overlay)
+    def _beside(self, where: Beside, key: str, work: Callable[[Session], Iterator[Action]]) -> None:
+        """Begin to compute with a copy of the session as it is now."""
+        session = copy.copy(self.session)
 
-        try:
+        def rounds(check: Callable[..., None]) -> Iterator[Action]:
+            session.progress = check
+            return work(session)
+
+        where.start(key, rounds)
+
+    def _count(self) -> None:
+        """Say the degrees of freedom, which takes long for large systems."""
+
+        def work(session: Session) -> Iterator[Action]:
+            text = session.mobility()
+            yield lambda: setattr(self.counted, "content", text)
+
+        self._beside(self.searches, "freedoms", work)
+
+    def _solve(self, kind: str, then: Action | None = None) -> None:
+        """Look for other configurations; those that are found where the system still is are shown."""
+
+        def take(found: Session) -> None:
+            session = self.session
+            if session.q is found.q:
+                session.solutions, session.kind = found.solutions, kind
+                session.status, session.took = found.status, found.took
+                self.follow = kind == "solution" and len(found.solutions) > 0
+                if then is not None and len(found.solutions):
+                    then()
+
+        def work(session: Session) -> Iterator[Action]:
+            session.solve(kind)
+            yield lambda: take(session)
+
+        self.session.status = f"looking for other {KINDS[kind]}s ..."
+        self._beside(self.searches, "search", work)
+
+    def _next(self, kind: str) -> None:
+        """Go to the next configuration of a kind, which is looked for if none is known."""
+        if self.session.kind == kind and len(self.session.solutions):
+            self.session.next(kind)
+            self.follow = kind == "solution"
+        else:
+            self._solve(kind, lambda: self.session.next(kind))
+
+    def find(self, name: str) -> None:
+        """Look for a motion from here, to be played."""
+
+        def take(found: Session, has: bool) -> None:
+            self.session.status = found.status
+            if has:
+                self.session.motion = found.motion
+
+        def work(session: Session) -> Iterator[Action]:
+            has = session.find_motion(name)
+            yield lambda: take(session, has)
+
+        self.session.status = f"{name}: looked for ..."
+        self._beside(self.searches, "search", work)
+
+    def _lay(self, name: str) -> None:
+        """Begin to compute what is laid over the system, and take away what was; only that where it is not wanted."""
+        self.nodes.lay(name, None)
+        self.overlays.drop(name)
+        if not self.boxes[name].value:
+            return
+
+        def take(overlay: Overlay, first: bool) -> None:
+            self.session.status = overlay.said
+            self.nodes.lay(name, overlay)
+            if first:
+                self._step_back(overlay)
+
+        def work(session: Session) -> Iterator[Action]:
             for k, overlay in enumerate(rounds(session, name)):
-                if self.laid is not token or not self.open:
-                    return
-                self.post(f"overlay {k}", lambda x=overlay, k=k: said(x.said, x, k == 0))
-        except KempeError as error:
-            self.post("overlay", lambda text=str(error): said(text))
+                yield lambda x=overlay, first=not k: take(x, first)
+
+        self.session.status = f"{name}: being computed"
+        self._beside(self.overlays, name, work)
 
     def _step_back(self, overlay: Overlay) -> None:
         """Move the camera back until what is laid over the system is in the picture."""
@@ -301,33 +348,11 @@ class Page:
             return
         camera, (low, high) = self.client.camera, overlay.extent
         away, at = camera.position - camera.look_at, np.array(camera.look_at)
-        far = float(np.linalg.norm(np.maximum(np.abs(high - at), np.abs(low - at)))) * SEES
+        far = float(np.linalg.norm(np.maximum(np.abs(high - at), np.abs(low - at))))
+        far *= 0.5 * SEES / np.tan(0.5 * camera.fov)
         if np.linalg.norm(away) < far:
             camera.position = at + away * (far / np.linalg.norm(away))
             camera.look_at = at
-
-    async def _play(self, event: Any) -> None:
-        self.playing = not self.playing
-        self.play.label = "stop" if self.playing else "play"
-        if self.playing:
-            threading.Thread(target=self._run, daemon=True).start()
-
-    def _run(self) -> None:
-        bar, motion = self.time, self.session.motion
-        if motion is None:
-            return
-        part = bar.value if bar.value < bar.max else 0.0
-        while self.playing and self.open and bar is self.time:
-            part = (part + bar.max / (motion.duration * FRAMES)) % bar.max
-
-            def there(x: float = part) -> None:
-                self.session.at(x * motion.duration / bar.max)
-                bar.value = x
-
-            self.post("play", there)
-            time.sleep(1.0 / FRAMES)
-        self.playing = False
-        self.play.label = "play"
 
 
 def _step(slider: Slider) -> float:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from kempe.budget import Budget
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -19,8 +18,8 @@ SLOW = 4.0
 FALL = 3.0
 """Seconds of a fall, and part of its speed that a bounce leaves."""
 LEFT = 0.8
-PATIENCE = Budget(time_limit=5.0)
-"""What a motion may cost that a button finds."""
+PATIENCE = 5.0
+"""Seconds that a search for a motion may take."""
 
 
 class Played(NamedTuple):
@@ -57,11 +56,13 @@ def motion_from(system: System, path: Any) -> Played | None:
 
 
 def _whole(session: Session) -> Any:
-    return session.system.trace(session.sliders[0].name, session.q, budget=PATIENCE)
+    return session.system.trace(session.sliders[0].name, session.q, budget=session.budget(PATIENCE))
 
 
 def _self_motion(session: Session) -> Any:
-    return session.system.inverse.self_motion(session.q, session.frame, task=session.task, budget=PATIENCE)
+    way = session.rng.normal(size=session.system.nv)  # of several freedoms: each search takes another one
+    budget = session.budget(PATIENCE)
+    return session.system.inverse.self_motion(session.q, session.frame, task=session.task, direction=way, budget=budget)
 
 
 def _manoeuvre(session: Session) -> Any:
@@ -84,9 +85,8 @@ def possible(session: Session) -> tuple[str, ...]:
     rows = [r for c in system.mechanism.constraints.values() for r in c.of.rows(system.dim)]
     rolls = any(r.velocity for r in rows)
     falls = len(system.parent) == 1 and any(c.bounds(system.dim) for c in system.mechanism.constraints.values())
-    spare = freedoms > max(1, session.directions(session.task))
-    have = {"whole motion": freedoms == 1 and not rolls, "frame at rest": spare and not rolls, "manoeuvre": rolls,
-            "fall": falls and not rolls}  # fmt: skip
+    have = {"whole motion": freedoms == 1 and not rolls, "frame at rest": session.spare() and not rolls,
+            "manoeuvre": rolls, "fall": falls and not rolls}  # fmt: skip
     return tuple(name for name, has in have.items() if has)
 
 

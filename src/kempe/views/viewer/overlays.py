@@ -80,7 +80,7 @@ def _curve(session: Session) -> Iterator[Overlay]:
     if session.motion is not None:
         yield Overlay(f"what {frame} passes", lines=_pairs(system.fk(session.motion.q, frame)[:, :3, 3]))
         return
-    motion = system.trace(session.sliders[0].name, session.q, budget=PATIENCE)
+    motion = system.trace(session.sliders[0].name, session.q, budget=session.budget(PATIENCE))
     yield Overlay(f"{frame}: {motion.status}", lines=_pairs(system.fk(motion.q, frame)[:, :3, 3]))
 
 
@@ -99,7 +99,7 @@ def _workspace(session: Session) -> Iterator[Overlay]:
             yield _regions(exact)
             return
     for k, cells in enumerate(CELLS[system.dim]):
-        budget = Budget(time_limit=PATIENCE.time_limit, rng=k)
+        budget = session.budget(PATIENCE, rng=k)
         n = EACH * cells**system.dim // (10 if has_loops(system) else 1)
         yield _cells(system.workspace(frame, n=n, cells=cells, budget=budget), float(session.pose[1, 3]))
 
@@ -174,7 +174,7 @@ def _capability(session: Session) -> Iterator[Overlay]:
     rough = system.workspace(frame, n=20_000, cells=8).map.grid
     box = np.stack([rough.low, rough.high])[:, : system.dim]
     for cells in MAP:
-        found = system.reach.capability(frame, box, cells, 16, budget=Budget(starts=4, time_limit=PATIENCE.time_limit))
+        found = system.reach.capability(frame, box, cells, 16, budget=session.budget(PATIENCE, starts=4))
         middles = np.stack(np.meshgrid(*found.axes, indexing="ij"), axis=-1).reshape(-1, system.dim)
         part = np.nan_to_num(found.fraction.ravel())
         some = (part > 0.0) & ((system.dim == 2) | (middles[:, 1] >= session.pose[1, 3]))

@@ -26,8 +26,10 @@ ABOVE = 3.0
 """Height of lines above a planar drawing, in radii of a pin."""
 PALE = (225, 228, 232)
 """Colour of the lines of the floor."""
-ROOM = {2: 0.75, 3: 1.0}
-"""Distance of the camera, in diagonals of the drawing, in the plane and in space."""
+OPENING = {2: np.deg2rad(12.0), 3: np.deg2rad(75.0)}
+"""Angle of the camera: what is planar is seen nearly without perspective, so that its layers lie on one another."""
+ROOM = {2: 1.15, 3: 1.53}
+"""Height of the picture where the camera looks at, in diagonals of the drawing, in the plane and in space."""
 SOFT = np.cos(np.deg2rad(35.0))
 """Cosine of the angle up to which neighbouring triangles are shaded as one round surface."""
 
@@ -88,7 +90,10 @@ class Drawn:
     def look_from(self, camera: Any, aspect: float = 1.0) -> None:
         """Place a camera, or the one that pages begin with; `aspect` is the width of the picture by its height."""
         away = np.array([0.0, 0.0, 1.0]) if self.system.dim == 2 else np.array([0.6, -0.85, 0.4])
-        far = ROOM[self.system.dim] * max(self.rigid.size, 1e-9) / min(max(aspect, 0.1), 1.0)
+        opening = OPENING[self.system.dim]
+        high = ROOM[self.system.dim] * max(self.rigid.size, 1e-9) / min(max(aspect, 0.1), 1.0)
+        far = 0.5 * high / np.tan(0.5 * opening)
+        camera.fov = opening
         camera.position = tuple(self.rigid.middle + far * away)
         camera.look_at = tuple(self.rigid.middle)
 
@@ -136,7 +141,7 @@ class Nodes:
         self.scene, self.drawn = scene, drawn
         self.frames: dict[int, Any] = {}
         self.ghosts: list[tuple[int, Any]] = []
-        self.labels, self.axes, self.laid = list[Any](), list[Any](), list[Any]()
+        self.labels, self.axes, self.laid = list[Any](), list[Any](), dict[str, list[Any]]()
         self.poses = drawn.rigid.poses(q)
         quats, places = poses_as(self.poses)
         for k in sorted({s.carrier for s in drawn.shapes}):
@@ -190,27 +195,27 @@ class Nodes:
                     f"/system/{link.number}/axes/{name}", axes_length=style.MARK * r, axes_radius=0.2 * r,
                     origin_radius=0.3 * r, wxyz=quat, position=place))  # fmt: skip
 
-    def lay(self, overlay: Overlay | None) -> None:
-        """Show something laid over the system, in place of what was there."""
-        for node in self.laid:
+    def lay(self, name: str, overlay: Overlay | None) -> None:
+        """Show something laid over the system, in place of what had the same name."""
+        for node in self.laid.pop(name, ()):
             node.remove()
-        self.laid = []
         if overlay is None:
             return
+        new = self.laid[name] = []
         flat = self.drawn.system.dim == 2
         above = np.array([0.0, 0.0, ABOVE * self.drawn.rigid.r if flat else 0.0], dtype=np.float32)
-        scene, still = self.scene, {"cast_shadow": False, "receive_shadow": False}
+        scene, at, still = self.scene, f"/over/{name}", {"cast_shadow": False, "receive_shadow": False}
         if len(overlay.lines):
             lines, colour = overlay.lines.astype(np.float32) + above, _bytes(rgb(style.curve_colour(0)))
-            self.laid.append(scene.add_line_segments("/over/lines", lines, colour, thickness=2.5,
-                                                     thickness_units="screen"))  # fmt: skip
+            new.append(scene.add_line_segments(f"{at}/lines", lines, colour, thickness=2.5,
+                                               thickness_units="screen"))  # fmt: skip
         for k, (corners, triangles, colour) in enumerate(overlay.surfaces):
-            self.laid.append(scene.add_mesh_simple(f"/over/{k}", corners - above, triangles, color=_bytes(rgb(colour)),
-                                                   opacity=SEEN, side="double", **still))  # fmt: skip
+            new.append(scene.add_mesh_simple(f"{at}/{k}", corners - above, triangles, color=_bytes(rgb(colour)),
+                                             opacity=SEEN, side="double", **still))  # fmt: skip
         if len(overlay.points):
             ball, none = trimesh.creation.icosphere(1, 0.5), np.tile([1.0, 0.0, 0.0, 0.0], (len(overlay.points), 1))
-            self.laid.append(scene.add_batched_meshes_simple(
-                "/over/points", ball.vertices, ball.faces, none, overlay.points + above, lod="off",
+            new.append(scene.add_batched_meshes_simple(
+                f"{at}/points", ball.vertices, ball.faces, none, overlay.points + above, lod="off",
                 batched_scales=overlay.sizes.astype(np.float32), batched_colors=_bytes(overlay.colours),
                 **still))  # fmt: skip
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Generator
+import time
+from collections.abc import Callable, Generator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -42,8 +43,8 @@ SINGULAR = 1e-3
 """Least rate of a frame, as a part of the largest, below which it counts as singular."""
 TRIES = 20
 """Random starts from which loops are closed, at most."""
-PATIENCE = Budget(time_limit=3.0)
-"""What the search for other solutions and modes of loops may cost."""
+PATIENCE = 3.0
+"""Seconds that the search for other solutions and modes of loops may take."""
 
 
 class Slider(NamedTuple):
@@ -62,8 +63,8 @@ class Session:
     `status` is the sentence about the last thing done. `frame` is the one that targets are for, `task` what of them
     counts: "pose" or "position"; `target` (4, 4) is the last one that was not reached, else None. `solutions` (k, nq)
     are other configurations, of the `kind` "solution" (the frame at the same place) or "mode" (the independent
-    coordinates as they are). `motion` is what is played, `home` the configuration at first. `revision` grows with each
-    new choice of `sliders`.
+    coordinates as they are), the search for which `took` so many seconds. `motion` is what is played, `home` the
+    configuration at first. `revision` grows with each new choice of `sliders`. `progress` is called in long searches.
     """
 
     def __init__(self, system: System, q: Any = None, frame: Any = None, path: Any = None):
@@ -73,9 +74,10 @@ class Session:
         self.motion = motion_from(system, path)
         self.q = np.array(configuration_of(system, q, None if self.motion is None else self.motion.q))
         self.status, self.target, self.revision, self.chart = "", None, 0, None
-        self.solutions, self.kind = np.empty((0, system.nq)), "solution"
+        self.solutions, self.kind, self.took = np.empty((0, system.nq)), "solution", 0.0
+        self.progress: Callable[..., None] | None = None
         self._bare = not (has_loops(system) or system.mechanism.constraints)
-        self._units, self._rng = units(system), np.random.default_rng(0)
+        self._units, self.rng = units(system), np.random.default_rng(0)
         if q is not None and has_loops(system) and not judge(system, self.q):
             self._take(system.assemble(start=self.q), "closed from the q given")
         self._choose()
@@ -165,6 +167,10 @@ class Session:
     def _after(self) -> None:
         self.solutions = np.empty((0, self.system.nq))
 
+    def budget(self, seconds: float, **more: Any) -> Budget:
+        """What a long search may cost."""
+        return Budget(time_limit=seconds, progress=self.progress, **more)
+
     # ---- targets
 
     def usual_task(self) -> str:
@@ -182,6 +188,10 @@ class Session:
         tries = () if self.chart.dependent else random(self.system, 0, 4)
         rows = self.system.dim if task == "position" else None
         return max(int(np.linalg.matrix_rank(self._rates(q)[:rows], 1e-6)) for q in (self.q, *tries))
+
+    def spare(self) -> bool:
+        """Whether the system can move with the frame at rest, as far as the task counts, at most configurations."""
+        return self.chart is not None and len(self.chart.useful) > max(1, self.directions(self.task))
 
     def _rates(self, q: Array) -> Array:
         """Rates (3 or 6, p) of the frame by the independent coordinates at q."""
@@ -220,13 +230,14 @@ class Session:
     def solve(self, kind: str = "solution") -> int:
         """Find the other configurations of a kind; their number, and a sentence about them where there is none."""
         self._after()
-        self.kind = kind
+        self.kind, begun = kind, time.perf_counter()
         with self._said():
             q = self._modes() if kind == "mode" else self._others()
             self.solutions = self._apart(q.reshape(-1, self.system.nq))[:GHOSTS]
             n, where = len(self.solutions), "" if kind == "mode" else f" with {self.frame} here"
-            self.status = f"{n} other {KINDS[kind]}{'s' * (n > 1)}{where}: click on one" if n else (
-                f"no other {KINDS[kind]} was found{where}")  # fmt: skip
+            none = f"no other {KINDS[kind]} was found{where}" + ", but it moves on with it at rest" * self.spare()
+            self.status = f"{n} other {KINDS[kind]}{'s' * (n > 1)}{where}: click on one" if n else none
+        self.took = time.perf_counter() - begun
         return len(self.solutions)
 
     def _others(self) -> Array:
@@ -234,7 +245,7 @@ class Session:
         X, system = self.pose, self.system
         if has_loops(system):
             known = {self.frame: X if self.task == "pose" else X[: system.dim, 3]}
-            return np.asarray(system.assembly_modes(known, self.q, budget=PATIENCE).q)
+            return np.asarray(system.assembly_modes(known, self.q, budget=self.budget(PATIENCE)).q)
         return np.asarray(system.ik_all(X, self.frame, task=self.task, limits=True).q)
 
     def _modes(self) -> Array:
@@ -242,7 +253,7 @@ class Session:
         if not has_loops(self.system):
             return np.empty((0, self.system.nq))
         known = {s.name: s.value for s in self.sliders if s.name in self.system.coordinate_names}
-        return np.asarray(self.system.assembly_modes(known, self.q, budget=PATIENCE).q)
+        return np.asarray(self.system.assembly_modes(known, self.q, budget=self.budget(PATIENCE)).q)
 
     def _apart(self, q: Array) -> Array:
         """Those of configurations (k, nq) that differ from q; of loops those that look different from one another."""
@@ -286,7 +297,7 @@ class Session:
         """Go to a random configuration within the limits, with closed loops."""
         said = ""
         for _ in range(TRIES):
-            start = random(self.system, self._rng)
+            start = random(self.system, self.rng)
             if judge(self.system, start):
                 self._go(start, "a random configuration")
                 return
