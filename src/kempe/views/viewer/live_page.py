@@ -259,6 +259,7 @@ class Page:
     # ---- what is computed beside
 
     def _say(self, text: str) -> None:
+        """Set what is said."""
         self.session.status = text
 
     def _beside(self, where: Beside, key: str, work: Callable[[Session], Iterator[Action]]) -> None:
@@ -281,7 +282,7 @@ class Page:
         self._beside(self.searches, "freedoms", work)
 
     def _solve(self, kind: str, then: Action | None = None) -> None:
-        """Look for other configurations; those that are found where the system still is are shown."""
+        """Find other configurations; those that are found where the system still is are shown."""
 
         def take(found: Session) -> None:
             session = self.session
@@ -308,7 +309,7 @@ class Page:
             self._solve(kind, lambda: self.session.next(kind))
 
     def find(self, name: str) -> None:
-        """Look for a motion from here, to be played."""
+        """Find a motion from here, to be played."""
 
         def take(found: Session, has: bool) -> None:
             self.session.status = found.status
