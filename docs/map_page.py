@@ -8,7 +8,6 @@ imports directly, unless it gets there by other arrows, too. Imports inside func
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -29,11 +28,12 @@ def modules() -> dict[str, Path]:
     return {".".join(p.relative_to(SOURCE).with_suffix("").parts): p for p in paths}
 
 
-def imported(path: Path) -> Iterator[str]:
+@cache
+def imported(path: Path) -> tuple[str, ...]:
     """Dotted names below `kempe` that a module imports at its top, type checking left out."""
-    for node in ast.parse(path.read_text(encoding="utf-8")).body:
-        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "kempe":
-            yield from (f"{node.module}.{a.name}".removeprefix("kempe.") for a in node.names)
+    body = ast.parse(path.read_text(encoding="utf-8")).body
+    nodes = [n for n in body if isinstance(n, ast.ImportFrom) and (n.module or "").split(".")[0] == "kempe"]
+    return tuple(f"{n.module}.{a.name}".removeprefix("kempe.") for n in nodes for a in n.names)
 
 
 def arrows(box_of: dict[str, str]) -> Arrows:

@@ -455,6 +455,7 @@ def test_points_near_a_change_point_are_on_the_branch():
     assert np.abs(q[:, 0] - q[:, 2]).max() < 1e-11 and np.abs(q[:, 0] + q[:, 1]).max() < 1e-11
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(12))
 @given(
     st.lists(st.floats(0.6, 3.0), min_size=4, max_size=4), st.floats(0.0, 6.0), st.floats(0.02, 0.12),

@@ -92,6 +92,7 @@ def edited(tmp_path):
     return package
 
 
+@pytest.mark.slow
 @native
 @with_numba
 def test_an_edited_helper_is_compiled_anew_and_that_is_said_once(edited):
@@ -171,6 +172,7 @@ def test_jit_without_numba_says_so():
     assert "KEMPE_KERNELS is 'jit', but there is no Numba" in run(BLOCKED + SLIDER, KEMPE_KERNELS="jit").stderr
 
 
+@pytest.mark.slow
 @with_numba
 def test_compiled_in_the_process_on_request():
     assert printed(SLIDER + "print(kempe.kernels.compiled.VARIANT)", KEMPE_KERNELS="jit").split() == ["0.5", "jit"]

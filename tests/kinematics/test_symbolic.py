@@ -205,7 +205,7 @@ def chains(draw) -> System:
 
 
 @given(s=chains(), seed=st.integers(0, 10**6))
-@settings(max_examples=examples(50))
+@settings(max_examples=examples(20))
 def test_chains_with_parameters(s: System, seed):
     q = s.random(seed)
     T = s.symbolic.fk("e")

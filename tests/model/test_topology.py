@@ -288,6 +288,7 @@ def chain(n: int, rungs: int = 0) -> Mechanism:
     return m
 
 
+@pytest.mark.slow
 def test_a_chain_of_20000_bodies():
     s = chain(20_000).build()
     assert s.nq == 20_000 and s.parent == tuple(range(20_000))

@@ -35,6 +35,7 @@ def test_working_modes_of_planar_robots():
     np.testing.assert_allclose(robot.configuration_space.difference(found.q[0], q), 0.0, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_inside_the_limits_first():
     system = kempe.load("stewart")
     X = system.fk(system.q("closed"), "platform")

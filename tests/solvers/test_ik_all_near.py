@@ -33,6 +33,7 @@ def test_next_to_self_motions_what_is_missed_is_said(name, seed, number):
     assert_all_found_near_singular(arms.arms()[name], seed, number)
 
 
+@pytest.mark.slow
 def test_near_singularities_of_structured_arms(hunt):
     """Arms with right angles, equal lengths, zeros and slides."""
     rng, count = hunt.rng(), hunt.cases(6)

@@ -110,6 +110,7 @@ def test_gauges(rows_, seed):
     assert same_sets(new, new.model.theta(answer.q), signs * theta)
 
 
+@pytest.mark.slow
 @given(rows_=tables(), seed=SEEDS)
 @settings(max_examples=examples(25))
 def test_the_chain_walked_backwards(rows_, seed):

@@ -232,6 +232,7 @@ def test_values_are_said_and_are_data():
     assert not batch.complete.any()
 
 
+@pytest.mark.slow
 def test_a_named_value_stays():
     system, frame = robot("panda")
     targets = system.fk(system.random(3, 40), frame)

@@ -338,6 +338,7 @@ def test_all_modes_of_a_gear_that_comes_back_after_several_turns(cut, driven, dr
     assert max(np.abs(s.loops.closure_error(q)).max() for q in modes) < 1e-8
 
 
+@pytest.mark.slow
 def test_a_search_among_thousands_of_modes_ends():
     m = Mechanism("row", dim=2)
     before = m.body("r0")

@@ -116,6 +116,7 @@ def test_ik_says_that_going_there_is_a_manoeuvre():
 # ---- paths
 
 
+@pytest.mark.slow
 def test_paths_that_roll_are_followed(hunt):
     """Manoeuvres at random, sampled finely and coarsely, arcs, straight lines, cusps and turns on the spot."""
     rng, system = hunt.rng(), wheels.knife((0.3, 0.1), 0.5)

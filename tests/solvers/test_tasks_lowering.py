@@ -118,6 +118,7 @@ def test_an_arm_stretches_towards_what_is_out_of_reach(count, away):
     assert next(iter(answer.errors.values()))[0] == pytest.approx(1.0, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_soft_position_is_as_near_as_scipy_comes():
     s, rng = kempe.load("xarm6"), np.random.default_rng(1)
     frame = s.frame_names[-1]

@@ -70,6 +70,7 @@ def test_what_is_refused(tmp_path, turn, monkeypatch):
 # ---- the command line
 
 
+@pytest.mark.slow
 def test_commands_that_draw(tmp_path):
     film, picture, tree = (tmp_path / n for n in ("turn.gif", "modes.svg", "tree.svg"))
     out = Result("trace", "four_bar", "--driver", "A", "--gif", film)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -52,8 +55,8 @@ NoLimits = Annotated[bool, option("--no-limits", "Leave joint limits out.")]
 @guarded
 def singularities(
     file: File, frame: Frame = None, task: FrameTask = None, inputs: Inputs = None, at: From = None,
-    starts: Starts = None, rng: Rng = None, no_limits: NoLimits = False, deg: Deg = False, json: Json = False,
-    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    starts: Starts = None, rng: Rng = None, time_limit: TimeLimit = None, no_limits: NoLimits = False, deg: Deg = False,
+    json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
     lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Find the singular configurations of a frame, or of closed loops, and how far the nearest is.
@@ -69,8 +72,8 @@ def singularities(
     q, closing = given.configuration(system, ",".join(at), None, deg) if at else (None, None)
     if closing is not None and not closing:
         raise InputError(f"--at cannot be closed: {closing.status}")
-    answer = system.singularities(frame, task, inputs=driving, limits=not no_limits,
-                                  budget=Budget(starts=starts, rng=rng))  # fmt: skip
+    with _paced(starts, rng, time_limit, "starts") as budget:
+        answer = system.singularities(frame, task, inputs=driving, limits=not no_limits, budget=budget)
     nearest = None if q is None else answer.nearest(q)
     if json:
         print_json(answer.data() | ({} if nearest is None else {"nearest": nearest.data()}))
@@ -83,8 +86,8 @@ def singularities(
 @guarded
 def reach(
     file: File, poses: Poses, frame: Reaching, position_only: PositionOnly = False, starts: Starts = None,
-    rng: Rng = None, deg: Deg = False, json: Json = False, base: Base = None, root: Root = None,
-    package_dir: Dirs = None, xacro: Xacro = False, lenient_limits: Lenient = False,
+    rng: Rng = None, time_limit: TimeLimit = None, deg: Deg = False, json: Json = False, base: Base = None,
+    root: Root = None, package_dir: Dirs = None, xacro: Xacro = False, lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Say which of a list of poses are reached, how well, and what blocks the others.
 
@@ -93,7 +96,8 @@ def reach(
     system = load(file, base, root, package_dir, xacro, lenient_limits)
     X, position = _poses(system, poses, frame, deg)
     task = "position" if position or position_only else None
-    answer = system.reach.poses(X, frame, task=task, budget=Budget(starts=starts, rng=rng))
+    with _paced(starts, rng, time_limit, "poses") as budget:
+        answer = system.reach.poses(X, frame, task=task, budget=budget)
     print_json(answer.data()) if json else show(str(answer))
     leave(answer)
 
@@ -113,10 +117,20 @@ def place(
     system = load(file, base, root, package_dir, xacro, lenient_limits)
     X, position = _poses(system, poses, frame, deg)
     task = "position" if position or position_only else None
-    budget = Budget(starts=starts, rng=rng, time_limit=time_limit)
-    answer = system.reach.place(X, frame, _box(box, deg), cells, task=task, budget=budget)
+    ranges = _box(box, deg)
+    with _paced(starts, rng, time_limit, "poses") as budget:
+        answer = system.reach.place(X, frame, ranges, cells, task=task, budget=budget)
     print_json(answer.data()) if json else show(str(answer))
     leave(answer)
+
+
+@contextmanager
+def _paced(starts: int | None, rng: int | None, time_limit: float | None, of: str) -> Iterator[Budget]:
+    """The budget of a command, which shows how many of what are done where the terminal is one."""
+    from kempe.views import slices
+
+    with slices.paced(sys.stderr, of) as said:
+        yield Budget(starts=starts, rng=rng, time_limit=time_limit, progress=said)
 
 
 def _poses(system: System, text: str, frame: str, deg: bool) -> tuple[Array, bool]:

@@ -78,6 +78,7 @@ def test_curves_that_are_traced_are_as_many_as_the_theorem_says(lengths):
     assert len(answer.singular) == (2 if lengths[0] == lengths[2] else 0)
 
 
+@pytest.mark.slow
 def test_the_sides_of_two_components_never_meet(hunt):
     """Of five bars of which three are long, every random closed configuration and all along a walk keep their side."""
     system = polygon([1.0, 0.1, 0.9, 1.0, 0.1])
@@ -156,6 +157,7 @@ def test_without_a_proof_the_number_is_a_lower_bound():
     assert all(p.dimension == 1 and len(p.singular_points) for p in answer.parts)
 
 
+@pytest.mark.slow
 def test_pieces_of_other_dimensions_are_distinguished():
     """Bricard's loop of six turns has positions in which it is rigid: six equations, six unknowns, regular."""
     system = kempe.load("bricard_line_symmetric")

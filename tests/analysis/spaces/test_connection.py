@@ -147,6 +147,7 @@ def test_late_and_wrong_budgets():
         system.configuration_space.path(a, b, budget=Budget(step=7.0))
 
 
+@pytest.mark.slow
 def test_random_loops_of_bars_are_joined_where_the_theorem_allows(hunt):
     """Two random configurations are on one side, and a way is found, or on two, and it is proven that there is none."""
     rng, seen = hunt.rng(), set()

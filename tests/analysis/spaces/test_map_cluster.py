@@ -145,6 +145,7 @@ def test_schedulers_that_are_not_there(monkeypatch):
         made(10**6, client=3)
 
 
+@pytest.mark.slow
 def test_a_client_that_was_closed(cluster):
     client = distributed.Client(cluster[0], set_as_default=False)
     client.close()

@@ -183,6 +183,13 @@ def test_what_was_done_stays_where_a_map_is_broken_off(budget, code, monkeypatch
     assert np.isfinite(part.fraction).sum() == 8 and part.broken == code
     np.testing.assert_array_equal(part.fraction.ravel()[:8], whole.fraction.ravel()[:8])
     assert part.place()["x"] in part.axes["x"][:2]
+    part, whole = (
+        UR.reach.poses(UR.fk(UR.random(0, 12), "tool"), "tool", budget=b) for b in (budget, Budget(starts=4))
+    )
+    assert part.code == code and part.tried.tolist() == [True] * 8 + [False] * 4 and whole.tried.all()
+    np.testing.assert_array_equal(part.solutions, [*whole.solutions[:8], *[-1] * 4])
+    assert "of 8 poses reached (" in part.status and not part.reached[8:].any() and (part.codes[8:] == code).all()
+    assert not {*part.reasons} & {8, 9, 10, 11}, "poses that were not tried are not blocked"
 
 
 # ---- wrong calls

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from command import Result
 
@@ -38,6 +39,15 @@ def test_poses_of_a_file(tmp_path):
     assert placed["fixed"]["yaw"] == pytest.approx(1.5707963) and len(placed["fraction"]) == 3
     assert max(placed["fraction"]) == pytest.approx(2 / 3) and set(placed["best"]) == {"x", "y", "z", "yaw"}
     assert arm.name == data["system"]
+
+
+def test_the_time_limit_of_the_commands(tmp_path):
+    path = tmp_path / "weld.npy"
+    np.save(path, kempe.load("ur5").fk(kempe.load("ur5").random(0, 30_000), "tool"))
+    run = Result("reach", "ur5", path, "--frame", "tool", "--time-limit", "1e-9", "--json")
+    assert run.code == 1 and set(run.json()["codes"][20_000:]) == {"OUT_OF_TIME"}
+    run = Result("singularities", "puma560", "--frame", "tool", "--time-limit", "1e-9")
+    assert run.code == 1 and "from 0 starts (stopped by the time limit" in run.out
 
 
 def test_wrong_files_and_boxes(tmp_path):

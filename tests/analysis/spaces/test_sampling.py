@@ -86,6 +86,7 @@ def test_a_four_bars_curve_is_filled_by_arc_length():
         assert fits(own[:, system.coordinate_names.index("A")], edges, shares)
 
 
+@pytest.mark.slow
 def test_a_walk_on_a_sphere_is_uniform():
     """Equal heights have equal areas (Archimedes)."""
     sample = surface("T.x*T.x + T.y*T.y + T.z*T.z = 1").configuration_space.sample(1000, 6)
@@ -104,6 +105,7 @@ def test_a_walk_on_a_torus_has_more_outside_than_inside():
     assert fits(around, edges, np.diff(R * edges + r * np.sin(edges)))
 
 
+@pytest.mark.slow
 def test_a_walk_among_rotations_keeps_haars_measure():
     """A ball, and a slide that is tied to none of it but through its own equation: a circle of radius 1 times SO(3)."""
     m = Mechanism("ball and circle")
@@ -118,6 +120,7 @@ def test_a_walk_among_rotations_keeps_haars_measure():
     assert fits(np.arctan2(sample.q[:, k + 1], sample.q[:, k]), np.linspace(-np.pi, np.pi, 9), np.ones(8))
 
 
+@pytest.mark.slow
 def test_a_five_bars_surface_is_filled_by_area():
     """Shares of the first crank's angle from the areas of a fine net of triangles through closed forms."""
     a, b, d = 0.2, 0.3, 0.2

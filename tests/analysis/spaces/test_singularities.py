@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import kempe
-from kempe import Budget
+from kempe import Budget, Status
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.closure_rows import residual
 
@@ -214,6 +214,7 @@ def leg_lines(arm, q):
     return np.column_stack([d, np.cross(feet, d)])
 
 
+@pytest.mark.slow
 def test_a_hexapod_is_singular_with_its_platform_turned_by_90_degrees():
     """Fichter, "A Stewart platform-based manipulator", Int. J. Robotics Research 5 (1986): similar hexagons, turned."""
     arm = kempe.load("stewart")
@@ -241,7 +242,27 @@ def test_legs_of_a_hexapod_are_dependent_where_it_gains_a_motion():
         assert np.linalg.svd(leg_lines(arm, q), compute_uv=False)[-1] < 1e-6
 
 
-# ---- wrong calls
+# ---- what is broken off, and wrong calls
+
+
+def interrupted(done: int, total: int) -> None:
+    """What happens where Ctrl-C comes after the first starts."""
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(("limit", "progress", "code", "done"), [
+    (1e-9, None, Status.OUT_OF_TIME, 0), (None, interrupted, Status.INTERRUPTED, 16),
+])  # fmt: skip
+def test_what_was_found_stays_where_the_search_is_broken_off(limit, progress, code, done):
+    part = PUMA.singularities("tool", budget=Budget(starts=40, time_limit=limit, progress=progress))
+    whole = PUMA.singularities("tool", budget=Budget(starts=40))
+    assert part.code is code and part.starts == done and "this is the part that was done" in part.status
+    first = np.concatenate([s.q for s in whole.sets]) if done else np.zeros((0, 6))
+    mine = np.concatenate([s.q for s in part.sets]) if done else first
+    assert all(np.abs(first - q).max(axis=1).min() < 1e-9 for q in mine) and whole.code is Status.SOLVED
+    seen = []
+    PUMA.singularities("tool", budget=Budget(starts=40, progress=lambda *x: seen.append(x)))
+    assert seen == [(16, 40), (32, 40), (40, 40)]
 
 
 def test_what_cannot_be_done_is_said():

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.analysis.spaces.reach.map_slices import sliced
 from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods, numbers
 from kempe.errors import InputError
 from kempe.kinematics.closure_rows import characteristic_length
 from kempe.kinematics.common.result import Report
 from kempe.solvers.analytic.ik_analytic import plan_of
+from kempe.solvers.common.clock import partial
 from kempe.solvers.common.targets import axis_for, task_and_axis, task_of, twist_rows
 from kempe.spatial import Array
 from kempe.status import Status, named
@@ -22,7 +24,7 @@ from kempe.words import counted
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
 
-USUAL = Usual("reach.poses", starts=1000, rng=0, threads=None)
+USUAL = Usual("reach.poses", starts=1000, rng=0, threads=None, time_limit=None, progress=None)
 UNKNOWN = -1
 """In place of a number of solutions, where it is not known, or infinite."""
 SHOWN = 6
@@ -105,6 +107,7 @@ class ReachStudy(Report):
     where it is infinite or not certain); `manipulability` and `margin`, the best of those that were found (NaN where
     there is none): the margin is how far, of half its range, a joint is from its nearest limit; `q` (n, nq) the
     configuration with the largest margin, or the nearest to the pose; `codes` the outcomes, as numbers of `Status`.
+    Where the study was `broken` off, by the time limit or an interrupt, that is the outcome of the poses left.
     """
 
     __repr__ = brief
@@ -120,10 +123,13 @@ class ReachStudy(Report):
     targets: Array = field(repr=False)
     task: Any = field(repr=False)
     budget: Budget = field(repr=False)
+    broken: Status | None = None
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """`SOLVED` where all are reached, `PARTLY` where some are."""
+        """`SOLVED` where all are reached, `PARTLY` where some are, or what broke the study off."""
+        if self.broken is not None:
+            return self.broken
         if self.reached.all():
             return Status.SOLVED
         return Status.PARTLY if self.reached.any() else Status.NOT_FOUND
@@ -132,7 +138,14 @@ class ReachStudy(Report):
     def status(self) -> str:
         """How many are reached."""
         n, of = int(self.reached.sum()), f"{self.system.name}, {self.frame}"
-        return f"{of}: {n} of {counted(len(self.reached), 'pose')} reached"
+        tail = partial(self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME)
+        tried = int(self.tried.sum())
+        return f"{of}: {n} of {counted(tried, 'pose')} reached{tail}"
+
+    @property
+    def tried(self) -> np.ndarray:
+        """Which poses (n,) were tried before the study was broken off: all of them, mostly."""
+        return self.codes != (-1 if self.broken is None else int(self.broken))
 
     def reason(self, index: int) -> str:
         """What blocks a pose, or how it is reached, as the sentence of `System.ik`. Errors: `InputError`."""
@@ -143,7 +156,7 @@ class ReachStudy(Report):
     @property
     def reasons(self) -> dict[int, str]:
         """What blocks the poses that are not reached, by their numbers from 0."""
-        return {i: self.reason(i) for i in np.flatnonzero(~self.reached).tolist()}
+        return {i: self.reason(i) for i in np.flatnonzero(self.tried & ~self.reached).tolist()}
 
     def _lines(self) -> list[str]:
         if not self.reached.any():
@@ -154,7 +167,7 @@ class ReachStudy(Report):
                 np.isfinite(self.margin[worst]))  # fmt: skip
             least = int(np.nanargmin(self.manipulability))
             lines.append(f"least manipulability: {self.manipulability[least]:.3g} (pose {least})")
-        blocked = np.flatnonzero(~self.reached).tolist()
+        blocked = np.flatnonzero(self.tried & ~self.reached).tolist()
         lines += [f"pose {i}: {self.reason(i)}" for i in blocked[:SHOWN]]
         return lines + [f"... and {len(blocked) - SHOWN} more"] * (len(blocked) > SHOWN)
 
@@ -174,7 +187,9 @@ def reach_poses(
 
     `targets` (n, 4, 4) are poses, or (n, 3) positions, in the ground frame, with `task` as `System.ik` takes them. A
     pose counts as reached where `ik` or, of chains with finitely many solutions, `ik_all` finds one inside the limits.
-    Of the `budget` are read: starts (1000), rng (0), threads. Errors: `InputError`, `UnknownNameError`.
+    Of the `budget` are read: starts (1000), rng (0), threads, time_limit, and progress, which is called with the number
+    of poses tried and that of all. After the time limit, or an interrupt, the study has what was done.
+    Errors: `InputError`, `UnknownNameError`.
     """
     spend, name = USUAL.of(budget), system.structure.frame_name(frame)
     X = numbers(targets, "targets")
@@ -183,6 +198,13 @@ def reach_poses(
     if not np.isfinite(X).all():
         bad = int(np.argwhere(~np.isfinite(X))[0, 0])
         raise InputError(f"pose {bad} has entries that are not finite")
-    found = reached(system, X, name, task, spend)
-    return ReachStudy(system, name, found.reached, found.solutions, found.manipulability, found.margin, found.q,
-                      found.code, X, task, spend)  # fmt: skip
+
+    def work(first: int, last: int, each: Budget) -> list[Array]:
+        return list(vars(reached(system, X[first:last], name, task, each)).values())
+
+    (hit, solutions, w, far, q, codes), broken = sliced(work, len(X), 1, spend)
+    left, each = np.isnan(codes), replace(spend, time_limit=None, progress=None)
+    if broken is not None:
+        codes[left], solutions[left] = int(broken), UNKNOWN
+    return ReachStudy(system, name, hit == 1.0, solutions.astype(np.int64), w, far, q, codes.astype(np.int64), X, task,
+                      each, broken)  # fmt: skip

@@ -19,6 +19,7 @@ from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import as_q, by_short_turns, circles, has_loops
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.solvers.common.arguments import start_count
+from kempe.solvers.common.clock import BROKEN_OFF, TimeLimit, TimeUp, partial
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import counted, joined
@@ -26,7 +27,9 @@ from kempe.words import counted, joined
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
 
-USUAL = Usual("singularities", starts=64, rng=0)
+USUAL = Usual("singularities", starts=64, rng=0, time_limit=None, progress=None)
+AT_ONCE = 16
+"""Starts between which the time is looked at."""
 SAME = 1e-5
 """Difference of coordinates, in radians and metres, up to which they are the same."""
 MATTERS = 1e-4
@@ -143,7 +146,8 @@ def _changes(lost: Array, gained: Array) -> str:
 class Singularities(Report):
     """The singular configurations of a frame of `system`, as `sets` that are singular in the same way.
 
-    They were found in so many `starts`; that a set is not among them is no proof that it does not exist.
+    They were found from so many `starts`; that a set is not among them is no proof that it does not exist. Where the
+    search was `broken` off, by the time limit or an interrupt, these are the starts that were done.
     """
 
     __repr__ = brief
@@ -156,21 +160,23 @@ class Singularities(Report):
     limits: bool
     questions: RankQuestions = field(repr=False)
     problems: dict[str, RankLoss] = field(repr=False)
+    broken: Status | None = None
 
     @property
     def code(self) -> Status:  # type: ignore[override]
-        """The outcome: `NOT_FOUND` where none was found."""
-        return Status.SOLVED if self.sets else Status.NOT_FOUND
+        """The outcome: `NOT_FOUND` where none was found, or what broke the search off."""
+        return self.broken or (Status.SOLVED if self.sets else Status.NOT_FOUND)
 
     @property
     def status(self) -> str:
         """How many sets were found, and which."""
         of = f"{self.system.name}, {self.frame} ({self.task})" if self.frame else self.system.name
         within = " inside the limits" if self.limits else ""
+        tail = partial(self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME)
         if not self.sets:
-            return f"{of}: no singular configuration found{within}, from {counted(self.starts, 'start')}"
+            return f"{of}: no singular configuration found{within}, from {counted(self.starts, 'start')}{tail}"
         found = counted(len(self.sets), "set")
-        return f"{of}: {found} of singular configurations{within}, from {counted(self.starts, 'start')}"
+        return f"{of}: {found} of singular configurations{within}, from {counted(self.starts, 'start')}{tail}"
 
     def _lines(self) -> list[str]:
         return [f"{s}: dimension {s.dimension}, {_changes(s.local[0].lost, s.local[0].gained)}" for s in self.sets]
@@ -225,6 +231,12 @@ class Singularities(Report):
         return np.linalg.norm((v / self.questions.unit)[:, self.questions.columns], axis=1)
 
 
+Key = tuple[tuple[str, ...], str, tuple[int, ...]]
+Row = tuple[Array, LostAndGained]
+Found = dict[Key, list[Row]]
+"""Configurations, with what is lost and gained there, by the kinds, name and coordinates of their set."""
+
+
 @explained
 def singularities(
     system: System, frame: FrameLike | None = None, task: str | None = None, *,
@@ -240,7 +252,7 @@ def singularities(
 
     Sets are distinguished by the coordinates that decide, and of six-joint arms by the names of their branches. With
     `limits` only configurations inside them count, which hold the one-sided constraints, too. Of the `budget` are read:
-    starts (64), rng (0).
+    starts (64), rng (0), time_limit, and progress, which is called with the number of starts done and that of all.
     Errors: `InputError`, `UnknownNameError`.
     """
     spend, limits = USUAL.of(budget), flag(limits, "limits")
@@ -255,9 +267,34 @@ def singularities(
     questions = RankQuestions(system, name, task, driving if loops else None, generator(spend.rng),
                               start_count(spend.starts))  # fmt: skip
     problems = questions.problems()
-    found: dict[Any, list[tuple[Array, LostAndGained]]] = {}
+    found: Found = {}
+    clock, done, broken = TimeLimit(spend.time_limit), 0, None
+    try:
+        while done < len(questions.starts):
+            clock.check()
+            for key, row in _led(questions, problems, questions.starts[done : done + AT_ONCE], task, limits):
+                found.setdefault(key, []).append(row)
+            done = min(done + AT_ONCE, len(questions.starts))
+            if spend.progress is not None:
+                spend.progress(done, len(questions.starts))
+    except BROKEN_OFF as error:
+        broken = Status.OUT_OF_TIME if isinstance(error, TimeUp) else Status.INTERRUPTED
+    sets = [_set(system, key, rows, [problems[kind] for kind in key[0]]) for key, rows in found.items() if key[0]]
+    if any(s.coordinates for s in sets):
+        # where several sets cross, their equations do not tell which coordinates decide
+        sets = [s for s in sets if s.coordinates]
+    sets.sort(key=lambda s: (s.kinds, s.coordinates, s.name))
+    starts = int(spend.starts or 0) if broken is None else done
+    return Singularities(system, name, task, tuple(sets), starts, limits, questions, problems, broken)
+
+
+def _led(
+    questions: RankQuestions, problems: dict[str, RankLoss], starts: Array, task: str, limits: bool
+) -> list[tuple[Key, Row]]:
+    """Singular configurations to which starts (k, nq) are led, each with the key of its set."""
+    system, name, rows = questions.system, questions.frame, list[tuple[Key, Row]]()
     for kind, problem in problems.items():
-        q = problem.led(questions.starts)
+        q = problem.led(starts)
         if CONSTRAINT in problems and kind != CONSTRAINT:
             q = _sharpened(problems[CONSTRAINT], q[np.isfinite(q).all(axis=1)])
         q = _turned(system, q[np.isfinite(q).all(axis=1)])
@@ -266,13 +303,8 @@ def singularities(
         for at, word in zip(q, names, strict=True):
             local = questions.local(at, problems)
             key = (local.kinds, word, () if questions.loops else _deciding(problem, at, questions.columns))
-            found.setdefault(key, []).append((at, local))
-    sets = [_set(system, key, rows, [problems[kind] for kind in key[0]]) for key, rows in found.items() if key[0]]
-    if any(s.coordinates for s in sets):
-        # where several sets cross, their equations do not tell which coordinates decide
-        sets = [s for s in sets if s.coordinates]
-    sets.sort(key=lambda s: (s.kinds, s.coordinates, s.name))
-    return Singularities(system, name, task, tuple(sets), int(spend.starts or 0), limits, questions, problems)
+            rows.append((key, (at, local)))
+    return rows
 
 
 def _task(system: System, frame: str | None, task: str | None, loops: bool) -> str:
@@ -302,7 +334,7 @@ def _sharpened(problem: RankLoss, q: Array) -> Array:
     return np.where(near[:, None], other, q)
 
 
-def _set(system: System, key: Any, rows: list[tuple[Array, LostAndGained]], problems: list[RankLoss]) -> SingularSet:
+def _set(system: System, key: Key, rows: list[Row], problems: list[RankLoss]) -> SingularSet:
     kinds, name, deciding = key
     q, names, columns = np.array([row[0] for row in rows]), system.structure.velocity_names, problems[0].columns
     dimension = min(p.tangents(q[0]).shape[1] for p in problems) - (system.nv - len(columns))
