@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import re
+from base64 import b64encode
 from collections.abc import Iterable, Sequence
 from html import escape
 from textwrap import fill
@@ -86,6 +88,22 @@ def by_topic(headline: str, topics: Iterable[tuple[str, Sequence[str]]], wide: i
 def paragraphs(lines: Iterable[str]) -> str:
     """Lines as paragraphs of HTML."""
     return "".join(f"<p>{escape(line)}</p>" for line in lines)
+
+
+class InWords:
+    """Base of findings that are parts of results: a notebook shows their text."""
+
+    __slots__ = ()
+
+    def _repr_html_(self) -> str:
+        return paragraphs(str(self).splitlines())
+
+
+def image_html(figure: Any, said: str) -> str:
+    """A figure of matplotlib as an image of HTML, with words for those who do not see it."""
+    data = io.BytesIO()
+    figure.savefig(data, format="png", dpi=72, bbox_inches="tight")
+    return f'<p><img alt="{escape(said)}" src="data:image/png;base64,{b64encode(data.getvalue()).decode()}"/></p>'
 
 
 def table_html(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

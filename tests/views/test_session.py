@@ -8,6 +8,8 @@ import pytest
 import kempe
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.measure import judge
+from kempe.views.viewer.motions import possible
+from kempe.views.viewer.overlays import Overlay, offered, rounds
 from kempe.views.viewer.session import Session
 
 NAMES = (
@@ -92,7 +94,7 @@ def test_solutions_hold_the_frame_and_can_be_chosen():
     assert np.array_equal(session.q, chosen) and np.array_equal(session.solutions[3], q)
     seen = {tuple(session.q.round(6))}
     for _ in range(7):
-        session.next_solution()
+        session.next()
         assert np.allclose(session.pose, before, atol=1e-6)
         seen.add(tuple(session.q.round(6)))
     assert len(seen) == 8
@@ -104,9 +106,9 @@ def test_assembly_modes_are_passed_in_turn():
     """A four-bar has two for a crank angle (Grashof); the second brings back the first."""
     session = Session(kempe.load("four_bar"))
     first, A = session.q.copy(), session.sliders[0].value
-    session.next_mode()
+    session.next("mode")
     assert closed(session) and not np.allclose(session.q, first) and session.sliders[0].value == pytest.approx(A)
-    session.next_mode()
+    session.next("mode")
     assert np.allclose(session.q, first, atol=1e-6)
 
 
@@ -121,35 +123,83 @@ def test_buttons_lead_to_closed_configurations(name):
         assert closed(session) or "none of" in session.status
 
 
+def first(session: Session, name: str) -> Overlay:
+    """The first round of what is laid over a session."""
+    return next(iter(rounds(session, name)))
+
+
 def test_curves_are_what_the_frame_passes():
-    """Peaucellier's inversor draws a line; a two-link arm stays within its lengths."""
-    watt = Session(kempe.load("four_bar"))
-    curve = watt.curve()
-    assert watt.is_curve and len(curve) > 20
-    motion = watt.system.trace(watt.sliders[0].name, watt.q)
-    assert np.allclose(curve, watt.system.fk(motion.q, watt.frame)[:, :3, 3])
-    arm = Session(kempe.load("two_link"))
-    points = arm.curve()
-    reach = sum(v for k, v in arm.system.structure.parameters.items() if k.startswith("l"))
-    assert not arm.is_curve and np.linalg.norm(points, axis=1).max() <= reach + 1e-9
+    """A four-bar's coupler curve is the frame's place in its whole motion; a motion that is played goes before."""
+    session = Session(kempe.load("four_bar"))
+    assert "curve" in offered(session) and "curve" not in offered(Session(kempe.load("two_link")))
+    motion = session.system.trace(session.sliders[0].name, session.q)
+    there = session.system.fk(motion.q, session.frame)[:, :3, 3]
+    lines = first(session, "curve").lines
+    assert np.allclose(lines[:, 0], there[:-1]) and np.allclose(lines[:, 1], there[1:])
+    short = Session(session.system, path=motion.q[:5])
+    assert len(first(short, "curve").lines) == 4
+
+
+def test_the_workspace_of_a_planar_chain_is_its_annulus():
+    """Two links of 1 m and 0.7 m without limits: the triangles cover pi ((1 + 0.7)^2 - (1 - 0.7)^2)."""
+    m = kempe.Mechanism("arm", dim=2)
+    one, two = m.body("one"), m.body("two")
+    m.revolute("A", m.ground, one)
+    m.revolute("B", one, two, at=(1.0, 0.0))
+    m.frame("tip", two, at=(0.7, 0.0))
+    surfaces = first(Session(m.build()), "workspace").surfaces
+    a, b, c = np.concatenate([corners[triangles] for corners, triangles, _ in surfaces]).transpose(1, 0, 2)[..., :2]
+    area = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]).sum()
+    assert area == pytest.approx(np.pi * (1.7**2 - 0.3**2), rel=5e-3)
+
+
+@pytest.mark.parametrize("name", ["panda", "delta_uu", "five_bar"])
+def test_workspaces_lie_around_what_is_reached(name):
+    """Cells of a first round hold the frame at random configurations, on the side that is shown."""
+    session = Session(kempe.load(name))
+    low, high = first(session, "workspace").extent
+    for _ in range(5):
+        before = session.pose[1, 3]
+        other = Session(session.system, session.q)
+        other.random()
+        p = other.pose[:3, 3]
+        edge = 0.2 * (high - low)
+        assert p[1] < before or ((low - edge <= p) & (p <= high + edge)).all()
 
 
 def test_a_motion_with_the_frame_at_rest_can_be_played():
     system = kempe.load("iiwa14")
     session = Session(system, system.mid + 0.2)
     before = session.pose.copy()
-    assert session.self_motion() and session.path is not None and len(session.path) > 10
+    assert "frame at rest" in possible(session) and session.find_motion("frame at rest")
+    assert session.motion is not None and len(session.motion.q) > 10
     for part in (0.0, 0.4, 1.0):
-        session.at(part)
+        session.at(part * session.motion.duration)
         assert np.allclose(session.pose, before, atol=1e-5)
 
 
 def test_a_path_is_played():
+    """Without times of its own in 4 s, evenly; with times at these."""
     bar = kempe.load("four_bar")
     path = bar.trace("A")
-    session = Session(bar, path=path)
-    session.at(0.5)
-    assert np.array_equal(session.q, path.q[round(0.5 * (len(path.q) - 1))]) and closed(session)
+    session = Session(bar, path=path.q)
+    session.at(2.0)
+    assert closed(session) and np.array_equal(session.q, path.q[round(0.5 * (len(path.q) - 1))])
+
+
+def test_a_ball_falls_and_bounces_and_a_car_manoeuvres():
+    """A fall from a height h without spin lands after sqrt(2 h / g); a manoeuvre ends where the car was put."""
+    session = Session(kempe.load("ball"))
+    assert possible(session) == ("fall",) and session.find_motion("fall")
+    motion = session.motion
+    assert motion is not None and motion.timed and motion.duration == pytest.approx(3.0, abs=0.1)
+    assert motion.q[:, 2].min() > -1e-6
+    car = Session(kempe.load("car"))
+    assert "manoeuvre" in possible(car)
+    car.reach(car.pose @ np.array([[1, 0, 0, 0.5], [0, 1, 0, 0.2], [0, 0, 1, 0], [0, 0, 0, 1.0]]))
+    there = car.q.copy()
+    assert car.find_motion("manoeuvre") and car.motion is not None
+    assert np.allclose(car.motion.q[0], car.home, atol=1e-6) and np.allclose(car.motion.q[-1], there, atol=1e-3)
 
 
 def test_what_is_said_names_residual_singularity_and_freedoms():

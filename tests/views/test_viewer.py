@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import socket
 import subprocess
@@ -25,7 +26,14 @@ SOFTWARE = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enab
             "--ignore-gpu-blocklist"]  # fmt: skip
 WIDE, HIGH = 960, 400
 TALOS = "talos_data/robots/talos_reduced.urdf"
-SOON = 15.0
+SOON = 40.0
+BLOCKS = (8, 12)
+"""Blocks of a picture of the space beside the panel, high and wide, whose mean colours are compared."""
+ALIKE = 0.04
+"""How much the mean colour of a block may differ, from 0 (black) to 1 (white): a joint that moved by 0.3 rad differs
+more, another version of a browser less."""
+PICTURES = Path(__file__).with_name("pictures.json")
+"""Mean colours of blocks by system, six hexadecimal digits a block; written by `python tests/views/test_viewer.py`."""
 DRAWN = ("panda", "four_bar", "slider_crank", "three_rpr", "watt_straight", "bennett", "stewart_sps", "car", "ball",
          "joint_helical", "joint_planar", "joint_universal", "seven_bodies_loop")  # fmt: skip
 
@@ -139,13 +147,17 @@ class Seen:
         self.tab = browser.new_page(viewport={"width": WIDE, "height": HIGH})
         self.tab.on("request", lambda r: self.requests.append(r.url))
         self.tab.goto(viewer.url)
-        self.until(lambda: viewer.pages and next(iter(viewer.pages.values())).spent)
+        assert self.until(lambda: viewer.pages and next(iter(viewer.pages.values())).spent)
         self.page = next(iter(viewer.pages.values()))
         self.tab.get_by_text("random", exact=True).wait_for()
-        self.tab.wait_for_timeout(800)
+        warning = self.tab.locator(".mantine-Notification-root button")  # of drawing without a graphics card
+        self.until(warning.count, 2.0)
+        for _ in range(warning.count()):
+            warning.first.click()
+        self.tab.wait_for_timeout(500)
 
-    def until(self, what) -> bool:
-        end = time.monotonic() + SOON
+    def until(self, what, soon: float = SOON) -> bool:
+        end = time.monotonic() + soon
         while not what() and time.monotonic() < end:
             self.tab.wait_for_timeout(50)
         return bool(what())
@@ -165,8 +177,19 @@ class Seen:
         x = np.cross(z, camera.up_direction)
         x = x / np.linalg.norm(x)
         v = np.asarray(p) - camera.position
-        scale = 0.5 * HIGH / np.tan(0.5 * camera.fov) / (v @ z)
-        return 0.5 * WIDE + scale * (v @ x), 0.5 * HIGH - scale * (v @ np.cross(x, z))
+        wide, high = 0.5 * camera.image_width, 0.5 * camera.image_height
+        scale = high / np.tan(0.5 * camera.fov) / (v @ z)
+        return wide + scale * (v @ x), high - scale * (v @ np.cross(x, z))
+
+    def press(self, text: str, row: str | None = None) -> None:
+        """Click on a button or a check box of the panel, of several with this text on the one beside a label."""
+        found = self.tab.get_by_text(text, exact=True).all()
+        if row is not None:
+            y = self.tab.get_by_text(row, exact=True).bounding_box()["y"]
+            found.sort(key=lambda one: abs(one.bounding_box()["y"] - y))
+        found[0].scroll_into_view_if_needed()
+        box = found[0].bounding_box()
+        self.tab.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
 
     def drag(self, a, b, steps: int = 5) -> None:
         self.tab.mouse.move(*a)
@@ -177,13 +200,31 @@ class Seen:
         self.tab.mouse.up()
 
     def picture(self) -> np.ndarray:
-        """What is seen beside the panel (h, w, 3)."""
+        """Mean colours of blocks (*BLOCKS, 3) of what is seen beside the panel, from 0 to 1, once it is at rest."""
         import io
 
         from matplotlib.image import imread
 
-        shot = self.tab.screenshot(clip={"x": 320, "y": 0, "width": 280, "height": HIGH})
-        return imread(io.BytesIO(shot), format="png")[..., :3]
+        camera, old = self.page.client.camera, np.zeros(())
+        clip = {"x": 0, "y": 0, "width": camera.image_width, "height": camera.image_height}
+        for _ in range(20):
+            new = imread(io.BytesIO(self.tab.screenshot(clip=clip)), format="png")[..., :3]
+            rows = (np.array_split(row, BLOCKS[1], axis=1) for row in np.array_split(new, BLOCKS[0]))
+            new = np.array([[block.mean(axis=(0, 1)) for block in row] for row in rows])
+            if old.shape and np.abs(new - old).max() < 1e-3:
+                break
+            old = new
+            self.tab.wait_for_timeout(300)
+        return new
+
+
+def seen_before(name: str) -> np.ndarray:
+    """The picture (*BLOCKS, 3) of a system that was looked at."""
+    rows = [bytes.fromhex(row) for row in json.loads(PICTURES.read_text())[name]]
+    return np.array([list(row) for row in rows]).reshape(*BLOCKS, 3) / 255.0
+
+
+SHOWN = ("panda", "talos", "four_bar", "delta_uu", "car")
 
 
 def systems(name: str) -> kempe.System:
@@ -195,17 +236,20 @@ def systems(name: str) -> kempe.System:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["panda", "talos", "four_bar", "delta_uu", "car"])
+@pytest.mark.parametrize("name", SHOWN)
 def test_sliders_and_targets_move_the_robot_and_no_request_goes_outside(browser, name):
-    """By the mouse: an arrow of the gizmo, along which the frame goes, then a slider of the panel."""
+    """By the mouse: an arrow of the gizmo, along which the frame goes, then a slider of the panel.
+
+    The picture is the one that was looked at, and another one after the slider.
+    """
     system = systems(name)
     frame = "car" if name == "car" else None  # its front is under the panel
     with system.show(frame=frame, port=0, browser=False) as viewer:
         seen = Seen(browser, viewer)
-        assert (seen.picture().min(axis=2) < 0.8).mean() > 0.002, "nothing is seen"
+        assert np.abs(seen.picture() - seen_before(name)).max() < ALIKE
         session, q = seen.page.session, viewer.q
         X, size = session.pose.copy(), 0.22 * seen.page.nodes.drawn.rigid.size
-        ends = {k: [np.array(seen.at(X[:3, 3] + part * size * X[:3, k])) for part in (0.0, 0.75, 1.1)] for k in (0, 1)}
+        ends = {k: [np.array(seen.at(X[:3, 3] + part * size * X[:3, k])) for part in (0.0, 0.85, 1.2)] for k in (0, 1)}
         axis = max(ends, key=lambda k: float(np.linalg.norm(ends[k][1] - ends[k][0])))
         seen.drag(*ends[axis][1:])
         assert seen.until(lambda: not np.allclose(session.pose, X, atol=1e-4))
@@ -215,6 +259,7 @@ def test_sliders_and_targets_move_the_robot_and_no_request_goes_outside(browser,
         middle = np.array([box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]])
         seen.drag(middle, middle + [12.0, 0.0])
         assert seen.until(lambda: not np.allclose(viewer.q, q)) and judge(system, viewer.q)
+        assert np.abs(seen.picture() - seen_before(name)).max() > ALIKE
         own = (viewer.url, viewer.url.replace("http", "ws"), "data:", "blob:")
         assert all(url.startswith(own) for url in seen.requests)
         seen.tab.close()
@@ -227,7 +272,7 @@ def test_a_ghost_is_clicked(browser):
     with system.show([0.3, -1.2, 1.5, -0.6, -1.4, 0.2], port=0, browser=False) as viewer:
         seen = Seen(browser, viewer)
         session, q, X = seen.page.session, viewer.q, seen.page.session.pose.copy()
-        seen.tab.get_by_text("other solutions").click()
+        seen.press("show", "other solutions")
         assert seen.until(lambda: len(session.solutions) == 7)
         solutions = session.solutions.copy()
         seen.tab.wait_for_timeout(1500)
@@ -240,6 +285,52 @@ def test_a_ghost_is_clicked(browser):
                     seen.tab.wait_for_timeout(150)
         assert seen.until(lambda: not np.allclose(viewer.q, q)), "no ghost was hit"
         assert np.abs(solutions - viewer.q).max(axis=1).min() < 1e-9 and np.allclose(session.pose, X, atol=1e-6)
+        seen.tab.close()
+
+
+@pytest.mark.slow
+def test_another_assembly_mode_is_clicked_and_overlays_come_and_go(browser):
+    """Of a four-bar: by a click on its ghost the loop closes the other way, with the crank where it was."""
+    bar = kempe.load("four_bar")
+    with bar.show(port=0, browser=False) as viewer:
+        seen = Seen(browser, viewer)
+        session, laid, crank = seen.page.session, seen.page.nodes.laid, viewer.q[0]
+        for name in ("curve", "workspace"):
+            seen.press(name)
+            assert seen.until(lambda n=name: n in laid)
+        seen.press("workspace")
+        assert seen.until(lambda: "workspace" not in laid) and "curve" in laid
+        seen.press("show", "assembly modes")
+        assert seen.until(lambda: len(session.solutions) == 1)
+        mode = session.solutions[0].copy()
+        seen.tab.wait_for_timeout(1500)
+        seen.tab.mouse.click(*seen.at(bar.fk(mode, "coupler_point")[:3, 3]))
+        assert seen.until(lambda: np.array_equal(viewer.q, mode)) and judge(bar, viewer.q) and viewer.q[0] == crank
+        seen.tab.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "motion"),
+    [("four_bar", "whole motion"), ("panda", "frame at rest"), ("ball", "fall"), ("car", "manoeuvre")],
+)
+def test_motions_are_found_by_a_button_and_played(browser, name, motion):
+    """All configurations that are passed are those of the motion, and hold what the system holds."""
+    system = kempe.load(name)
+    with system.show(port=0, browser=False) as viewer:
+        seen = Seen(browser, viewer)
+        if name == "car":
+            seen.press("random")
+            assert seen.until(lambda: not np.allclose(viewer.q, system.neutral))
+        seen.press(motion)
+        assert seen.until(lambda: seen.page.session.motion is not None)
+        seen.press("play")
+        passed = []
+        assert seen.until(lambda: passed.append(viewer.q) or len(np.unique(passed, axis=0)) > 5)
+        seen.press("stop")
+        rows = seen.page.session.motion.q
+        assert judge(system, np.array(passed)).all()
+        assert all(np.abs(rows - q).max(axis=1).min() < 1e-9 for q in passed[len(passed) // 2 :])
         seen.tab.close()
 
 
@@ -273,3 +364,16 @@ def test_a_saved_page_opens_from_disk_and_moves(browser, tmp_path):
     assert first != tab.screenshot()
     assert {u for u in requests if not u.startswith(("data:", "blob:"))} == {Path(file).as_uri()}
     tab.close()
+
+
+if __name__ == "__main__":
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as play:
+        chromium, pictures = play.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE), {}
+        for each in SHOWN:
+            with systems(each).show(frame="car" if each == "car" else None, port=0, browser=False) as shown:
+                seen = Seen(chromium, shown)
+                pictures[each] = [row.tobytes().hex() for row in np.round(255 * seen.picture()).astype(np.uint8)]
+                seen.tab.close()
+        PICTURES.write_text(json.dumps(pictures, indent=1) + "\n")

@@ -29,6 +29,7 @@ from kempe.model.closures.constraint_program import TURNS, between, numbers_of, 
 from kempe.model.tree.characteristic_length import characteristic_length
 from kempe.reals import plain
 from kempe.spatial import Array
+from kempe.words import InWords
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -261,7 +262,7 @@ class MeasuredTask(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Judgement:
+class Judgement(InWords):
     """Errors of all constraints and tasks at configurations, from poses computed in numpy, and whether they hold.
 
     `errors` (n, ..., 2) are by `names`, in metres and in radians (or plain numbers, of an equation); those above

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
 import html
-import io
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +13,7 @@ from kempe.calls import explained
 from kempe.errors import InputError, KempeError
 from kempe.joints import TYPES
 from kempe.kinematics.configuration import has_loops
-from kempe.words import counted, cut
+from kempe.words import counted, cut, image_html
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -207,7 +205,4 @@ def _picture(system: System) -> str:
         figure: Any = bare(system).figure
     except (KempeError, ValueError, ArithmeticError):
         return ""
-    data = io.BytesIO()
-    figure.savefig(data, format="png", dpi=72, bbox_inches="tight")
-    said = html.escape(f"picture of {system.name}")
-    return f'<p><img alt="{said}" src="data:image/png;base64,{base64.b64encode(data.getvalue()).decode()}"/></p>'
+    return image_html(figure, f"picture of {system.name}")

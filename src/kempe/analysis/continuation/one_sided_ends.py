@@ -11,6 +11,7 @@ from kempe.analysis.continuation.events import RESTING, root
 from kempe.kinematics.one_sided import OneSided, one_sided_rows
 from kempe.solvers.common.tracing import Node
 from kempe.spatial import Array
+from kempe.words import InWords
 
 TOUCH = 1e-12
 """Radians or metres beyond a bound that are rounding."""
@@ -19,7 +20,7 @@ OUTSIDE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class OneSidedEnd:
+class OneSidedEnd(InWords):
     """A bound of a one-sided constraint or coordinate: `sign` is +1 for an upper bound and -1 for a lower one."""
 
     name: str

@@ -24,7 +24,7 @@ from kempe.solvers.common.answer import Configurations
 from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp
 from kempe.solvers.common.tracing import BLUNT
 from kempe.spatial import Array
-from kempe.words import counted
+from kempe.words import InWords, counted
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -37,7 +37,7 @@ SLICE = 1024
 
 
 @dataclass(frozen=True, eq=False)
-class Event:
+class Event(InWords):
     """A special point of a path: the configuration `q` (nq,) at arc length `s`, and what is special.
 
     `kind` is "fold of the driver" (it turns back here: a dead point), "extreme" (another coordinate turns back),

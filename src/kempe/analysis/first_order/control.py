@@ -12,7 +12,7 @@ from kempe.analysis.first_order.constraint_graph import structure
 from kempe.analysis.first_order.rank import NOTHING, Rank
 from kempe.errors import InputError, UnknownNameError
 from kempe.spatial import Array
-from kempe.words import counted
+from kempe.words import InWords, counted
 
 if TYPE_CHECKING:
     from kempe.analysis.first_order.idle_freedoms import IdleFreedom
@@ -23,7 +23,7 @@ SHOWN = 1e-6
 
 
 @dataclass(frozen=True)
-class Control:
+class Control(InWords):
     """What a set of actuated velocity coordinates does, to first order.
 
     `controlled` of the `useful` freedoms (idle ones left out) follow the actuated coordinates; `excess` actuated

@@ -19,7 +19,7 @@ from kempe.analysis.first_order.constraint_graph import ConstraintGraph, Edge, r
 from kempe.analysis.first_order.null_space import column_space
 from kempe.description.parts import Declared
 from kempe.spatial import Array
-from kempe.words import counted, verb
+from kempe.words import InWords, counted, verb
 
 if TYPE_CHECKING:
     from kempe.analysis.first_order.screws import Screws
@@ -37,7 +37,7 @@ GROUPS = {
 
 
 @dataclass(frozen=True)
-class LoopCount:
+class LoopCount(InWords):
     """Count of one loop: its joints in the order around it, their freedoms, less the equations that close it.
 
     `equations` is 3 in the plane and 6 in space, or the dimension of the smaller group that the joints move in, whose
@@ -61,7 +61,7 @@ class LoopCount:
 
 
 @dataclass(frozen=True)
-class Counting:
+class Counting(InWords):
     """The count in words. `gruebler` is the result; `gruebler_spatial` what a planar system would count to in space."""
 
     dim: int

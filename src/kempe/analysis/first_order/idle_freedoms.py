@@ -45,6 +45,7 @@ from kempe.analysis.first_order.screws import Screws
 from kempe.analysis.first_order.series_joints import between, edges_at, ends_of, in_loop, parts, rigid
 from kempe.description.parts import Declared, Frame
 from kempe.spatial import Array
+from kempe.words import InWords
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -54,7 +55,7 @@ INDEPENDENT = 1e-3
 
 
 @dataclass(frozen=True)
-class IdleFreedom:
+class IdleFreedom(InWords):
     """A spin of some bodies, as one, between two joints, all else at rest but the `links` of balls made of hinges.
 
     Its axis goes through `point` [m] along `direction`, in the ground's frame at the configuration that was looked at.

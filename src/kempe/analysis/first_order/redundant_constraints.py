@@ -24,7 +24,7 @@ from kempe.description.parts import Declared, Joint
 from kempe.model.closures.implicit_form import ImplicitForm, implicit_form, screw, slides_along_z
 from kempe.model.tree.topology import natural
 from kempe.spatial import Array
-from kempe.words import counted, in_words
+from kempe.words import InWords, counted, in_words
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -57,7 +57,7 @@ PAIRS = {
 
 
 @dataclass(frozen=True)
-class Release:
+class Release(InWords):
     """Directions that one joint (or constraint) need not hold, as reactions such as 'Mx', and what could replace it.
 
     `pair` names the joint that is left, such as 'a point-on-axis pair'.
@@ -74,7 +74,7 @@ class Release:
 
 
 @dataclass(frozen=True)
-class Redundancy:
+class Redundancy(InWords):
     """Redundant constraints to first order: how many, what carries self-stress, and releases that remove them all.
 
     `stressed` gives for each joint the reactions that carry self-stress, in the joint's own axes (forces F and

@@ -22,7 +22,7 @@ from kempe.kinematics.maximal import maximal, maximal_q
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.velocity.velocity import velocity_rows
 from kempe.spatial import Array
-from kempe.words import cut
+from kempe.words import InWords, cut
 
 if TYPE_CHECKING:
     from kempe.description.mechanism import Mechanism
@@ -49,7 +49,7 @@ class _WrenchRow(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class SelfStress:
+class SelfStress(InWords):
     """Reactions in balance without a load: what statics leaves undetermined.
 
     `wrenches` (6,) are [force; moment] on the child of each joint or constraint that takes part, in axes of the ground,
@@ -65,7 +65,7 @@ class SelfStress:
 
 
 @dataclass(frozen=True, eq=False)
-class Reactions:
+class Reactions(InWords):
     """What balances given loads: `wrenches` (6,) by joint and constraint as in `SelfStress`, `efforts` of held inputs.
 
     `undetermined` names those that statics alone does not determine: any self-stress may be added to them.

@@ -26,6 +26,7 @@ from kempe.kinematics.configuration import as_q
 from kempe.model.kept import kept
 from kempe.model.tree.own_tree import own_tree
 from kempe.spatial import Array
+from kempe.words import InWords
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -47,7 +48,7 @@ the largest up to which those that count as zero are rounding, with certainty.""
 
 
 @dataclass(frozen=True, eq=False)
-class LocalDimension:
+class LocalDimension(InWords):
     """How many degrees of freedom a mechanism truly has at a configuration, and by which test that was found.
 
     `dim` is the largest dimension of a branch of the solution set through the configuration, `rank_dim` the nullity of

@@ -29,7 +29,7 @@ from kempe.reals import is_real
 from kempe.solvers.assembly.ideal import tolerant
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import counted
+from kempe.words import InWords, counted
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -39,7 +39,7 @@ HOLONOMIC, INTEGRABLE, NONHOLONOMIC, UNILATERAL = "holonomic", "integrable", "no
 
 
 @dataclass(frozen=True)
-class ConstraintKind:
+class ConstraintKind(InWords):
     """What one constraint is, alone beside what holds positions.
 
     `rows` are the names of its equations, `independent` of them take a freedom of velocity each. With rows of velocity,

@@ -17,7 +17,7 @@ from kempe.kinematics.forward import jacobian
 from kempe.kinematics.one_sided import CLOSED, OneSided, one_sided_rows
 from kempe.kinematics.velocity.velocity import rates, velocity_rows
 from kempe.spatial import Array
-from kempe.words import counted
+from kempe.words import InWords, counted
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -28,7 +28,7 @@ BLIND = "its gradient vanishes or is not defined here: nothing is known to first
 
 
 @dataclass(frozen=True)
-class Side:
+class Side(InWords):
     """One end of a one-sided row: `value` must not be below `bound`, or with `upper` not above it, in `unit`.
 
     `slack` is how far it is inside, negative where it is violated. `state` is "open", "closed" or "violated", `ways`

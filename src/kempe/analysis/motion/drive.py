@@ -43,7 +43,7 @@ from kempe.solvers.common.slip import rolls
 from kempe.solvers.dyads.held import held_at
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import counted
+from kempe.words import InWords, counted
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -63,7 +63,7 @@ def _samples_text(first: int, last: int) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Toggle:
+class Toggle(InWords):
     """Samples `first` to `last`, whose inputs cannot be reached: `q` (nq,) is held there, for this `reason`."""
 
     first: int

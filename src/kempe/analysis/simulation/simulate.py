@@ -22,7 +22,7 @@ from kempe.errors import InputError, UnknownNameError
 from kempe.reals import is_mapping, is_real, is_whole, named, reals
 from kempe.solvers.common.clock import LONG, TimeLimit, TimeUp
 from kempe.spatial import Array
-from kempe.words import counted
+from kempe.words import InWords, counted
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -36,7 +36,7 @@ USUAL = Usual("simulate", points=200, time_limit=LONG)
 
 
 @dataclass(frozen=True)
-class Bounce:
+class Bounce(InWords):
     """What happened to a ball at a `time` [s], at `q` (nq,): with the gap's rate `before` and `after` [m/s].
 
     `kind` is "bounce", "lands" (it stays on the plane), or "settles" (infinitely many bounces have ended). `contacts`

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.calls import explained_methods
+from kempe.errors import KempeError
 from kempe.reals import plain
 from kempe.status import Status, named
-from kempe.words import by_topic, json_text, jsonable, paragraphs, table_html, topics_html
+from kempe.words import by_topic, image_html, json_text, jsonable, paragraphs, table_html, topics_html
 
 if TYPE_CHECKING:
     from kempe.solvers.assembly.ideal import Idealised
@@ -35,6 +36,8 @@ class Result:
     status: Any
     within: Idealised | None = None
     """The nearest mechanism that closes exactly, which was solved in place of the given one; None: it was itself."""
+    _pictured = False
+    """Whether a notebook shows its `plot`, too: where the picture says more than the numbers."""
 
     def data(self) -> dict[str, Any]:
         """All numbers and texts as plain Python, ready for JSON; `code` by the names of `Status`, NaN as None."""
@@ -81,7 +84,20 @@ class Result:
         return "\n".join([self._headline(), *(f"  {line}" for line in (*self._lines(), *self._notes()))])
 
     def _repr_html_(self) -> str:
-        return paragraphs([self._headline()]) + table_html(*self._cells()) + paragraphs(self._notes())
+        cells, head = self._cells(), paragraphs([self._headline()])
+        body = table_html(*cells) if len(cells[1]) else paragraphs(self._lines())
+        return head + body + paragraphs(self._notes()) + self._image()
+
+    def _image(self) -> str:
+        """What `plot` draws, as HTML, where `_pictured` says so; '' where nothing can be drawn."""
+        if not self._pictured:
+            return ""
+        self_: Any = self
+        try:
+            axes = self_.plot()
+        except (KempeError, ValueError, ArithmeticError):
+            return ""
+        return image_html(np.ravel(axes)[0].figure, self._headline())
 
 
 by_code: Any = property(lambda self: plain(np.asarray(self.code) == Status.SOLVED), doc="Whether (...) it is answered.")

@@ -164,6 +164,11 @@ class ShortForm(NamedTuple):
     formula: Any
     legend: dict[Any, Any]
 
+    def _repr_latex_(self) -> str:
+        lines = [f"& {sympy.latex(self.formula)}"]
+        lines += [f"{sympy.latex(short)} &= {sympy.latex(long)}" for short, long in self.legend.items()]
+        return f"$\\displaystyle {aligned(lines)}$"
+
 
 @explained
 def short_form(system: System, formula: Any) -> ShortForm:

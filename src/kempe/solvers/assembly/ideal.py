@@ -33,7 +33,7 @@ from kempe.solvers.assembly.dimensions import ENOUGH, Dimensions, Valley, fitted
 from kempe.solvers.assembly.relations import Relations, snapped
 from kempe.solvers.common.slip import rolls
 from kempe.spatial import Array, log_so3, xyz_rpy_from_pose
-from kempe.words import counted
+from kempe.words import InWords, counted
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -65,7 +65,7 @@ GAP = 3.0
 
 
 @dataclass(frozen=True)
-class Change:
+class Change(InWords):
     """What differs at a joint or constraint: its placement `side`, before and after, `moved` [m] and `turned` [rad]."""
 
     name: str

@@ -10,6 +10,7 @@ import numpy as np
 
 from kempe.model.tree.characteristic_length import characteristic_length
 from kempe.spatial import Array
+from kempe.words import InWords
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -20,7 +21,7 @@ ROUNDING = 1e-14
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
+class Evidence(InWords):
     """What was found out about why there is no answer: of which `kind`, with `figures`, names and numbers of that kind.
 
     Figures are attributes, too; `text` is the sentence. Kinds that prove that there is no answer are

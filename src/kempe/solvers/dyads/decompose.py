@@ -23,6 +23,7 @@ from kempe.kinematics.closure_errors import joint_pose
 from kempe.model.tree.coordinates import coordinate_names
 from kempe.model.tree.topology import natural
 from kempe.spatial import Array
+from kempe.words import InWords
 
 if TYPE_CHECKING:
     from kempe.description.parts import Joint
@@ -105,7 +106,7 @@ class Parts:
 
 
 @dataclass(frozen=True)
-class Dyad:
+class Dyad(InWords):
     """A dyad that was closed: the joint types on the way round from the base, and what its two roots are.
 
     `bodies` are those of the two clusters that it places; `joints` lie between base and first, first and second, and

@@ -165,7 +165,7 @@ def look(system: System, q: Array, drivers: tuple[str, ...] = ()) -> Scene:
     """The scene of a system at one configuration (nq,). `drivers` names joints to mark beside the actuated ones."""
     mechanism = system.mechanism
     poses = dict(zip(system.body_names, fk(system, q), strict=True))
-    number = _links(system)
+    number = links_of(system)
     gaps = dict(zip(system.structure.closures, closure_error(system, q)[:, :3], strict=True))
     joints: list[SeenJoint] = []
     mine: dict[int, list[int]] = {}
@@ -197,7 +197,7 @@ def look(system: System, q: Array, drivers: tuple[str, ...] = ()) -> Scene:
     return Scene(system, q, tuple(links), tuple(joints), *_constraints(system, poses, number))
 
 
-def _links(system: System) -> dict[str, int]:
+def links_of(system: System) -> dict[str, int]:
     """Number of the link of each body: bodies joined by joints without freedom are one."""
     mechanism = system.mechanism
     root = {b: b for b in system.body_names}

@@ -63,8 +63,9 @@ class Viewer:
         self.session, self.share, self.system = session, share, session.system
         self.drawn = Drawn(session.system, session.q)
         self.pages: dict[int, Page] = {}
-        self.lock, self._last, self._closed = threading.RLock(), session, threading.Event()
+        self._last, self._closed = session, threading.Event()
         self.server = quiet(lambda: viser.ViserServer(host=HOST, port=port, label=self.system.name, verbose=False))
+        self.server.gui.main_panel.dock_right()
         self.server.scene.set_up_direction("+y" if self.system.dim == 2 else "+z")
         self.drawn.look_from(self.server.initial_camera)
         self.server.on_client_connect(self._connected)
@@ -83,11 +84,11 @@ class Viewer:
     @q.setter
     def q(self, q: Any) -> None:
         """Put all pages at a configuration (nq,) or dict. Errors: `InputError`."""
-        with self.lock:
-            for session in {id(s): s for s in (self.session, *(p.session for p in self.pages.values()))}.values():
+        for session in {id(s): s for s in (self.session, *(p.session for p in self.pages.values()))}.values():
+            with session.lock:
                 session.put(q)
-            for page in tuple(self.pages.values()):
-                page.show()
+                for page in (p for p in tuple(self.pages.values()) if p.session is session):
+                    page.show()
 
     def moved(self, page: Page) -> None:
         """Show what a page did, on all pages that have the same configuration."""
@@ -97,9 +98,12 @@ class Viewer:
                 other.show()
 
     def _connected(self, client: Any) -> None:
-        with self.lock:
-            session = self.session if self.share else copy.copy(self.session)
-            self.pages[client.client_id] = Page(self, client, session, self.drawn)
+        session = self.session if self.share else copy.copy(self.session)
+        session.lock = self.session.lock if self.share else threading.RLock()
+        camera = client.camera
+        if camera.image_width < camera.image_height:
+            self.drawn.look_from(camera, camera.image_width / camera.image_height)
+        self.pages[client.client_id] = Page(self, client, session, self.drawn)
 
     def _gone(self, client: Any) -> None:
         page = self.pages.pop(client.client_id, None)

@@ -2,33 +2,38 @@
 
 from __future__ import annotations
 
+import copy
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kempe import spatial
 from kempe.errors import KempeError
+from kempe.kinematics.configuration import has_loops
 from kempe.views.drawing import style
 from kempe.views.drawing.solids import rgb
+from kempe.views.viewer.beside import Action, Beside
+from kempe.views.viewer.overlays import Overlay, offered, rounds
+from kempe.views.viewer.player import Player
 from kempe.views.viewer.scene_nodes import Drawn, Nodes, poses_as
-from kempe.views.viewer.session import Session, Slider
+from kempe.views.viewer.session import KINDS, Session, Slider
 
 if TYPE_CHECKING:
     from kempe.views.viewer.live import Viewer
 
 STEPS = 2000
 """Places of a slider."""
-FRAMES = 30.0
-"""Frames a second of a motion that is played."""
-SLOW = 4.0
-"""Seconds in which a path is played."""
 SLIDE = 0.1
 """Seconds between two updates of sliders while something else is dragged."""
 PAUSE = 0.25
 """Seconds of rest after which the slower sentences are said."""
+SEES = 1.85
+"""Height of the picture, in parts of the farthest that shall be in it."""
+QUICK = 0.1
+"""Seconds that a search may take which is repeated while a target is dragged."""
 
 
 class Page:
@@ -40,12 +45,14 @@ class Page:
     def __init__(self, viewer: Viewer, client: Any, session: Session, drawn: Drawn):
         self.viewer, self.client, self.session = viewer, client, session
         self.waiting: dict[str, Callable[[], Any]] = {}
-        self.ready, self.open, self.playing, self.dragging = threading.Condition(), True, False, ""
+        self.ready, self.open, self.dragging = threading.Condition(), True, ""
         self.spent: list[float] = []
         self.revision = -1
         self.nodes = Nodes(client.scene, drawn, session.q)
         self.sliders: dict[str, Any] = {}
         self.arrived = self.slid = 0.0
+        self.searches, self.overlays = Beside(self.post, self._say), Beside(self.post, self._say)
+        self.follow = False
         with client.atomic():
             self._panel(drawn)
             self._gizmo()
@@ -63,7 +70,9 @@ class Page:
             self.ready.notify()
 
     def close(self) -> None:
-        """End the thread of the page."""
+        """End the threads of the page."""
+        self.searches.close()
+        self.overlays.close()
         with self.ready:
             self.open = False
             self.ready.notify()
@@ -84,15 +93,14 @@ class Page:
                 slow = False
                 with self.client.atomic():
                     self._slide()
-                    self.counted.content = self.session.mobility()
+                self._count()
                 continue
-            try:
-                with self.viewer.lock:
+            with self.session.lock:
+                try:
                     action()
-                    self.viewer.moved(self)
-            except KempeError as error:
-                self.session.status = str(error)
-                self.show()
+                except KempeError as error:
+                    self.session.status = str(error)
+                self.viewer.moved(self)
             self.spent.append(time.perf_counter() - arrived)
             del self.spent[:-1000]
             slow = True
@@ -102,6 +110,12 @@ class Page:
         session = self.session
         if self.revision != session.revision:
             self._make_sliders()
+            if "curve" in self.boxes and session.motion is None:
+                self._lay("curve")
+        if self.player.motion is not session.motion:
+            self.player.make_time()
+            if "curve" in self.boxes:
+                self._lay("curve")
         with self.client.atomic():
             self.nodes.move(session.q)
             self.nodes.haunt(session.solutions, self._clicked)
@@ -135,43 +149,48 @@ class Page:
 
     def _panel(self, drawn: Drawn) -> None:
         gui, session = self.client.gui, self.session
-        gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
+        gui.configure_theme(show_logo=False, show_share_button=False)
         gui.set_panel_label(session.system.name)
         self.counted = gui.add_markdown("")
         self.said = gui.add_markdown("")
         self.folder = gui.add_folder("coordinates")
+        gos = {name: lambda n=name: session.go(n) for name in session.postures}
+        self.buttons("go to", {"random": session.random} | gos)
         with gui.add_folder("frame"):
             self.frame = gui.add_dropdown("frame", session.frames, initial_value=session.frame)
             self.task = gui.add_dropdown("what counts", ("pose", "position"), initial_value=session.task)
-            self._button("other solutions", lambda: session.solve() or self._none())
-            self._button("next solution", session.next_solution)
-            self._button("curve, points it reaches", self._curve)
-            self._button("motion with it at rest", self._self_motion)
-        with gui.add_folder("go to"):
-            self._button("next assembly mode", session.next_mode)
-            self._button("random", session.random)
-            for name in session.postures:
-                self._button(name, lambda n=name: session.go(n))
-        with gui.add_folder("motion", visible=session.path is not None) as self.motion:
-            self.time = gui.add_slider("part", 0.0, 1.0, 0.001, 0.0)
-            self.play = gui.add_button("play")
+            self._pair("other solutions", "solution")
+            if has_loops(session.system):
+                self._pair("assembly modes", "mode")
+        with gui.add_folder("show"):
+            self.boxes = {name: gui.add_checkbox(name, False) for name in offered(session)}
+            self.names = gui.add_checkbox("names", False)
+            self.axes = gui.add_checkbox("axes of frames", False)
+        self.player = Player(self)
         if drawn.lost:
             gui.add_markdown(f"{len(drawn.lost)} meshes could not be shown, such as {drawn.lost[0]}")
-        self.frame.on_update(self._by_hand("frame", lambda: self._aim(self.frame.value)))
-        self.task.on_update(self._by_hand("task", lambda: self._aim(self.frame.value, self.task.value)))
-        self.time.on_update(self._by_hand("time", lambda: session.at(self.time.value)))
-        self.play.on_click(self._play)
+        self.frame.on_update(self.by_hand("frame", lambda: self._aim(self.frame.value)))
+        self.task.on_update(self.by_hand("task", lambda: self._aim(self.frame.value, self.task.value)))
+        for name, box in self.boxes.items():
+            box.on_update(self.by_hand(name, lambda n=name: self._lay(n)))
+        self.names.on_update(self.by_hand("names", lambda: self.nodes.name(self.names.value)))
+        self.axes.on_update(self.by_hand("axes", lambda: self.nodes.mark(self.axes.value)))
 
-    def _button(self, label: str, action: Callable[[], Any]) -> None:
-        button = self.client.gui.add_button(label)
-        button.on_click(self._by_hand(label, action))
+    def buttons(self, label: str, actions: dict[str, Action]) -> Any:
+        """Add buttons in a row, each with its action; what was added."""
+        group = self.client.gui.add_button_group(label, tuple(actions))
+        group.on_click(self.by_hand(label, lambda: actions[group.value]()))
+        return group
 
-    def _by_hand(self, key: str, action: Callable[[], Any]) -> Any:
+    def _pair(self, label: str, kind: str) -> None:
+        self.buttons(label, {"show": lambda: self._solve(kind), "next": lambda: self._next(kind)})
+
+    def by_hand(self, key: str, action: Action) -> Any:
         """A callback of viser that posts an action where a person caused the event."""
 
         async def called(event: Any) -> None:
             if event.client is not None:
-                self.dragging = key if key in self.sliders else ""
+                self.dragging, self.follow = key if key in self.sliders else "", False
                 self.post(key, action)
 
         return called
@@ -189,7 +208,7 @@ class Page:
             for s in wanted:
                 handle = gui.add_slider(f"{s.name} [{s.unit}]", s.low, s.high, _step(s), s.value)
                 self.sliders[s.name] = handle
-                handle.on_update(self._by_hand(s.name, lambda n=s.name, h=handle: session.set(n, float(h.value))))
+                handle.on_update(self.by_hand(s.name, lambda n=s.name, h=handle: session.set(n, float(h.value))))
 
     def _gizmo(self) -> None:
         session, flat = self.session, self.session.system.dim == 2
@@ -215,55 +234,126 @@ class Page:
     # ---- actions
 
     def _reach(self, X: Any, last: bool) -> None:
-        ghosts = len(self.session.solutions)
-        self.session.reach(X, quick=not last)
-        if ghosts:
-            self.session.solve()
-
-    def _none(self) -> None:
-        self.session.status = f"no other solution is known with {self.session.frame} here"
+        session = self.session
+        session.reach(X, quick=not last)
+        if self.follow and session.took < QUICK:
+            said = session.status
+            session.solve()
+            session.status = said
+        elif self.follow and last:
+            self._solve("solution")
 
     def _aim(self, frame: str, task: str | None = None) -> None:
         self.session.aim(frame, task)
+        for name in self.boxes:
+            self._lay(name)
         if self.task.value != self.session.task:
             self.task.value = self.session.task
         self.gizmo.disable_rotations = self.session.system.dim == 2 or self.session.task == "position"
+        self.player.make_finds()
 
     async def _clicked(self, event: Any) -> None:
         if event.instance_index is not None:
             self.post("ghost", lambda: self.session.choose(int(event.instance_index)))
 
-    def _curve(self) -> None:
-        scene, session = self.client.scene, self.session
-        points = np.asarray(session.curve(), dtype=np.float32)
-        points = points[np.isfinite(points).all(axis=1)]
-        colour = np.round(255 * np.array(rgb(style.curve_colour(0)))).astype(np.uint8)
-        scene.remove_by_name("/curve")
-        if session.is_curve and len(points) > 1:
-            scene.add_line_segments("/curve", np.stack([points[:-1], points[1:]], axis=1), colour, line_width=2.5)
-        elif len(points):
-            scene.add_point_cloud("/curve", points, colour, point_size=0.25 * self.nodes.drawn.rigid.r)
+    # ---- what is computed beside
 
-    def _self_motion(self) -> None:
-        self.motion.visible = self.session.self_motion() or self.session.path is not None
+    def _say(self, text: str) -> None:
+        """Set what is said."""
+        self.session.status = text
 
-    async def _play(self, event: Any) -> None:
-        self.playing = not self.playing
-        self.play.label = "stop" if self.playing else "play"
-        if self.playing:
-            threading.Thread(target=self._run, daemon=True).start()
+    def _beside(self, where: Beside, key: str, work: Callable[[Session], Iterator[Action]]) -> None:
+        """Begin to compute with a copy of the session as it is now."""
+        session = copy.copy(self.session)
 
-    def _run(self) -> None:
-        part = self.time.value if self.time.value < 1.0 else 0.0
-        while self.playing and self.open:
-            part = (part + 1.0 / (SLOW * FRAMES)) % 1.0
+        def rounds(check: Callable[..., None]) -> Iterator[Action]:
+            session.progress = check
+            return work(session)
 
-            def there(x: float = part) -> None:
-                self.session.at(x)
-                self.time.value = x
+        where.start(key, rounds)
 
-            self.post("play", there)
-            time.sleep(1.0 / FRAMES)
+    def _count(self) -> None:
+        """Say the degrees of freedom, which takes long for large systems."""
+
+        def work(session: Session) -> Iterator[Action]:
+            text = session.mobility()
+            yield lambda: setattr(self.counted, "content", text)
+
+        self._beside(self.searches, "freedoms", work)
+
+    def _solve(self, kind: str, then: Action | None = None) -> None:
+        """Find other configurations; those that are found where the system still is are shown."""
+
+        def take(found: Session) -> None:
+            session = self.session
+            if session.q is found.q:
+                session.solutions, session.kind = found.solutions, kind
+                session.status, session.took = found.status, found.took
+                self.follow = kind == "solution" and len(found.solutions) > 0
+                if then is not None and len(found.solutions):
+                    then()
+
+        def work(session: Session) -> Iterator[Action]:
+            session.solve(kind)
+            yield lambda: take(session)
+
+        self.session.status = f"looking for other {KINDS[kind]}s ..."
+        self._beside(self.searches, "search", work)
+
+    def _next(self, kind: str) -> None:
+        """Go to the next configuration of a kind, which is looked for if none is known."""
+        if self.session.kind == kind and len(self.session.solutions):
+            self.session.next(kind)
+            self.follow = kind == "solution"
+        else:
+            self._solve(kind, lambda: self.session.next(kind))
+
+    def find(self, name: str) -> None:
+        """Find a motion from here, to be played."""
+
+        def take(found: Session, has: bool) -> None:
+            self.session.status = found.status
+            if has:
+                self.session.motion = found.motion
+
+        def work(session: Session) -> Iterator[Action]:
+            has = session.find_motion(name)
+            yield lambda: take(session, has)
+
+        self.session.status = f"{name}: looked for ..."
+        self._beside(self.searches, "search", work)
+
+    def _lay(self, name: str) -> None:
+        """Begin to compute what is laid over the system, and take away what was; only that where it is not wanted."""
+        self.nodes.lay(name, None)
+        self.overlays.drop(name)
+        if not self.boxes[name].value:
+            return
+
+        def take(overlay: Overlay, first: bool) -> None:
+            self.session.status = overlay.said
+            self.nodes.lay(name, overlay)
+            if first:
+                self._step_back(overlay)
+
+        def work(session: Session) -> Iterator[Action]:
+            for k, overlay in enumerate(rounds(session, name)):
+                yield lambda x=overlay, first=not k: take(x, first)
+
+        self.session.status = f"{name}: being computed"
+        self._beside(self.overlays, name, work)
+
+    def _step_back(self, overlay: Overlay) -> None:
+        """Move the camera back until what is laid over the system is in the picture."""
+        if not len(overlay.extent):
+            return
+        camera, (low, high) = self.client.camera, overlay.extent
+        away, at = camera.position - camera.look_at, np.array(camera.look_at)
+        far = float(np.linalg.norm(np.maximum(np.abs(high - at), np.abs(low - at))))
+        far *= 0.5 * SEES / np.tan(0.5 * camera.fov)
+        if np.linalg.norm(away) < far:
+            camera.position = at + away * (far / np.linalg.norm(away))
+            camera.look_at = at
 
 
 def _step(slider: Slider) -> float:

@@ -55,11 +55,10 @@ def _page(session: Session, seconds: float) -> str:
         drawn.look_from(server.initial_camera)
         nodes = Nodes(server.scene, drawn, session.q)
         record = server.get_scene_serializer()
-        if session.path is not None:
-            finite = session.path[np.isfinite(session.path).all(axis=1)]
+        if (motion := session.motion) is not None:
             count = max(2, round(seconds * FRAMES))
-            for k in np.linspace(0, len(finite) - 1, count).round().astype(int):
-                nodes.move(finite[k])
+            for t in np.linspace(0.0, motion.duration, count):
+                nodes.move(motion.at(t))
                 record.insert_sleep(seconds / count)
         text = record.as_html()
     finally:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -56,7 +57,8 @@ class SolidRecord(Solids):
 
     def face(self, name: str, corners: Array, normal: Array, colour: str, alpha: float = 1.0, edge: str = "") -> None:
         """Add a flat convex face with its outward normal, seen from both sides where it can be looked through."""
-        turned = normal @ np.cross(corners[1] - corners[0], corners[-1] - corners[0]) < 0.0
+        (a, b, c), (d, e, f) = (corners[1] - corners[0]).tolist(), (corners[-1] - corners[0]).tolist()
+        turned = normal @ (b * f - c * e, c * d - a * f, a * e - b * d) < 0.0  # of np.cross, which is slow
         fan = _fan(len(corners))[:, :: -1 if turned else 1]
         both = fan if alpha == 1.0 else np.concatenate([fan, fan[:, ::-1]])
         self.pieces.append(DrawnPiece(name, np.array(corners), both, (*rgb(colour), alpha)))
@@ -105,6 +107,7 @@ class SheetRecord(planar.Sheet):
         self.pieces.append(DrawnPiece(gid, np.concatenate([corners, above], axis=1), both, colour))
 
 
+@cache
 def _fan(n: int) -> np.ndarray:
     """Triangles (n - 2, 3) of a convex polygon with n corners."""
     k = np.arange(1, n - 1)
@@ -133,21 +136,26 @@ class RigidParts:
     """The parts of a system, and the poses that bring them to where a configuration puts them.
 
     `parts` are at most two of each carrier: what is solid, and what can be looked through. Carriers are the links, the
-    ground first, then the rods. `r` is the radius of a hinge [m], `size` the extent of the drawing [m], `middle` (3,)
-    where it is.
+    ground first, then the rods. They were drawn at `q` (nq,). `r` is the radius of a hinge [m]; what is solid lies in
+    a box of diagonal `size` [m] about `middle` (3,).
     """
 
     def __init__(self, system: System, q: Array):
-        self.system = system
+        self.system, self.q = system, q
         scene = look(system, q)
         self.heads = [system.body_names.index(link.name) for link in scene.links]
         self.names = tuple(link.name for link in scene.links)
         self.rods = [(_end(system, n, 0), _end(system, n, 1)) for n, *_ in scene.rods]
         self.size = scene.size
-        points = np.concatenate([scene.points(link) for link in scene.links])
-        self.middle = 0.5 * (points.min(axis=0) + points.max(axis=0)) if len(points) else np.zeros(3)
         self.r = planar.pin_radius(scene) if system.dim == 2 else SOLID * symbols.radius(scene)
         self.parts = self._parts(scene)
+        X = self.poses(q)
+        solid = [p.corners @ X[p.carrier, :3, :3].T + X[p.carrier, :3, 3]
+                 for p in self.parts if p.colours[:, 3].min() == 1.0]  # fmt: skip
+        points = np.concatenate([np.zeros((1, 3)), *(scene.points(link) for link in scene.links)])
+        points = np.concatenate(solid) if solid else points
+        self.middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        self.size = float(np.linalg.norm(np.ptp(points, axis=0))) or scene.size
 
     def poses(self, q: Array) -> Array:
         """Poses (..., carriers, 4, 4) of the carriers at configurations (..., nq)."""
@@ -197,11 +205,11 @@ class RigidParts:
         """The number of the carrier that brings the corners of a piece to those of its twin."""
         likely = _likely(scene, piece.name, len(self.heads))
         if twin is not None:
-            there = np.einsum("kij,nj->kni", moved[:, :3, :3], piece.corners) + moved[:, None, :3, 3]
-            miss = np.abs(there - twin).max(axis=(1, 2))
-            good = np.flatnonzero(miss <= NEAR * self.size + miss.min())
-            if miss.min() < NEAR * self.size:
-                return next((k for k in likely if k in good), int(good[0]))
+            for some in (likely, range(len(moved))):
+                there = piece.corners @ moved[some, :3, :3].swapaxes(-1, -2) + moved[some, None, :3, 3]
+                good = np.abs(there - twin).max(axis=(1, 2)) < NEAR * self.size
+                if good.any():
+                    return some[int(np.argmax(good))]
         return likely[0] if piece.name.partition(":")[0] in OWN else likely[-1]
 
 

@@ -6,23 +6,32 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
+import trimesh
 
 from kempe import spatial
 from kempe.spatial import Array
 from kempe.views.drawing import style
+from kempe.views.drawing.scene import Scene, look
 from kempe.views.drawing.solids import rgb
 from kempe.views.viewer.mesh_files import meshes_of
 from kempe.views.viewer.rigid_parts import RigidPart, RigidParts
 
 if TYPE_CHECKING:
     from kempe.model.system import System
+    from kempe.views.viewer.overlays import Overlay
 
-GHOST = 0.4
-"""How much of a ghost is seen."""
+GHOST, SEEN = 0.4, 0.25
+"""How much is seen of a ghost, and of a surface that is laid over a system."""
+ABOVE = 3.0
+"""Height of lines above a planar drawing, in radii of a pin."""
 PALE = (225, 228, 232)
 """Colour of the lines of the floor."""
-ROOM = 1.5
-"""Distance of the camera, in extents of the drawing."""
+OPENING = {2: np.deg2rad(12.0), 3: np.deg2rad(75.0)}
+"""Angle of the camera: what is planar is seen nearly without perspective, so that its layers lie on one another."""
+ROOM = {2: 1.15, 3: 1.53}
+"""Height of the picture where the camera looks at, in diagonals of the drawing, in the plane and in space."""
+SOFT = np.cos(np.deg2rad(35.0))
+"""Cosine of the angle up to which neighbouring triangles are shaded as one round surface."""
 
 
 class Shape(NamedTuple):
@@ -43,8 +52,6 @@ class Drawn:
         self.shapes = tuple(self._shapes(found, q))
 
     def _shapes(self, found: dict[str, list[Any]], q: Array) -> list[Shape]:
-        from kempe.views.drawing.scene import look
-
         links = look(self.system, q).links
         out: list[Shape] = []
         covered: set[int] = set()
@@ -65,10 +72,14 @@ class Drawn:
         return tuple(cast(bytes, s.mesh.export(file_type="glb")) for s in self.shapes)
 
     @cached_property
+    def seen(self) -> tuple[Scene, Array]:
+        """The scene that was drawn, and poses (carriers, 4, 4) of the ground seen from the carriers in it."""
+        q = self.rigid.q
+        return look(self.system, q), spatial.inverse(self.rigid.poses(q))
+
+    @cached_property
     def outlines(self) -> tuple[tuple[int, Any], ...]:
         """One mesh without colours for each carrier that moves, for ghosts."""
-        import trimesh
-
         by: dict[int, list[Any]] = {}
         for shape in self.shapes:
             if shape.carrier and shape.opacity == 1.0:
@@ -76,19 +87,46 @@ class Drawn:
                                                                         process=False))  # fmt: skip
         return tuple((k, trimesh.util.concatenate(meshes)) for k, meshes in by.items())
 
-    def look_from(self, camera: Any) -> None:
-        """Place a camera, or the one that pages begin with."""
+    def look_from(self, camera: Any, aspect: float = 1.0) -> None:
+        """Place a camera, or the one that pages begin with; `aspect` is the width of the picture by its height."""
         away = np.array([0.0, 0.0, 1.0]) if self.system.dim == 2 else np.array([0.6, -0.85, 0.4])
-        camera.position = tuple(self.rigid.middle + ROOM * max(self.rigid.size, 1e-9) * away)
+        opening = OPENING[self.system.dim]
+        high = ROOM[self.system.dim] * max(self.rigid.size, 1e-9) / min(max(aspect, 0.1), 1.0)
+        far = 0.5 * high / np.tan(0.5 * opening)
+        camera.fov = opening
+        camera.position = tuple(self.rigid.middle + far * away)
         camera.look_at = tuple(self.rigid.middle)
 
 
 def _mesh(part: RigidPart) -> Any:
     """The triangles of a part as a mesh of trimesh."""
-    import trimesh
+    corners = part.corners[part.triangles].reshape(-1, 3)
+    triangles = np.arange(len(corners)).reshape(-1, 3)
+    return trimesh.Trimesh(
+        corners, triangles, face_colors=_bytes(part.colours), vertex_normals=soft_normals(corners), process=False
+    )
 
-    colours = np.round(255 * part.colours).astype(np.uint8)
-    return trimesh.Trimesh(part.corners, part.triangles, face_colors=colours, process=False)
+
+def soft_normals(corners: Array) -> Array:
+    """Unit normals (3 m, 3) at the corners (3 m, 3) of m triangles: means over those that meet there nearly flat."""
+    a, b, c = corners.reshape(-1, 3, 3).transpose(1, 0, 2)
+    own = np.repeat(np.cross(b - a, c - a), 3, axis=0)
+    unit = own / np.maximum(np.linalg.norm(own, axis=1, keepdims=True), 1e-300)
+    near = 1e-7 * max(float(np.ptp(corners, axis=0).max()), 1e-300)
+    place = np.unique(np.round(corners / near), axis=0, return_inverse=True)[1].ravel()
+    order = np.argsort(place, kind="stable")
+    out = own.copy()
+    for step in range(1, int(np.bincount(place).max())):  # each corner with the one `step` after it
+        i, k = order[:-step], order[step:]
+        both = (place[i] == place[k]) & (np.sum(unit[i] * unit[k], axis=1) > SOFT)
+        np.add.at(out, i[both], own[k[both]])
+        np.add.at(out, k[both], own[i[both]])
+    return out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-300)
+
+
+def _bytes(colours: Any) -> np.ndarray:
+    """Colours from 0 to 1 as bytes."""
+    return np.round(255 * np.asarray(colours)).astype(np.uint8)
 
 
 def poses_as(X: Array) -> tuple[Array, Array]:
@@ -103,6 +141,7 @@ class Nodes:
         self.scene, self.drawn = scene, drawn
         self.frames: dict[int, Any] = {}
         self.ghosts: list[tuple[int, Any]] = []
+        self.labels, self.axes, self.laid = list[Any](), list[Any](), dict[str, list[Any]]()
         self.poses = drawn.rigid.poses(q)
         quats, places = poses_as(self.poses)
         for k in sorted({s.carrier for s in drawn.shapes}):
@@ -121,6 +160,66 @@ class Nodes:
             cell = 10.0 ** np.floor(np.log10(max(drawn.rigid.size, 1e-9)))
             scene.add_grid("/floor", wide, wide, cell_size=0.5 * cell, section_size=cell, position=(0.0, 0.0, low),
                            shadow_opacity=0.12, cell_color=PALE, section_color=PALE)  # fmt: skip
+
+    # ---- what is shown on request
+
+    def name(self, shown: bool) -> None:
+        """Write the names of joints, bodies and frames, or take them away."""
+        for label in self.labels:
+            label.remove()
+        self.labels = []
+        if not shown:
+            return
+        scene, X = self.drawn.seen
+        at = [(joint.child, joint.centre, joint.name) for joint in scene.joints]
+        at += [(link.number, scene.points(link).mean(axis=0), link.name) for link in scene.links[1:]
+               if len(scene.points(link)) > 1]  # fmt: skip
+        at += [(link.number, Y[:3, 3], name) for link in scene.links for name, Y in link.frames.items()]
+        for k, (carrier, p, text) in enumerate(at):
+            place = X[carrier, :3, :3] @ p + X[carrier, :3, 3]
+            self.labels.append(self.scene.add_label(f"/system/{carrier}/name/{k}", text, position=place,
+                                                    font_screen_scale=0.8, anchor="bottom-left"))  # fmt: skip
+
+    def mark(self, shown: bool) -> None:
+        """Show the axes of all frames, or take them away."""
+        for axes in self.axes:
+            axes.remove()
+        self.axes = []
+        if not shown:
+            return
+        (scene, X), r = self.drawn.seen, self.drawn.rigid.r
+        for link in scene.links:
+            for name, Y in (link.bodies | link.frames).items():
+                quat, place = poses_as(X[link.number] @ Y)
+                self.axes.append(self.scene.add_frame(
+                    f"/system/{link.number}/axes/{name}", axes_length=style.MARK * r, axes_radius=0.2 * r,
+                    origin_radius=0.3 * r, wxyz=quat, position=place))  # fmt: skip
+
+    def lay(self, name: str, overlay: Overlay | None) -> None:
+        """Show something laid over the system, in place of what had the same name."""
+        for node in self.laid.pop(name, ()):
+            node.remove()
+        if overlay is None:
+            return
+        new = self.laid[name] = []
+        flat = self.drawn.system.dim == 2
+        above = np.array([0.0, 0.0, ABOVE * self.drawn.rigid.r if flat else 0.0], dtype=np.float32)
+        scene, at, still = self.scene, f"/over/{name}", {"cast_shadow": False, "receive_shadow": False}
+        if len(overlay.lines):
+            lines, colour = overlay.lines.astype(np.float32) + above, _bytes(rgb(style.curve_colour(0)))
+            new.append(scene.add_line_segments(f"{at}/lines", lines, colour, thickness=2.5,
+                                               thickness_units="screen"))  # fmt: skip
+        for k, (corners, triangles, colour) in enumerate(overlay.surfaces):
+            new.append(scene.add_mesh_simple(f"{at}/{k}", corners - above, triangles, color=_bytes(rgb(colour)),
+                                             opacity=SEEN, side="double", **still))  # fmt: skip
+        if len(overlay.points):
+            ball, none = trimesh.creation.icosphere(1, 0.5), np.tile([1.0, 0.0, 0.0, 0.0], (len(overlay.points), 1))
+            new.append(scene.add_batched_meshes_simple(
+                f"{at}/points", ball.vertices, ball.faces, none, overlay.points + above, lod="off",
+                batched_scales=overlay.sizes.astype(np.float32), batched_colors=_bytes(overlay.colours),
+                **still))  # fmt: skip
+
+    # ---- configurations
 
     def move(self, q: Array) -> None:
         """Put all links where a configuration has them."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Generator
+import threading
+import time
+from collections.abc import Callable, Generator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -12,10 +14,13 @@ from kempe.budget import Budget
 from kempe.errors import InputError, KempeError
 from kempe.kinematics.closure_rows import evaluate
 from kempe.kinematics.configuration import as_q, distance, has_loops, mid, random
+from kempe.kinematics.forward import fk
 from kempe.kinematics.measure import judge
 from kempe.model.tree.coordinates import units
 from kempe.solvers.assembly.charts import Chart, independent
 from kempe.spatial import Array
+from kempe.views.drawing.scene import links_of, look
+from kempe.views.viewer.motions import found, motion_from
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -30,12 +35,16 @@ GHOSTS = 16
 """Solutions that are kept, at most."""
 QUICK = Budget(starts=1)
 """What a target may cost while it is dragged."""
+KINDS = {"solution": "solution", "mode": "assembly mode"}
+"""What other configurations are called."""
+APART = 1e-4
+"""How far coordinates, or joints in parts of the drawing's size, are apart in different configurations."""
 SINGULAR = 1e-3
 """Least rate of a frame, as a part of the largest, below which it counts as singular."""
 TRIES = 20
 """Random starts from which loops are closed, at most."""
-SEEN = 1500
-"""Points that a frame reaches, as drawn."""
+PATIENCE = 3.0
+"""Seconds that the search for other solutions and modes of loops may take."""
 
 
 class Slider(NamedTuple):
@@ -53,28 +62,28 @@ class Session:
 
     `status` is the sentence about the last thing done. `frame` is the one that targets are for, `task` what of them
     counts: "pose" or "position"; `target` (4, 4) is the last one that was not reached, else None. `solutions` (k, nq)
-    are configurations other than q with the frame at the same place. `path` (n, nq) is a motion to play. `revision`
-    grows with each new choice of `sliders`.
+    are other configurations, of the `kind` "solution" (the frame at the same place) or "mode" (the independent
+    coordinates as they are), the search for which `took` so many seconds. `motion` is what is played, `home` the
+    configuration at first. `revision` grows with each new choice of `sliders`. `progress` is called in long searches.
     """
 
     def __init__(self, system: System, q: Any = None, frame: Any = None, path: Any = None):
-        from kempe.views.plots import configuration_of, motion_of
+        from kempe.views.plots import configuration_of
 
-        self.system = system
-        self.path, _ = motion_of(system, path)
-        self.q = np.array(configuration_of(system, q, self.path))
+        self.system, self.lock = system, threading.RLock()
+        self.motion = motion_from(system, path)
+        self.q = np.array(configuration_of(system, q, None if self.motion is None else self.motion.q))
         self.status, self.target, self.revision, self.chart = "", None, 0, None
-        self.solutions = np.empty((0, system.nq))
+        self.solutions, self.kind, self.took = np.empty((0, system.nq)), "solution", 0.0
+        self.progress: Callable[..., None] | None = None
         self._bare = not (has_loops(system) or system.mechanism.constraints)
-        self._modes: tuple[Array, int] = np.empty((0, system.nq)), 0
-        self._units, self._rng = units(system), np.random.default_rng(0)
+        self._units, self.rng = units(system), np.random.default_rng(0)
         if q is not None and has_loops(system) and not judge(system, self.q):
             self._take(system.assemble(start=self.q), "closed from the q given")
         self._choose()
-        names = [*reversed([n for n in system.frame_names if n in system.structure.frames]), *system.body_names[:0:-1]]
-        self.frames = tuple(names) or system.frame_names
+        self.frames = _by_use(system)
         self.frame = self.frames[0] if frame is None else system.structure.frame_name(frame)
-        self.task = self.usual_task()
+        self.task, self.home = self.usual_task(), self.q
 
     # ---- coordinates
 
@@ -102,9 +111,8 @@ class Session:
     def size(self) -> float:
         """How far [m] a slide without limits is moved: the extent of the drawing."""
         if not hasattr(self, "_size"):
-            from kempe.views.drawing.scene import look
-
-            self._size = look(self.system, self.q).size
+            scene = look(self.system, self.q)
+            self._size = max(scene.size, *(10.0 * m.radius for m in scene.marks), 0.0)
         return self._size
 
     def set(self, name: str, value: float) -> None:
@@ -159,6 +167,10 @@ class Session:
     def _after(self) -> None:
         self.solutions = np.empty((0, self.system.nq))
 
+    def budget(self, seconds: float, **more: Any) -> Budget:
+        """What a long search may cost."""
+        return Budget(time_limit=seconds, progress=self.progress, **more)
+
     # ---- targets
 
     def usual_task(self) -> str:
@@ -166,14 +178,20 @@ class Session:
         if self.chart is None:
             return "position"
         with self._said():
-            whole, tries = self._whole(), () if self.chart.dependent else random(self.system, 0, 4)
-            rank = max(np.linalg.matrix_rank(self._rates(q), 1e-6) for q in (self.q, *tries))
-            return "pose" if rank == whole else "position"
+            return "pose" if self.directions("pose") == (3 if self.system.dim == 2 else 6) else "position"
         return "position"
 
-    def _whole(self) -> int:
-        """Directions in which a frame can move that is free."""
-        return 3 if self.system.dim == 2 else 6
+    def directions(self, task: str) -> int:
+        """In how many directions the frame can move, of those that a task counts: the most that were found."""
+        if self.chart is None:
+            return 0
+        tries = () if self.chart.dependent else random(self.system, 0, 4)
+        rows = self.system.dim if task == "position" else None
+        return max(int(np.linalg.matrix_rank(self._rates(q)[:rows], 1e-6)) for q in (self.q, *tries))
+
+    def spare(self) -> bool:
+        """Whether the system can move with the frame at rest, as far as the task counts, at most configurations."""
+        return self.chart is not None and len(self.chart.useful) > max(1, self.directions(self.task))
 
     def _rates(self, q: Array) -> Array:
         """Rates (3 or 6, p) of the frame by the independent coordinates at q."""
@@ -209,67 +227,77 @@ class Session:
             return found
         return False
 
-    def solve(self) -> int:
-        """Find the other configurations with the frame where it is; their number, 0 where there is no plan for it."""
+    def solve(self, kind: str = "solution") -> int:
+        """Find the other configurations of a kind; their number, and a sentence about them where there is none."""
         self._after()
-        if has_loops(self.system):
-            return 0
-        with contextlib.suppress(KempeError):
-            found = self.system.ik_all(self.pose, self.frame, task=self.task, limits=True)
-            q = np.asarray(found.q).reshape(-1, self.system.nq)
-            self.solutions = q[distance(self.system, q, self.q) > 1e-4][:GHOSTS] if len(q) else q
+        self.kind, begun = kind, time.perf_counter()
+        with self._said():
+            q = self._modes() if kind == "mode" else self._others()
+            self.solutions = self._apart(q.reshape(-1, self.system.nq))[:GHOSTS]
+            n, where = len(self.solutions), "" if kind == "mode" else f" with {self.frame} here"
+            none = f"no other {KINDS[kind]} was found{where}" + ", but it moves on with it at rest" * self.spare()
+            self.status = f"{n} other {KINDS[kind]}{'s' * (n > 1)}{where}: click on one" if n else none
+        self.took = time.perf_counter() - begun
         return len(self.solutions)
 
+    def _others(self) -> Array:
+        """Configurations (k, nq) with the frame where it is."""
+        X, system = self.pose, self.system
+        if has_loops(system):
+            known = {self.frame: X if self.task == "pose" else X[: system.dim, 3]}
+            return np.asarray(system.assembly_modes(known, self.q, budget=self.budget(PATIENCE)).q)
+        return np.asarray(system.ik_all(X, self.frame, task=self.task, limits=True).q)
+
+    def _modes(self) -> Array:
+        """Configurations (k, nq) with the independent coordinates as they are."""
+        if not has_loops(self.system):
+            return np.empty((0, self.system.nq))
+        known = {s.name: s.value for s in self.sliders if s.name in self.system.coordinate_names}
+        return np.asarray(self.system.assembly_modes(known, self.q, budget=self.budget(PATIENCE)).q)
+
+    def _apart(self, q: Array) -> Array:
+        """Those of configurations (k, nq) that differ from q; of loops those that look different from one another."""
+        system, q = self.system, q[np.isfinite(q).all(axis=1)]
+        if not has_loops(system):
+            return q[distance(system, q, self.q) > APART] if len(q) else q
+        links = look(system, self.q)
+        heads = [system.body_names.index(link.name) for link in links.links]
+        own = [links.points(link) for link in links.links]
+        X, Y = np.linalg.inv(fk(system, self.q)[heads]), fk(system, np.concatenate([self.q[None], q]))[:, heads]
+        at = np.concatenate([(p @ A[:3, :3].T + A[:3, 3]) @ B[..., :3, :3].swapaxes(-1, -2) + B[:, None, :3, 3]
+                             for p, A, B in zip(own, X, Y.swapaxes(0, 1), strict=True)], axis=1)  # fmt: skip
+        seen = [0]
+        for k in range(1, len(at)):
+            if np.abs(at[seen] - at[k]).max(axis=(1, 2)).min() > APART * self.size:
+                seen.append(k)
+        return q[np.array(seen[1:], dtype=int) - 1]
+
     def choose(self, k: int) -> None:
-        """Go to one of the other solutions; the one that was left takes its place among them."""
+        """Go to one of the other configurations; the one that was left takes its place among them."""
         if not 0 <= k < len(self.solutions):
-            raise InputError(f"there are {len(self.solutions)} other solutions; {k} is none of them")
+            raise InputError(f"there are {len(self.solutions)} other {KINDS[self.kind]}s; {k} is none of them")
         solutions = np.array(self.solutions)
         solutions[k], self.q = self.q, np.array(solutions[k])
-        self.solutions, self.target = solutions, None
-        self.status = f"another of {len(solutions) + 1} solutions with {self.frame} where it was"
-        if self.chart is not None and not self.chart.valid(self.q):
+        self.target = None
+        if self.kind == "mode" or (self.chart is not None and not self.chart.valid(self.q)):
             self._choose()
+        self.solutions = solutions
+        same = "the independent coordinates as they were" if self.kind == "mode" else f"{self.frame} where it was"
+        self.status = f"another of the {len(solutions) + 1} {KINDS[self.kind]}s found with {same}"
 
-    def next_solution(self) -> None:
-        """Go to the next configuration with the frame where it is."""
-        if not len(self.solutions) and not self.solve():
-            self.status = f"no other solution is known with {self.frame} here"
-            return
-        first, rest = self.solutions[0], self.solutions[1:]
-        self.solutions = np.concatenate([rest, self.q[None]])
-        self.q, self.target = np.array(first), None
-        self.status = f"another of {len(rest) + 2} solutions with {self.frame} where it was"
+    def next(self, kind: str = "solution") -> None:
+        """Go to the next configuration of a kind."""
+        if (self.kind == kind and len(self.solutions)) or self.solve(kind):
+            self.choose(0)
+            self.solutions = np.roll(self.solutions, -1, axis=0)
 
     # ---- buttons
-
-    def next_mode(self) -> None:
-        """Go to the next way to assemble the loops with the independent coordinates as they are."""
-        if not has_loops(self.system) or self.chart is None:
-            self.status = f"{self.system.name} has no loops: there is one way to assemble it"
-            return
-        modes, k = self._modes
-        if not len(modes) or not np.isclose(distance(self.system, modes[k], self.q), 0.0, atol=1e-6):
-            known = {s.name: s.value for s in self.sliders if s.name in self.system.coordinate_names}
-            with self._said():
-                self.status = ""
-                found = self.system.assembly_modes(known, self.q, budget=Budget(time_limit=3.0))
-                modes = np.asarray(found.q).reshape(-1, self.system.nq)
-                k = int(np.argmin(distance(self.system, modes, self.q))) if len(modes) else 0
-        if len(modes) < 2:
-            self.status = self.status or "one way to assemble it was found with these coordinates"
-            return
-        k = (k + 1) % len(modes)
-        self._modes, self.q, self.target = (modes, k), np.array(modes[k]), None
-        self.status = f"assembly mode {k + 1} of {len(modes)} found"
-        self._choose()
-        self._after()
 
     def random(self) -> None:
         """Go to a random configuration within the limits, with closed loops."""
         said = ""
         for _ in range(TRIES):
-            start = random(self.system, self._rng)
+            start = random(self.system, self.rng)
             if judge(self.system, start):
                 self._go(start, "a random configuration")
                 return
@@ -311,40 +339,18 @@ class Session:
 
     # ---- motions
 
-    def at(self, part: float) -> None:
-        """Go to a part (0 to 1) of the path."""
-        if self.path is not None:
-            k = round(float(np.clip(part, 0.0, 1.0)) * (len(self.path) - 1))
-            if np.isfinite(self.path[k]).all():
-                self.q, self.target = np.array(self.path[k]), None
-                self._after()
+    def at(self, time: float) -> None:
+        """Go to where the motion is at a time [s]."""
+        if self.motion is not None:
+            self.q, self.target = self.motion.at(time), None
+            self._after()
 
-    def curve(self) -> Array:
-        """What the frame's origin passes: a line (n, 3) where `is_curve`, else points of what it reaches."""
-        if self.path is not None:
-            return self.system.fk(self.path, self.frame)[..., :3, 3]
+    def find_motion(self, name: str) -> bool:
+        """Take a motion of `kempe.views.viewer.motions.MOTIONS` from here; whether there is one."""
         with self._said():
-            if self.is_curve:
-                motion = self.system.trace(self.sliders[0].name, self.q)
-                return self.system.fk(motion.q, self.frame)[..., :3, 3]
-            if not has_loops(self.system):
-                return self.system.fk(random(self.system, 0, SEEN), self.frame)[..., :3, 3]
-            found = self.system.assemble(start=random(self.system, 0, SEEN), budget=QUICK)
-            return self.system.fk(found.q[np.asarray(found.success)], self.frame)[..., :3, 3]
-        return np.empty((0, 3))
-
-    @property
-    def is_curve(self) -> bool:
-        """Whether what `curve` gives is one line."""
-        return self.path is not None or len(self.sliders) == 1
-
-    def self_motion(self) -> bool:
-        """Take what can be done with the frame at rest as the path; whether there is such a motion."""
-        with self._said():
-            motion = self.system.inverse.self_motion(self.q, self.frame, task=self.task)
-            self.status = motion.status
-            if len(motion.q) > 1:
-                self.path = np.asarray(motion.q)
+            motion, self.status = found(self, name)
+            if motion is not None:
+                self.motion = motion
                 return True
         return False
 
@@ -379,3 +385,12 @@ class Session:
         lines = [f"closed to {self.residual():.1e}" if not self._bare else "", self.singular(),
                  self.status]  # fmt: skip
         return "\n\n".join(line for line in lines if line)
+
+
+def _by_use(system: System) -> tuple[str, ...]:
+    """Names of the frames and bodies, those first that are dragged most often: the last frame on what moves."""
+    number = links_of(system)
+    own = [(number[f.body] > 0, True, name) for name, f in system.structure.frames.items()]
+    bodies = [(number[name] > 0, False, name) for name in system.body_names[1:]]
+    order = sorted([*reversed(own), *reversed(bodies)], key=lambda x: (not x[0], not x[1]))
+    return tuple(name for *_, name in order) or system.frame_names

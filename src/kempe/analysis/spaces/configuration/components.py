@@ -25,7 +25,7 @@ from kempe.solvers.common.arguments import start_count
 from kempe.solvers.common.clock import TIME_LIMIT, TimeLimit, TimeUp
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import counted
+from kempe.words import InWords, counted
 
 if TYPE_CHECKING:
     from kempe.analysis.mobility.mobility import Mobility
@@ -39,7 +39,7 @@ USUAL = Usual("components", starts=STARTS, rng=0, time_limit=TIME_LIMIT)
 
 
 @dataclass(frozen=True, eq=False)
-class Component:
+class Component(InWords):
     """A component with one freedom (idle spins left out): the curves that it consists of, joined at bifurcations.
 
     One without a freedom is a path of one configuration.

@@ -13,7 +13,7 @@ from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import difference, distance, has_loops, integrate, interpolate
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import counted
+from kempe.words import InWords, counted
 
 if TYPE_CHECKING:
     from kempe.analysis.mobility.mobility import Mobility
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class ProductSpace:
+class ProductSpace(InWords):
     """The space that the coordinates of all joints span: a circle T for each turn, a line R for each slide, ..."""
 
     shape: str

@@ -53,6 +53,8 @@ class PlanarWorkspace(Report):
     there are where. The `kind` says in which orientations, as in `System.workspace`. Lengths are in metres.
     """
 
+    _pictured = True
+
     __repr__ = brief
 
     system: System

@@ -44,6 +44,8 @@ class BasePlacement(Report):
     Where the map was `broken` off, by the time limit or an interrupt, all three are NaN at the places left.
     """
 
+    _pictured = True
+
     __repr__ = brief
 
     system: System

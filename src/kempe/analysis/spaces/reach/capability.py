@@ -46,6 +46,8 @@ class CapabilityMap(Report):
     time limit or an interrupt, the cells left are NaN.
     """
 
+    _pictured = True
+
     __repr__ = brief
 
     system: System

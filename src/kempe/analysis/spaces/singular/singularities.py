@@ -22,7 +22,7 @@ from kempe.solvers.common.arguments import start_count
 from kempe.solvers.common.clock import BROKEN_OFF, TimeLimit, TimeUp, partial
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import counted, joined
+from kempe.words import InWords, counted, joined
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -42,7 +42,7 @@ FULL_TURN = 2.0 * np.pi
 
 
 @dataclass(frozen=True, eq=False)
-class SingularSet:
+class SingularSet(InWords):
     """Configurations that are singular in the same way.
 
     `kinds` are "serial" of a chain, and of closed loops some of "type 1", "type 2" and "constraint". `name` is

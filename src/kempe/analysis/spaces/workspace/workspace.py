@@ -50,6 +50,8 @@ class Workspace(Report):
     which there are 8 pi^2.
     """
 
+    _pictured = True
+
     system: System
     frame: str
     map: CellMap

@@ -19,7 +19,7 @@ from kempe.solvers.analytic.answers.family_points import SINGULAR
 from kempe.solvers.analytic.answers.nearest import Aim, aim_of, held_coordinates
 from kempe.solvers.analytic.plans.plan import kernel_of
 from kempe.spatial import Array
-from kempe.words import counted, in_words, verb
+from kempe.words import InWords, counted, in_words, verb
 
 if TYPE_CHECKING:
     from kempe.solvers.analytic.answers.solutions import Solutions
@@ -42,7 +42,7 @@ EXACT = 1e-12
 
 @explained_methods
 @dataclass(frozen=True, eq=False)
-class Family:
+class Family(InWords):
     """A connected set of infinitely many configurations that reach a target; limits are ignored.
 
     `dimension` is the number of its freedoms. `q` (m, nq) are samples: along a curve in their order, angles continuous,

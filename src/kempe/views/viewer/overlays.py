@@ -1,0 +1,238 @@
+"""What a page lays over a system: curves, workspaces, capability maps, singular configurations, in ever finer rounds.
+
+Each is a generator of `Overlay`s of a session as it was, which is run beside the page and may be left at any round.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.budget import Budget
+from kempe.errors import InputError, UnsupportedError
+from kempe.kinematics.configuration import has_loops
+from kempe.spatial import Array
+from kempe.views.drawing import shapes
+from kempe.views.drawing.solids import rgb
+from kempe.views.viewer.motions import PATIENCE
+
+if TYPE_CHECKING:
+    from kempe.analysis.spaces.planar.planar_workspace import PlanarWorkspace
+    from kempe.analysis.spaces.workspace.workspace import Workspace
+    from kempe.views.viewer.session import Session
+
+LONG = 10.0
+"""Seconds after which no further round begins."""
+CELLS = {2: (32, 64, 128), 3: (12, 24, 40)}
+"""Cells of a workspace along its longest edge, round by round, in the plane and in space."""
+MAP = (5, 9, 13)
+"""Cells of a capability map along each axis, round by round."""
+EACH = 60
+"""Samples for each cell of a workspace; with loops a tenth of that."""
+CUT = "; cut open at y = {:.3g} m"
+"""What is said of what is shown from there on only, so that one sees into it."""
+ROUNDS = 8
+"""Rounds in which singular configurations are searched for."""
+REACHED, OFTEN = "#6f9fd0", "#2f5f95"
+"""Colours of what is reached, in one way and in several."""
+KINDS = {"red": "#b3261e", "blue": "#0b5fa5", "green": "#2b7a3b", "purple": "#7a4fbf", "brown": "#8a5a00"}
+"""Colours of sets of singular configurations, by their words."""
+
+
+@dataclass(frozen=True, eq=False)
+class Overlay:
+    """Points (n, 3) in colours (n, 3) from 0 to 1, of sizes (n,) [m]; lines (m, 2, 3); surfaces; and a sentence.
+
+    `surfaces` are corners (k, 3) and triangles (j, 3) with a colour.
+    """
+
+    said: str
+    points: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    colours: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    sizes: Array = field(default_factory=lambda: np.zeros(0))
+    lines: Array = field(default_factory=lambda: np.zeros((0, 2, 3)))
+    surfaces: tuple[tuple[Array, np.ndarray, str], ...] = ()
+
+    @property
+    def extent(self) -> Array:
+        """Ends (2, 3) of the box around all of it [m]; without rows where it is empty."""
+        every = np.concatenate([self.points, self.lines.reshape(-1, 3), *(corners for corners, *_ in self.surfaces)])
+        return np.stack([every.min(axis=0), every.max(axis=0)]) if len(every) else every
+
+
+def _pairs(points: Array) -> Array:
+    """The pieces (n - 1, 2, 3) of a polyline, without those that have no ends."""
+    lines = np.stack([points[:-1], points[1:]], axis=1)
+    return lines[np.isfinite(lines).all(axis=(1, 2))]
+
+
+# ---- curves
+
+
+def _curve(session: Session) -> Iterator[Overlay]:
+    """What the frame's origin passes in the motion that is played, else in the whole motion with one freedom."""
+    system, frame = session.system, session.frame
+    if session.motion is not None:
+        yield Overlay(f"what {frame} passes", lines=_pairs(system.fk(session.motion.q, frame)[:, :3, 3]))
+        return
+    motion = system.trace(session.sliders[0].name, session.q, budget=session.budget(PATIENCE))
+    yield Overlay(f"{frame}: {motion.status}", lines=_pairs(system.fk(motion.q, frame)[:, :3, 3]))
+
+
+# ---- what is reached
+
+
+def _workspace(session: Session) -> Iterator[Overlay]:
+    """What the frame reaches: exact for planar chains, else cells of ever finer maps."""
+    system, frame = session.system, session.frame
+    if system.dim == 2:
+        try:
+            exact = system.reach.planar(frame)
+        except UnsupportedError:
+            pass
+        else:
+            yield _regions(exact)
+            return
+    for k, cells in enumerate(CELLS[system.dim]):
+        budget = session.budget(PATIENCE, rng=k)
+        n = EACH * cells**system.dim // (10 if has_loops(system) else 1)
+        yield _cells(system.workspace(frame, n=n, cells=cells, budget=budget), float(session.pose[1, 3]))
+
+
+def _regions(found: PlanarWorkspace) -> Overlay:
+    """Regions of a planar workspace, with their boundary."""
+    surfaces: list[tuple[Array, np.ndarray, str]] = []
+    for region in found.regions:
+        corners, triangles = _filled(shapes.region_outline(region).to_polygons())
+        surfaces.append((corners, triangles, REACHED if region.solutions in (None, 1) else OFTEN))
+    lines = [np.zeros((0, 2, 3))]
+    for piece in found.boundary:
+        p = shapes.piece_points(piece)
+        lines.append(_pairs(np.column_stack([np.real(p), np.imag(p), np.zeros(len(p))])))
+    return Overlay(found.status, lines=np.concatenate(lines), surfaces=tuple(surfaces))
+
+
+def _filled(loops: Any) -> tuple[Array, np.ndarray]:
+    """Corners (k, 3) and triangles (j, 3) of all within closed curves, an even number of which leaves a hole.
+
+    Between two neighbouring heights of corners the sides are straight: what is inside are trapezia.
+    """
+    sides = np.concatenate([np.stack([loop[:-1], loop[1:]], axis=1) for loop in map(np.asarray, loops)])
+    levels = np.unique(sides[..., 1])
+    levels = levels[np.concatenate([[True], np.diff(levels) > 1e-9 * np.ptp(levels)])]
+    out: list[Array] = []
+    for low, high in zip(levels[:-1], levels[1:], strict=True):
+        middle = 0.5 * (low + high)
+        a, b = sides[(sides[..., 1].min(axis=1) < middle) & (sides[..., 1].max(axis=1) > middle)].transpose(1, 0, 2)
+        slope = (b[:, 0] - a[:, 0]) / (b[:, 1] - a[:, 1])
+        order = np.argsort(a[:, 0] + (middle - a[:, 1]) * slope)
+        at = [(a[:, 0] + (y - a[:, 1]) * slope)[order] for y in (low, high)]
+        for k in range(0, len(order) - 1, 2):
+            out.append(np.array([[at[0][k], low, 0], [at[0][k + 1], low, 0], [at[1][k + 1], high, 0],
+                                 [at[1][k], high, 0]]))  # fmt: skip
+    corners = np.array(out).reshape(-1, 3)
+    return corners, _quads(len(out))
+
+
+def _quads(n: int) -> np.ndarray:
+    """Triangles (2 n, 3) of n quadrangles, corner after corner."""
+    return (4 * np.arange(n)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
+
+
+def _cells(found: Workspace, cut: float) -> Overlay:
+    """The cells that samples fell into: in the plane all of them, in space the surface of those from y = `cut` on."""
+    grid, some, said = found.map.grid, found.map.occupied.copy(), found.status
+    d = some.ndim
+    if d == 3:
+        some[:, grid.centres("y") < cut] = False
+        said += CUT.format(cut)
+    full = np.pad(some, 1)
+    if d == 1:
+        return Overlay(found.status, lines=_pairs(grid.whole(found.map.points)))
+    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=float)
+    quads = [np.argwhere(full)[:, None] + square] if d == 2 else []
+    for axis, side in np.ndindex(3, 2) if d == 3 else ():
+        free = full & ~np.roll(full, 1 - 2 * side, axis)
+        quad = np.repeat(np.argwhere(free)[:, None].astype(float), 4, axis=1)
+        quad[..., axis] += side
+        quad[..., [k for k in range(3) if k != axis]] += square
+        quads.append(quad)
+    places = (np.concatenate(quads).reshape(-1, d) - 1.0) * grid.size + np.array(grid.low)[grid.kept]
+    return Overlay(said, surfaces=((grid.whole(places), _quads(len(places) // 4), REACHED),))
+
+
+def _capability(session: Session) -> Iterator[Overlay]:
+    """In how many directions the frame reaches the cells of a box: larger and darker where in more."""
+    from matplotlib import colormaps
+
+    system, frame = session.system, session.frame
+    rough = system.workspace(frame, n=20_000, cells=8).map.grid
+    box = np.stack([rough.low, rough.high])[:, : system.dim]
+    for cells in MAP:
+        found = system.reach.capability(frame, box, cells, 16, budget=session.budget(PATIENCE, starts=4))
+        middles = np.stack(np.meshgrid(*found.axes, indexing="ij"), axis=-1).reshape(-1, system.dim)
+        part = np.nan_to_num(found.fraction.ravel())
+        some = (part > 0.0) & ((system.dim == 2) | (middles[:, 1] >= session.pose[1, 3]))
+        points = np.zeros((int(some.sum()), 3))
+        points[:, : system.dim] = middles[some]
+        edge = float(np.min((box[1] - box[0]) / cells))
+        colours = np.asarray(colormaps["cividis_r"](part[some]))[:, :3]
+        said = found.status + CUT.format(session.pose[1, 3]) * (system.dim == 3)
+        yield Overlay(said, points, colours, edge * (0.15 + 0.45 * part[some]))
+
+
+# ---- singular configurations
+
+
+def _singular(session: Session) -> Iterator[Overlay]:
+    """Where the frame is at singular configurations that were found, set by set in a colour."""
+    system, frame = session.system, session.frame
+    task = None if has_loops(system) else session.task
+    held: dict[str, list[Array]] = {}
+    starts, total, words = 4 if has_loops(system) else 32, 0, list(KINDS)
+    for k in range(ROUNDS):
+        budget = Budget(starts=starts, rng=k)
+        total, starts = total + starts, min(2 * starts, 64)
+        try:
+            found = system.singularities(frame, task, budget=budget)
+        except InputError:
+            if k < ROUNDS - 1 and has_loops(system):  # no start closed the loops
+                continue
+            raise
+        for one in found.sets:
+            held.setdefault(one.name or " and ".join(one.kinds), []).append(system.fk(one.q, frame)[:, :3, 3])
+        points, colours, said = [np.zeros((0, 3))], [np.zeros((0, 3))], list[str]()
+        for (name, several), word in zip(held.items(), itertools.cycle(words)):
+            points.append(np.concatenate(several))
+            colours.append(np.tile(rgb(KINDS[word]), (len(points[-1]), 1)))
+            said.append(f"{name} ({word})")
+        every = np.concatenate(points)
+        yield Overlay(f"{frame} at singular configurations: {', '.join(said) or 'none'} found from {total} starts",
+                      every, np.concatenate(colours), np.full(len(every), 0.012 * session.size))  # fmt: skip
+
+
+OVERLAYS: dict[str, Callable[[Session], Iterator[Overlay]]] = {
+    "curve": _curve, "workspace": _workspace, "capability map": _capability, "singular configurations": _singular,
+}  # fmt: skip
+"""What can be laid over a system, by name."""
+
+
+def offered(session: Session) -> tuple[str, ...]:
+    """Names of `OVERLAYS` that a session can show."""
+    has = {"curve": session.motion is not None or len(session.sliders) == 1,
+           "capability map": not has_loops(session.system)}  # fmt: skip
+    return tuple(n for n in OVERLAYS if has.get(n, True))
+
+
+def rounds(session: Session, name: str) -> Iterator[Overlay]:
+    """The overlays of a name, ever finer, until the time for it is up. Errors: those of the verbs that find them."""
+    end = time.monotonic() + LONG
+    for overlay in OVERLAYS[name](session):
+        yield overlay
+        if time.monotonic() > end:
+            return

@@ -1,0 +1,107 @@
+"""What a notebook shows of everything that a cell can end with."""
+
+from __future__ import annotations
+
+import ast
+import base64
+import importlib
+import io
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import sources
+from matplotlib.image import imread
+
+import kempe
+from kempe.errors import MissingExtraError
+
+SCREEN = 40
+"""Lines of one screen."""
+MANY = 300
+ARM, BAR, TWO = kempe.load("puma560"), kempe.load("four_bar"), kempe.load("two_link")
+SOURCE = Path(kempe.__file__).parent
+FOUND = [
+    (f"kempe.{path.relative_to(SOURCE).with_suffix('').as_posix().replace('/', '.')}", node.name)
+    for folder in ("kinematics", "solvers", "analysis")
+    for path in sorted((SOURCE / folder).rglob("*.py"))
+    for node in sources.tree(path).body
+    if isinstance(node, ast.ClassDef) and any(getattr(x, "name", "") == "__str__" for x in node.body)
+]
+"""Modules and names of classes with a text of their own."""
+
+
+@pytest.mark.parametrize(("module", "name"), FOUND)
+def test_what_has_a_text_is_shown_by_it(module, name):
+    """Instead of the text with all fields that a dataclass has; tuples are shown as they are."""
+    kind = getattr(importlib.import_module(module), name)
+    assert issubclass(kind, tuple) or hasattr(kind, "_repr_html_") or hasattr(kind, "_repr_latex_")
+
+
+def poses(n: int) -> np.ndarray:
+    return ARM.fk(ARM.random(0, n), ARM.frame_names[-1])
+
+
+BATCHES = {
+    "ik": lambda n: ARM.ik(poses(n), ARM.frame_names[-1]),
+    "ik of tasks": lambda n: ARM.ik([kempe.tasks.Position(ARM.frame_names[-1], poses(n)[:, :3, 3])]),
+    "ik_all": lambda n: ARM.ik_all(poses(n), ARM.frame_names[-1]),
+    "assemble": lambda n: BAR.assemble({"A": np.linspace(0.0, 6.0, n)}),
+    "close": lambda n: BAR.loops.closed_form(["A"]).close(np.linspace(0.0, 6.0, n)[:, None]),
+    "jacobian": lambda n: BAR.loops.jacobian(np.zeros((n, 1)) + BAR.assemble().q, ["A"], ["D"]),
+    "sample": lambda n: ARM.configuration_space.sample(n, 0),
+    "poses": lambda n: ARM.reach.poses(poses(n), ARM.frame_names[-1]),
+    "drive": lambda n: BAR.drive({"A": np.linspace(0.3, 0.6, n)}, start=BAR.assemble({"A": 0.3}).q),
+}
+
+
+@pytest.mark.parametrize("name", BATCHES)
+def test_a_batch_is_one_screen(name):
+    """As text and in a notebook."""
+    found = BATCHES[name](MANY)
+    page = found._repr_html_()
+    assert len(str(found).splitlines()) <= SCREEN and str(MANY) in str(found)
+    assert page.count("<tr>") + page.count("<p>") + page.count("<br>") <= SCREEN and str(MANY) in page
+
+
+def picture(page: str) -> np.ndarray:
+    """The only picture of a page."""
+    (data,) = re.findall(r'<img alt="[^"]+" src="data:image/png;base64,([^"]+)"/>', page)
+    return imread(io.BytesIO(base64.b64decode(data)))[..., :3]
+
+
+MAPS = {
+    "workspace": lambda: TWO.workspace("e", n=5000, cells=16),
+    "planar": lambda: TWO.reach.planar("e"),
+    "capability": lambda: TWO.reach.capability("e", [[-2.0, -2.0], [2.0, 2.0]], 4, 4),
+    "place": lambda: TWO.reach.place(TWO.fk(TWO.random(0, 3), "e"), "e", {"x": (-1, 1), "y": (-1, 1)}, 3),
+}
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_maps_show_their_picture(name, monkeypatch):
+    """Below their words, in more than one colour; without matplotlib the words alone."""
+    found = MAPS[name]()
+    drawn = picture(found._repr_html_())
+    assert min(drawn.shape[:2]) > 150 and len(np.unique(drawn.reshape(-1, 3), axis=0)) > 20
+
+    def missing(self, *options):
+        raise MissingExtraError("matplotlib", "view")
+
+    monkeypatch.setattr(type(found), "plot", missing)
+    assert "<img" not in found._repr_html_() and found.status in str(found)
+
+
+def test_symbolic_results_are_formulas():
+    """With a legend where names are short: c1 stands for cos(q1)."""
+    short = TWO.symbolic.short(TWO.symbolic.fk("e")[0, 3])
+    assert r"c_{1} &= \cos" in short._repr_latex_() and "l_{1}" in short._repr_latex_()
+    for found in (
+        short,
+        TWO.symbolic.steps("e"),
+        TWO.symbolic.ik("e"),
+        TWO.symbolic.fk("e"),
+        TWO.symbolic.jacobian("e"),
+    ):
+        assert found._repr_latex_().startswith("$") and found._repr_latex_().endswith("$")
