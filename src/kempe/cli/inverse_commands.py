@@ -258,7 +258,7 @@ def _all(
 
 
 def _modes(answer: Modes, deg: bool, out: Path | None, pictures: list[Path], json: bool) -> None:
-    """Print or write all that was found of a frame that moves with loops."""
+    """Print or write the configurations found for a frame of a mechanism with loops."""
     from kempe.views import facts, loop_report, rows
 
     if out is not None:

@@ -27,7 +27,7 @@ MEETS = 1e-12
 
 
 def poses_of(x: Any, dim: int, what: str) -> Array:
-    """Poses (..., 4, 4) as given, in the plane also (..., 3, 3); kernels check rotations. Errors: `InputError`."""
+    """Poses (..., 4, 4), in the plane also from (..., 3, 3); kernels check rotations. Errors: `InputError`."""
     given = numbers_of(arrays(x, what), what)
     is_planar = dim == 2 and given.ndim >= 2 and given.shape[-2:] == (3, 3)
     X = np.zeros((*given.shape[:-2], 4, 4)) if is_planar else given
@@ -62,7 +62,7 @@ def flat(X: Array) -> tuple[float, ...]:
 
 
 def points_of(x: Any, dim: int, what: str) -> Array:
-    """Points (..., 3) as given, in the plane also (..., 2). Errors: `InputError`."""
+    """Points (..., 3), in the plane also from (..., 2), with z = 0. Errors: `InputError`, also for rotations."""
     p = _vectors(x, dim, what)
     refuse_rotations(p, what)
     return _in_plane(p, dim, what)
@@ -87,7 +87,7 @@ def refuse_rotations(x: Array, what: str) -> None:
 
 
 def directions_of(x: Any, dim: int, what: str) -> Array:
-    """Unit vectors (..., 3) along those given. Errors: `InputError` for a zero one."""
+    """Unit vectors (..., 3), in the plane also from (..., 2). Errors: `InputError`, also for zero vectors."""
     p = _vectors(direction(x), dim, what)
     if np.any(np.all(p == 0.0, axis=-1)):
         raise InputError(f"{what} is zero; it must have a direction")

@@ -130,7 +130,7 @@ def is_texts(x: object) -> TypeGuard[tuple[str, ...]]:
 
 
 def read(text: str) -> tuple[Expression, dict[str, str]]:
-    """The expression, ``left = right`` as a difference, and the names that some words of it stand for.
+    """The expression, ``left = right`` as a difference, and a dict of names by the words that stand for them in it.
 
     Errors: `InputError`.
     """

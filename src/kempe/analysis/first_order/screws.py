@@ -50,12 +50,12 @@ class Screws:
         return float(np.sqrt(np.max(np.sum(d * d, axis=1), initial=0.0))) / self.length
 
     def wrench_rows(self, edge: int, of: Declared, dim: int) -> Array:
-        """Rows (k, 6) that a declared constraint takes from the relative twist of its bodies."""
+        """Rows (k, 6) that map the relative twist of its bodies to the rates of a declared constraint."""
         rows = (r for r in position_rows(of.of, dim) if r.op not in (Op.TAPE, Op.CALL))
         return np.concatenate([self._rows_of(edge, r, dim) for r in rows])
 
     def _rows_of(self, edge: int, row: Row, dim: int) -> Array:
-        """What one row takes from the twist of frame M against F."""
+        """Rows (k, 6) that map the twist of frame M relative to F to the rates of one row of equations."""
         p, R, S = self.M[edge, :3, 3], self.F[edge, :3, :3], self.M[edge, :3, :3]
         d = p - self.F[edge, :3, 3]
         if row.op in (Op.ROTATION, Op.TILT):
@@ -69,12 +69,12 @@ class Screws:
         return np.hstack([along, np.cross((p - self.center) / self.length, along)])[None]
 
     def point_rows(self, edge: int, dim: int) -> Array:
-        """Rows (dim, 6) that take from a twist the velocity of the origin of frame M."""
+        """Rows (dim, 6) that map a twist to the velocity of the origin of frame M."""
         r = (self.M[edge, :3, 3] - self.center) / self.length
         return np.hstack([np.eye(3), -spatial.skew(r)])[:dim]
 
     def moved(self, edges: Sequence[int]) -> Array:
-        """Matrices (n, 6, 6) that take twists to the origins of the frames M of edges."""
+        """Matrices (n, 6, 6) that move the reference point of twists to the origins of the frames M of edges."""
         out = np.zeros((len(edges), 6, 6))
         out[:, range(6), range(6)] = 1.0
         x, y, z = ((self.M[list(edges), :3, 3] - self.center) / self.length).T

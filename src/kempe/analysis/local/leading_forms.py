@@ -84,9 +84,9 @@ def decide(
     equations: Equations, here: Here, rows: Sequence[Array], uses: Sequence[np.ndarray], known: int, order: int,
     rng: np.random.Generator, tangents: Sequence[Array],
 ) -> tuple[int, int | None, str] | None:  # fmt: skip
-    """Dimension, number of branches (None: not known) and reason, if forms decide; `known` is proven from below.
+    """Dimension, number of branches (None: unknown) and reason, if the forms decide; `known` is a proven lower bound.
 
-    `rows` (m, k) and `uses` (unknowns) belong to single loops; `tangents` (nv, k) say where motions were found.
+    `rows` (m, k) and `uses` are the equations and unknowns of each loop, `tangents` (nv, k) belong to motions found.
     """
     at = here.split
     found = reduction.obstruction(equations, at, order, rng)
@@ -117,7 +117,7 @@ def _order(found: reduction.Obstruction) -> int | None:
 
 
 def _directions(at: Split, tangents: Sequence[Array]) -> list[Array]:
-    """Unit vectors of the null space along motions that were found."""
+    """Unit vectors, in the basis of the null space, along motions that were found."""
     out: list[Array] = []
     for T in tangents:
         for d in (at.null_space.T @ T).T:

@@ -281,9 +281,9 @@ def _walked(equations: Equations, at: Split, rng: np.random.Generator) -> tuple[
 
 
 def sampled_dimension(equations: Equations, at: Split, rng: np.random.Generator) -> int:
-    """Largest dimension that is seen by kicks along the null space, projected back, around points reached by kicks.
+    """Largest dimension that random steps along the null space show: they are projected back, then repeated from there.
 
-    Kicks in directions that are no motion collapse, to about the root of the residual; those along motions stay.
+    Steps in directions without a motion shrink to about the root of the residual; those along motions keep their size.
     """
     count = 10 + 2 * min(at.delta, 10)
     kicks = KICK * reduction.unit_directions(rng, count, at.delta) @ at.null_space.T

@@ -250,7 +250,7 @@ def _open(system: System, shown: System, at: NearestClosed) -> Mobility:
 
 
 def _local(system: System, rank: Rank, wanted: bool, rng: np.random.Generator) -> LocalDimension | None:
-    """The true local dimension, where the rank alone does not prove it."""
+    """The local dimension where it is `wanted` and the rank alone does not prove it, else None."""
     if not wanted or not rank.dependent or not rank.nullity or called(system):
         return None
     from kempe.analysis.local.local import local_dimension
@@ -286,7 +286,10 @@ def _outside(system: System, s: ConstraintGraph) -> int:
 
 
 def _kind(rank: Rank, best: Rank, truth: LocalDimension | None) -> tuple[bool, str]:
-    """Whether the configuration is a singular point of the configuration space, and of which kind, in words."""
+    """Whether the configuration is a singular point of the configuration space, and its kind in words.
+
+    `best` is the rank of least nullity around it, `truth` the local dimension, where it was computed.
+    """
     drop = rank.nullity - best.nullity
     if truth is None:
         if not drop:

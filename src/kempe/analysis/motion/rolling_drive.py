@@ -86,7 +86,7 @@ def driven(
 
 
 def _first(system: System, start: Any, hold: Mapping[str, float], names: Sequence[str], u: Array) -> Array | None:
-    """The closed configuration (nq,) next to the start at which the inputs have their first values."""
+    """The closed configuration (nq,) near the start with inputs `names` at u and `hold` held; None on failure."""
     near = start_of(system, start, hold)
     index = [angle_or_slide(system, n) for n in (*names, *hold)]
     closure = Closure(system)

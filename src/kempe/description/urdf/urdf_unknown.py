@@ -289,7 +289,7 @@ def _in_urdf_form(element: XmlElement) -> bool:
 
 
 def _named(element: XmlElement) -> Iterator[str]:
-    """Attributes and contents of an element and all below it."""
+    """Values of all attributes, and all texts between tags, of an element and those below it."""
     for part in element.walk():
         yield from part.attributes.values()
     yield from (text.strip() for text in _CONTENT.findall(element.text))

@@ -83,7 +83,7 @@ def eliminated(t, other):
 
 @device
 def steadiness(t):
-    """How far from dependent the two rows of factors of one joint are: 0 to 1. A row that hardly says anything is."""
+    """Sine of the angle between the two rows of factors of one joint, 0 to 1; less where a row is below SMALL."""
     size = max(math.hypot(t[1], t[2]), SMALL) * max(math.hypot(t[4], t[5]), SMALL)
     return abs(t[1] * t[5] - t[2] * t[4]) / size
 
@@ -154,7 +154,7 @@ def pairs_of(gone_slides, kept_slides, gone, kept, work, out_gone, out_kept):
 
 @device
 def coupled_pairs(x_slides, z_slides, tx, tz, work, out_x, out_z):
-    """Number of pairs of values of x and z that satisfy both outer equations."""
+    """Number of pairs of values of x and z that satisfy both outer equations; writes them to out_x and out_z."""
     if steadiness(tx) >= steadiness(tz):
         return pairs_of(x_slides, z_slides, tx, tz, work, out_x, out_z)
     return pairs_of(z_slides, x_slides, tz, tx, work, out_z, out_x)

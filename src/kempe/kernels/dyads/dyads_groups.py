@@ -1,8 +1,8 @@
 """Rings of three rigid clusters, and clusters that are joined twice, closed by circles and lines.
 
 Three bodies, joined in a circle by pins and rails, form the dyads of Assur (1914): `circles` (RRR), `line_circle` (one
-rail) and `lines` (two rails). What cannot close is put where it nearly touches. The functions return nothing; in what
-they say, places are counted in the integers of the operation, from 1.
+rail) and `lines` (two rails). What cannot close is put where it nearly touches. The functions return nothing; numbers
+in their docstrings are places in the integers of the operation, from 1.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def pin_pin(v, ints, i, floats, f):
 
 @routine
 def pin_rail(v, ints, i, floats, f):
-    """Place a body on a pin and a rail. Rails 1 (base) and 2 (body), pins 3 (base) and 4 (body). Out: register 5."""
+    """Place a body by a pin and a rail: its pin 4 on pin 3 of the base, its rail 2 along rail 1. Out: register 5."""
     _, _, dx, dy = rail(v, ints[i + 1], floats, f)
     _, _, ex, ey = rail(v, ints[i + 2], floats, f + 4)
     ax, ay = pin(v, ints[i + 3], floats, f + 8)
@@ -124,7 +124,7 @@ def pin_rail(v, ints, i, floats, f):
 
 @routine
 def rail_rail(v, ints, i, floats, f):
-    """Place a body on two rails. Rails 1 (base) and 2 (body), 3 (base) and 4 (body). Out: register 5."""
+    """Place a body on two rails: its rails 2 and 4 lie on rails 1 and 3 of the base. Out: register 5."""
     p1x, p1y, d1x, d1y = rail(v, ints[i + 1], floats, f)
     q1x, q1y, ex, ey = rail(v, ints[i + 2], floats, f + 4)
     p2x, p2y, d2x, d2y = rail(v, ints[i + 3], floats, f + 8)

@@ -62,7 +62,7 @@ def is_with(roots, j, i):
 
 @device
 def together(roots, n, i):
-    """(roots at the value of root i, with it; whether one stands before it; their mean's difference from it)."""
+    """(number of roots that share the value of root i; whether one comes before it; mean difference from its value)."""
     count, mean, met = 0, 0.0, False
     for j in range(n):
         if is_with(roots, j, i):
@@ -73,7 +73,7 @@ def together(roots, n, i):
 
 @device
 def stand_for(roots, n, i, postures):
-    """Mark of the roots at the value of root i the first `postures` as those that have one, no others."""
+    """Mark the first `postures` of the roots that share the value of root i as EXPECTED, the others of them as NONE."""
     left = postures
     for j in range(n):
         if is_with(roots, j, i):
@@ -92,7 +92,7 @@ def expected(roots, n):
 
 @device
 def matched(roots, n, angle):
-    """Whether a root is left for a posture with this value of the hidden joint: the nearest is then taken."""
+    """Whether a root is left for a posture with this value of the hidden joint; the nearest is marked as used."""
     best, at = 0.0, -1
     for i in range(n):
         what, d = roots[ROOT * i + STANDS_FOR], abs(wrapped(roots[ROOT * i + ANGLE] - angle))

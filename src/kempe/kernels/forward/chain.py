@@ -113,7 +113,7 @@ def times_slide(t, theta):
 
 @device
 def times_ball(t, r):
-    """Row t of T @ R, r the nine entries of R."""
+    """Row t of T @ R, r the nine entries of R, row by row."""
     x, y, z, p = t
     return (
         x * r[0] + (y * r[3] + z * r[6]),
@@ -125,7 +125,7 @@ def times_ball(t, r):
 
 @device
 def times_placement(form, u, v, w, f, k):
-    """The rows of T @ X."""
+    """The three rows of T @ X, from rows u, v, w of T; the placement X at f[k:] is of this `form`."""
     if form == RX_FLAT:
         return times_rx_flat(u, f, k), times_rx_flat(v, f, k), times_rx_flat(w, f, k)
     if form == RX:
@@ -135,7 +135,7 @@ def times_placement(form, u, v, w, f, k):
 
 @device
 def count_variables(ints):
-    """Numbers that `read_variables` keeps of a configuration: a turn has two, a slide one, a ball four."""
+    """How many numbers `read_variables` keeps of a configuration: two of a turn, one of a slide, four of a ball."""
     total = 0
     for row in range(ints[N_ROWS]):
         kind = ints[HEADER + ROW_INTS * row + KIND]
@@ -190,7 +190,7 @@ def strays(ints, floats, q, start):
 
 @device
 def sweep_lanes(ints, floats, variables):
-    """The matrix rows of LANES poses, of which `read_variables` has kept the variables."""
+    """The matrix rows of LANES poses, from `variables` as `read_variables` wrote them."""
     n_rows = ints[N_ROWS]
     u, v, w = spread_row(floats, 0), spread_row(floats, 4), spread_row(floats, 8)
     row = k = 0

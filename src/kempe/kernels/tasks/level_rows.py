@@ -54,7 +54,7 @@ def assess(loops, work):
 
 @device
 def square_of_tie(loops, ask, k):
-    """Weighted square of what a tie misses."""
+    """Weighted squared residual of a tie."""
     tie, total = loops.plan[L.AT_TIES] + L.TIE_INTS * k, 0.0
     at = loops.plan[tie + L.FIRST_ROW]
     for i in range(at, at + loops.plan[tie + L.ROWS]):
@@ -64,7 +64,7 @@ def square_of_tie(loops, ask, k):
 
 @routine
 def square_of(loops, ask, first, last, hard_only):
-    """Weighted square of what stages first to last miss."""
+    """Weighted squared residual of stages first to last."""
     total = 0.0
     for k in range(loops.plan[L.N_TIES]):
         if first <= ask.stage[k] <= last and not (hard_only and ask.hard[k] == 0):
@@ -74,7 +74,7 @@ def square_of(loops, ask, first, last, hard_only):
 
 @routine
 def missed(loops, ask, first, last):
-    """The largest square of what a hard tie of these stages misses, as a part of its tolerance."""
+    """The largest squared residual of a hard tie of these stages, as a part of its squared tolerance."""
     plan, worst = loops.plan, 0.0
     for k in range(plan[L.N_TIES]):
         if ask.stage[k] < first or ask.stage[k] > last or ask.hard[k] == 0:
@@ -95,7 +95,7 @@ def missed(loops, ask, first, last):
 
 @routine
 def count_in(loops, work, ask, stage, held, damping, hard_only):
-    """Let the rows count: those before `stage` with D = held, those of it with `damping` by weight, others not."""
+    """Mark the rows that count: of stages before `stage` with D = held, of it with `damping` by weight, no others."""
     plan = loops.plan
     for k in range(plan[L.N_TIES]):
         tie, s = plan[L.AT_TIES] + L.TIE_INTS * k, ask.stage[k]
@@ -125,7 +125,7 @@ def unbind(loops, work):
 
 @routine
 def freeze(loops, work, ask, stage):
-    """Hold from now on what a stage has reached: it misses nothing more."""
+    """Hold from now on what a stage has reached: its residual becomes zero."""
     plan = loops.plan
     for k in range(plan[L.N_TIES]):
         if ask.stage[k] == stage:
@@ -139,7 +139,7 @@ def freeze(loops, work, ask, stage):
 
 @routine
 def is_hard(loops, ask, stage):
-    """Whether a stage is hard."""
+    """Whether a stage is hard: it must be met, and is not only minimised."""
     for k in range(loops.plan[L.N_TIES]):
         if ask.stage[k] == stage:
             return ask.hard[k] != 0
@@ -157,7 +157,7 @@ def rigid(pin, k):
 
 @routine
 def restore(loops, ask):
-    """Restore the bounds that are given."""
+    """Restore the stages, and whether they are hard, as given."""
     ties = loops.plan[L.N_TIES]
     for k in range(ties):
         ask.stage[k], ask.hard[k] = ask.given[k], ask.given[ties + k]

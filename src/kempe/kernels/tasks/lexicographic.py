@@ -53,7 +53,10 @@ LONGER, TRUST = 4.0, 0.1
 
 @routine
 def foreseen(loops, work, part):
-    """Square of what straight equations leave of the rows that count after a part of the step: D y after all of it."""
+    """Squared residual of the rows that count after the fraction `part` of a step, as linear equations predict it.
+
+    After the whole step a residual is D y.
+    """
     square = 0.0
     for i in range(loops.plan[L.N_ROWS]):
         if work.damp[i] < OFF:
@@ -64,7 +67,7 @@ def foreseen(loops, work, part):
 
 @device
 def is_straight(square, before, after):
-    """Whether a step from one square that should have led to another did, though damped or cut off to a small one."""
+    """Whether a short step led from the squared residual `before` to `square`, near the predicted `after`."""
     first, promised = math.sqrt(before), math.sqrt(after)
     small = 0.5 * first < promised < (1.0 - LITTLE) * first
     return small and abs(math.sqrt(square) - promised) <= STRAIGHT * (first - promised)
@@ -72,10 +75,10 @@ def is_straight(square, before, after):
 
 @routine
 def descend(loops, work, ask, last, enough, limit):
-    """Least square of what stages 0 to last miss, from q on, whether it is enough, and steps; `kept` is where.
+    """Least squared residual of stages 0 to last on the way from q, whether it is enough, and number of steps.
 
-    Enough is a square, or 0 for the tolerances of the hard ties, which then alone count; once these are met, some steps
-    more make the error as small as it gets.
+    Writes its configuration to `kept`. `enough` is a square, or 0 for the tolerances of the hard ties, which alone
+    count then; once these are met, some more steps make the error as small as possible.
     """
     best, before, steps, idle, good = np.inf, np.inf, 0, 0, False
     hard_only, longest, trust, from_, to = enough == 0.0, LONGEST, 1.0, 0.0, 0.0
@@ -114,7 +117,7 @@ def descend(loops, work, ask, last, enough, limit):
 
 @routine
 def close(loops, work, ask, last, enough, limit):
-    """Least square of what stages 0 to last miss near q, where q ends, assessed."""
+    """Least squared residual of stages 0 to last found near q; moves q there and assesses it."""
     square, _, _ = descend(loops, work, ask, last, enough, limit)
     copy(loops.q, work.kept, 0, loops.nq)
     assess(loops, work)
@@ -132,7 +135,7 @@ def is_late(loops, work, stop):
 
 @routine
 def aim(loops, work, mode, part):
-    """What the last stage lowers, at q; writes the wished step down there, `part` of the way."""
+    """Value of what the last stage lowers, at q; writes a step (nv,) that lowers it, scaled by `part`, to `wish`."""
     if mode == AHEAD:
         far = distance(loops, work.goal, work.wish)
         for v in range(loops.nv):
@@ -146,7 +149,7 @@ def aim(loops, work, mode, part):
 
 @routine
 def slope_of(loops, work, ask, stage, mode, part):
-    """Rate of what a stage misses, or of the aim, along the step, and the curvature that its squares alone have.
+    """Slope of the squared residual of a stage, or of the aim, along the step, and its Gauss-Newton curvature.
 
     Both at the q that was assessed last.
     """
@@ -172,13 +175,13 @@ def slope_of(loops, work, ask, stage, mode, part):
 
 @routine
 def value_of(loops, work, ask, stage, mode, part):
-    """What a stage misses, or the aim."""
+    """Weighted squared residual of a stage, or the value of the aim."""
     return square_of(loops, ask, stage, stage, False) if mode == NOTHING else aim(loops, work, mode, part)
 
 
 @routine
 def look_along(loops, work, ask, stage, bound, mode, part, best, slope, longest):
-    """Least value found along the step that was taken, its curvature there, and the length that a parabola suggests.
+    """Least value found along the step taken, its curvature, and the factor of its length that a parabola suggests.
 
     Every trial is closed; one that is much too long or too short is made once more with the length of the parabola.
     `trial` is where the least is, `way` the first step. A trial counts where earlier stages are within the bound.
@@ -207,7 +210,7 @@ def look_along(loops, work, ask, stage, bound, mode, part, best, slope, longest)
 
 @device
 def damping_for(loops, work, damping, extra, better):
-    """The next damping: the curvature that the squares leave out, `extra` along `way`; more after a failure."""
+    """The next damping: `extra` curvature along `way`, which the squares leave out, bounded; larger after a failure."""
     size = 1e-300
     for v in range(loops.nv):
         size += work.way[v] * work.way[v]
@@ -219,15 +222,15 @@ def damping_for(loops, work, damping, extra, better):
 
 @routine
 def bound_of(loops, work, ask, stage):
-    """What the stages before this one may miss from here on, q closed: square, and largest part of a tolerance."""
+    """Bounds for the stages before this one, with q closed: their squared residual and largest part of a tolerance."""
     square = close(loops, work, ask, stage - 1, ROUNDING, CLOSING)
     return max(ROUNDING, 4.0 * square), max(1.0, missed(loops, ask, 0, stage - 1))
 
 
 @routine
 def ease(loops, work, ask, stage, bound, limit, mode, stop):
-    """Steps taken from q that lower what a stage misses (mode 0) or the aim, whether the time was up, and the value
-    reached; ends in q, assessed. All earlier stages stay within the bound, as they are at q.
+    """Number of steps that lower the residual of a stage (mode 0) or the aim, whether the time was up, and the value
+    reached; moves q there and assesses it. Earlier stages stay within the bound.
     """
     copy(work.best, loops.q, 0, loops.nq)
     damping, part, steps, idle, streak, late, longest = 1e-3, 1.0, 0, 0, 0, False, LONGEST
@@ -288,10 +291,10 @@ def nudge(loops, key):
 
 @routine
 def lower(loops, work, ask, stage, limit, mode, stop):
-    """Steps, and whether the time was up; as `ease`, but does not stay on a saddle or a maximum.
+    """Number of steps, and whether the time was up; as `ease`, but leaves saddles and maxima.
 
-    Where the gradient vanishes and the error does not, a little push and a few steps show whether it is one. The bound
-    is that of before the push: where the earlier stages cannot be closed as they were, there is no way down.
+    Where the gradient vanishes and the error does not, a small push and a few steps show whether q is one. The bound
+    is that before the push: where the earlier stages cannot be closed as they were, there is no way down.
     """
     bound = bound_of(loops, work, ask, stage)
     steps, late, best = ease(loops, work, ask, stage, bound, limit, mode, stop)

@@ -86,9 +86,9 @@ def gauss_newton(
     cut: float = CUT, met: float = 0.0, last: float = LAST, longest: float = math.inf, halving: bool = False,
     move: Callable[[Array, Array], Array] = np.add,
 ) -> GaussNewtonEnd:  # fmt: skip
-    """Where at most `tries` steps from `x` lead.
+    """The point, residual and Jacobian to which at most `tries` Gauss-Newton steps from `x` lead.
 
-    It ends where no more than `met` is missing, after a step up to `last`, before one that is nothing or not finite,
+    It ends where the residual is at most `met`, after a step up to `last`, before one that is zero or not finite,
     and with `halving` before one longer than half the one before. Steps are shortened to `longest`. `step` gives
     another step (n,) at (x, r, J) than `least_squares`, `move` the point to which one leads.
     """
@@ -110,11 +110,11 @@ def gauss_newton_of_many(
     step: Callable[[Array, Array], Array] | None = None, cut: float = CUT, met: float = 0.0, last: float = LAST,
     longest: float = math.inf, move: Callable[[Array, Array], Array] = np.add,
 ) -> Array:  # fmt: skip
-    """Where (k, n) such steps lead from many starts (k, n), each by itself.
+    """Points (k, n) to which at most `tries` Gauss-Newton steps lead from many starts (k, n), each on its own.
 
-    `equations` gives what is missing (j, m) and the derivatives (j, m, n) at points (j, n), at places (j,) among all.
-    `step` gives other steps (j, n) for r and J than `least_squares_of_many`. A length is the largest change of one
-    number. A start from which one comes to something that is not finite becomes NaN.
+    `equations` gives residuals (j, m) and Jacobians (j, m, n) at points (j, n), those of the starts of indices (j,).
+    `step` gives other steps (j, n), from these, than `least_squares_of_many`. Options are those of `gauss_newton`, but
+    the size of a step is its largest entry. A point becomes NaN where its residual is not finite.
     """
     x, left = np.array(x), np.arange(len(x))
     for _ in range(tries):

@@ -72,9 +72,9 @@ def assemble(
 
 
 def allowing(system: System, tolerance: float | str) -> tuple[System, float]:
-    """The system to close within a tolerance, and the largest residual of a success.
+    """The system to assemble within a tolerance, and the largest residual that counts as success.
 
-    Where another mechanism is nearest, it closes exactly; the given one has what is open for its residual.
+    A near mechanism that closes exactly takes the place of the given one; without one, the tolerance is that residual.
     """
     found = within(system, tolerance)
     if found is not None:

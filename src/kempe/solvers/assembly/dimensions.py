@@ -97,7 +97,7 @@ class Dimensions:
         }
 
     def changed(self, p: Array, system: System | None = None) -> System:
-        """The system with these changes, over its own tree or over that of `system`."""
+        """The system, or `system`, with its dimensions changed by p (size,); its spanning tree is kept."""
         system = system or self.system
         m = system.mechanism
         for (table, name, side), more in self.steps(p).items():

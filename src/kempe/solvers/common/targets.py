@@ -79,7 +79,7 @@ def axis_of(axis: object) -> tuple[float, float, float]:
 
 
 def axis_for(axis: object, task: str | None) -> tuple[float, float, float]:
-    """The pointing axis of a task, which is checked where the task reads none, too. Errors: `InputError`."""
+    """The pointing axis of a task, z where it has none; `axis` is checked in any case. Errors: `InputError`."""
     given = Z_AXIS if axis is Z_AXIS else axis_of(axis)
     return given if points_along(task) else Z_AXIS
 
@@ -152,9 +152,9 @@ def refuse_position(task: str, is_position: bool, dim: int) -> None:
 
 
 def in_plane(target: Any, task: str | None, axis: object) -> tuple[Any, str]:
-    """Target and task of a planar system where an axis of the tool is pointed: the angle of the frame is then given.
+    """Poses (..., 4, 4) and the task "pose" or "orientation" that point an axis of the tool in the plane.
 
-    Directions have two or three numbers, positions too; poses are left as they are.
+    Directions and positions have two or three numbers; poses and other shapes stay as they are. Errors: `InputError`.
     """
     full = "orientation" if task == "direction" else "pose"
     shape, widths = np.shape(target), (2, 3) if task == "direction" else (4, 6)

@@ -84,7 +84,7 @@ class Decomposition:
             self.drives += self.by_slot.get(slot, [])
 
     def _relate(self) -> bool:
-        """Use relations of several coordinates: one unknown is found, none is a check."""
+        """Whether a relation of coordinates was used: to find its one unknown, or as a check if it has none."""
         slots = {c: i for i, c in enumerate(self.system.coordinate_names)}
         for relation in self.relations:
             terms = {slots[relation.of]: 1.0, **{slots[k]: -m for k, m in relation.sources.items()}}
@@ -105,7 +105,7 @@ class Decomposition:
         return False
 
     def _expect(self, constant: float, terms: dict[int, float]) -> None:
-        """Count how far constant + sum of terms is from zero among the openings."""
+        """Append a check to the program: constant + sum of m q[slot], times the size of the parts, is an opening."""
         self.code.append(K.SET, [K.SPARE], [constant])
         for slot, m in terms.items():
             self.code.append(K.ADD, [K.SPARE, self.code.coordinate(slot)], [m])

@@ -131,7 +131,7 @@ class Dyad(InWords):
 
 
 def times(a: Pose, b: Pose) -> Pose:
-    """The pose a b."""
+    """The planar pose a b, b in the frame of a."""
     c, s, x, y = a
     return c * b[0] - s * b[1], s * b[0] + c * b[1], x + c * b[2] - s * b[3], y + s * b[2] + c * b[3]
 
@@ -143,7 +143,7 @@ def inverse(a: Pose) -> Pose:
 
 
 def turned(a: Pose, angle: float) -> Pose:
-    """A pose, followed by a turn."""
+    """The planar pose a, turned by an angle [rad] about its own origin."""
     return times(a, (math.cos(angle), math.sin(angle), 0.0, 0.0))
 
 

@@ -32,10 +32,10 @@ CONDITION = 1e-14
 
 
 def search_again(task: FrameProblem, targets: Array, head: tuple[Any, ...], out: Array) -> int:
-    """Number of targets (N, 4, 4) that are still not reached; of the others the answers in `out` are made good.
+    """Number of targets (N, 4, 4) that stay unreached; the answers in `out` become better where they can.
 
-    head: the first arguments of the kernels. Where a search ended counts as a start, and so do more of its ends; for
-    poses with the tip moved to the last axis, which changes nothing but the lever of the tool.
+    head: the first arguments of the kernels. Starts are the ends of the first search and of further ones, then closed
+    forms. For poses the tip is moved to the last axis, which changes nothing but the lever of the tool.
     """
     ints, floats, limits, rows, goals, seeds, rng = head
     n = out.shape[1] - ANSWER

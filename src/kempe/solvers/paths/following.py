@@ -185,7 +185,7 @@ class _FollowedPath(PathSteps):
     """The way of targets, and the path along it."""
 
     def reason(self, i: int, q: Array, part: float) -> str:
-        """What ends the way at q: the limits that it would leave, or a singularity."""
+        """What ends the path at q, a fraction `part` of the way to target i: limits, a singularity, or neither."""
         ahead = self.at(i, min(part + 4.0 * 0.5**DEPTH, 1.0))
         free = self.step(replace(ahead, limits=False), q)
         if free is not None and (names := outside_limits(self.system, free, ROUNDING, False)):

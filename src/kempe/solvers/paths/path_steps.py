@@ -145,7 +145,7 @@ class PathSteps:
         return found if found is not None and self.smooth(moved, before) else None
 
     def loose(self, problem: Demands, q: Array, before: Array) -> Array | None:
-        """As `step`, but within the tolerance only: residuals in singular directions stay. None where this fails."""
+        """As `coast`, but within the tolerance only: residuals in singular directions stay. None where this fails."""
         x = self.truncated(problem, q, before) if self.given > TOLERANCE else None
         good = x is not None and judge(problem, x[None], np.full((1, 3), SOLVED)).success
         return x if good else None
@@ -198,7 +198,7 @@ class PathSteps:
         return None
 
     def land(self, problem: Demands, q: Array, ahead: Array) -> tuple[Array | None, Array]:
-        """Where (nq,) the solver gets to from a scaled step (nv,) away from q, None without success, and the step."""
+        """The configuration (nq,) found from q plus the scaled step `ahead` (nv,), or None; the scaled step there."""
         self.budget.check()
         start = self.system.structure.layout.integrate(q, ahead * self.scale)[None]
         found, info = replace(problem, starts=1).run(inside(self.system, start) if problem.limits else start)

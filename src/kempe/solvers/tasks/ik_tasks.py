@@ -94,14 +94,17 @@ class Demands:
         return self.tolerance if task.tolerance is None else tolerances(task.tolerance)
 
     def of(self, index: int) -> Demands:
-        """The problem of one row of a batch."""
+        """The problem of row `index` of a batch."""
         pins = self.pins[index : index + 1] if len(self.pins) > 1 else self.pins
         aim = self.aim[index : index + 1] if self.aim is not None and len(self.aim) > 1 else self.aim
         goals = tuple(_row(g, index, self.lead) for g in self.goals)
         return replace(self, goals=goals, pins=pins, aim=aim, lead=())
 
     def only(self, tasks: Sequence[int], limits: bool = True, one_sided: bool = True) -> Demands:
-        """The same with only these tasks, nothing preferred, no limit of time, and few starts."""
+        """The problem with only these tasks, without preference or time limit, and from at most `STARTS` starts.
+
+        `limits` says whether joint limits count, `one_sided` whether one-sided constraints of the system do.
+        """
         use = tuple(i in tasks for i in range(len(self.tasks)))
         few = min(self.starts, STARTS)
         return replace(
@@ -315,7 +318,7 @@ def _row(goals: Goals, index: int, lead: tuple[int, ...]) -> Goals:
 
 
 def _preferring(problem: Demands, prefer: Any, base: Array) -> Demands:
-    """The problem with what is to be made least last."""
+    """The problem, with what `prefer` minimises as its last level."""
     if prefer == "nearest":
         return replace(problem, mode=S.AHEAD, aim=_home(problem.system)[None] if problem.loose else base)
     if prefer == "mid":

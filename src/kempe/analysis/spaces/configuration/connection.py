@@ -77,12 +77,12 @@ class Connection(Configurations):
 def path(system: System, q0: Any, q1: Any, *, budget: Budget | None = None) -> Connection:
     """A continuous motion from q0 to q1 (nq,) within limits and on all constraints, or why there is none.
 
-    Where nothing but limits bounds the coordinates it is the straight way. With one freedom it leads along the traced
-    curve through q0, over bifurcations if need be. Otherwise two random trees grow on the closed configurations until
-    they meet (Berenson, Srinivasa, Ferguson, Kuffner, 2009), and the way is shortened and refined: between two
-    points the middle was closed, too, and lay between them. Of the `budget` are read: step (0.1 of arc length between
-    two points, at most), rng (0), iterations (4000 branches), time_limit (120 s). Errors: `InputError` where q0 or q1
-    is no single configuration, or is not closed.
+    Where only limits bound the coordinates it is a straight line in them. With one freedom it follows the traced curve
+    through q0, across bifurcations if need be. Otherwise two random trees grow on the closed configurations until they
+    meet (Berenson, Srinivasa, Ferguson, Kuffner, 2009), and the path is shortened and refined: the midpoint of any two
+    neighbouring points was projected to a closed configuration, too, which lay between them. Of the `budget` are read:
+    step (0.1 of arc length between two points, at most), rng (0), iterations (4000 branches), time_limit (120 s).
+    Errors: `InputError` where q0 or q1 is no single configuration, or is not closed.
     """
     spend = USUAL.of(budget)
     if not is_real(spend.step) or not 1e-4 <= spend.step <= 1.0:

@@ -76,7 +76,7 @@ class Decider:
         return _ordered([coarse.only(~coarse.open), self._refined(left.low, left.high, FINE)])
 
     def _values(self, low: Array, high: Array, order: int) -> tuple[Array, Array, np.ndarray]:
-        """Middles and radii (order + 1, f, n, k) of all functions on intervals, and their kinds (f)."""
+        """Middles and radii (order + 1, f, n, k) of Taylor coefficients of all functions on intervals; kinds (f,)."""
         n, k = len(low), len(self.signs)
         x = interval(np.repeat(low, k), np.repeat(high, k), order)
         found = self.branches.functions(x, np.tile(self.signs, (n, 1)))
@@ -86,7 +86,7 @@ class Decider:
         return mid.reshape(shape), rad.reshape(shape), np.array([kind for _, kind in found])
 
     def _at(self, x: Array) -> tuple[Array, Array]:
-        """Lower and upper bounds (f, n, k) at points (n,)."""
+        """Lower and upper bounds (f, n, k) of all functions at points (n,)."""
         mid, rad, _ = self._values(x, x, 0)
         return mid[0] - rad[0], mid[0] + rad[0]
 

@@ -120,7 +120,7 @@ class PlanarChain(PlanarRegion):
 
     @cached_property
     def size(self) -> float:
-        """A length of the chain."""
+        """A length scale [m]: distances between successive axes and the tip, plus the largest values of slides."""
         places = [j.axis for j in self.joints if j.axis is not None] + [self.tip]
         slides = [abs(j.way) * max(abs(j.low), abs(j.high)) for j in self.joints if j.axis is None]
         return sum(abs(b - a) for a, b in itertools.pairwise(places)) + sum(slides)

@@ -47,9 +47,9 @@ class PlanarRegion:
 
     @cached_property
     def sides(self) -> list[tuple[PlanePiece, int, int]]:
-        """The candidates, cut where they meet, with how many solutions are on either side.
+        """Pieces of the candidates, cut where these meet, with the numbers of solutions to the left and to the right.
 
-        Each is turned so that it has more to its left.
+        Each piece is directed so that the number to its left is no less.
         """
         out: list[tuple[PlanePiece, int, int]] = []
         for i, piece in enumerate(self.candidates):

@@ -165,7 +165,7 @@ class _Steps:
         return f"{joined(moved)} are taken in another order" if moved else ""
 
     def _degrees(self) -> tuple[int, int]:
-        """Values of x and z at most: two of a turn, one of a slide whose equation is linear; one of what rests."""
+        """Largest numbers of values of x and z: two of a turn, one of a slide with a linear equation or at rest."""
         x, z = 3, 5
         if self.way.mode == AT_REST:
             return 1, 1
@@ -184,7 +184,7 @@ class _Steps:
 
     @property
     def inner_ways(self) -> int:
-        """Solutions of the inner joints at most."""
+        """Largest number of solutions of the inner joints."""
         inner = self.roles[:3]
         if A.REST in inner or A.JOINT not in inner or (self.way.what == PLANE and sum(self.slides[:3]) > 1):
             return 1
@@ -192,7 +192,7 @@ class _Steps:
 
     @property
     def most(self) -> int:
-        """Configurations at most."""
+        """Largest number of configurations that reach a target."""
         outer = self.degrees[0] * self.degrees[1]
         if self.roles[4] == A.REST:  # x and z alone move a point, or a direction: two circles meet in two points
             outer = min(outer, 2)
@@ -237,7 +237,7 @@ class _Steps:
         return ", ".join(said)
 
     def _called(self, k: int) -> str:
-        """The joint at a place round the inner ones; '' for one that must rest."""
+        """Name of joint k of the six, inner ones first, or what a free one is; '' for an added one that must rest."""
         if self.roles[k] == A.FREE:
             return "the free slide" if self.slides[k] else "the free turn"
         return self.names[k]

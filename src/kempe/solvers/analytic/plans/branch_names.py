@@ -106,7 +106,7 @@ def named(kind: Kind | None, names: np.ndarray, words: str | Iterable[str]) -> n
 
 
 def _plain(word: str) -> str:
-    """A word as it is compared: letters joined by a hyphen or by spaces are the same; "elbow -" keeps its sign."""
+    """A word as it is compared: hyphens between letters become spaces, and spaces single; "elbow -" keeps its sign."""
     return " ".join(re.sub(r"(?<=\w)-(?=\w)", " ", word).split())
 
 

@@ -53,7 +53,7 @@ def within(tolerance: Any) -> float:
 
 
 def held_by(fixed: Any) -> Mapping[str, Any]:
-    """Values of joints that are held, by name, as they are given. Errors: `InputError`."""
+    """Values of held joints by name, unchecked; empty for None. Errors: `InputError` for what is no mapping."""
     names: Any = fixed
     if fixed is not None and not isinstance(fixed, Mapping):
         raise InputError(f"fixed is {type(fixed).__name__}; it must be a dict of values by joint name")

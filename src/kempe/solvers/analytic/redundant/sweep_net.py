@@ -22,8 +22,8 @@ Piece = tuple[Array, Array]
 class Net:
     """Solutions at rising values of the parameter, and the pieces of curve that join them.
 
-    x, t (M, nf): solutions and unit tangents over which the parameter rises; level (M,): which value. `up[a]` is the
-    node next above a with the piece from a to it, both inclusive; `head[a]` and `foot[a]` are pieces that end in a fold
+    x, t (M, nf): solutions and unit tangents along which the parameter rises; level (M,): which value. `up[a]` is the
+    next node above a with the piece from a to it, both inclusive; `head[a]` and `foot[a]` are pieces that end in a fold
     above a, or begin in one below; `loose` are arcs that no value meets.
     """
 
@@ -67,7 +67,10 @@ class Net:
         self.below.add(b)
 
     def _follow(self, a: int, sense: float) -> None:
-        """Follow the curve from a node up or down to the next value, or back to its own."""
+        """Follow the curve from node a up (sense 1) or down (-1) to the next value of the parameter, or back.
+
+        Its pieces are kept in `up`, `head`, `foot` and `loose`.
+        """
         motion, i = self.motion, int(self.level[a])
         j = i + int(sense)
         between = (float(min(self.values[i], self.values[j])), float(max(self.values[i], self.values[j])))
@@ -98,7 +101,7 @@ class Net:
             self.foot[a] = x[::-1], -t[::-1]
 
     def _node(self, x: Array, level: int) -> int | None:
-        """The node at a level where a path has arrived; None where there is none."""
+        """The node at a level that equals x (nf,), where a path has arrived; None where there is none."""
         some = self.at[level]
         if not some.size:
             return None
