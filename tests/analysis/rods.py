@@ -42,23 +42,24 @@ class Rods:
     def ball(self, a: str, b: str, at: np.ndarray, form: str | None = None) -> None:
         w, (x, y, z) = self.world, self.axes()
         form = form or str(self.rng.choice(FORMS))
+        here, there, far = (at + d * axis for d, axis in zip(self.rng.uniform(-0.3, 0.3, 3), (x, y, z), strict=True))
         if form in ("S", "A"):
             w.ball(a, b, at, **({"angles": True} if form == "A" else {}))
         elif form == "UR":
             link = self.name("link")
             w.cross(a, link, at, x, np.cross(x, y))
-            w.turn(link, b, at, z)
+            w.turn(link, b, far, z)
         elif form == "RU":
             link = self.name("link")
-            w.turn(a, link, at, x)
+            w.turn(a, link, here, x)
             w.cross(link, b, at, y, np.cross(y, z))
         else:
             one, two = self.name("link"), self.name("link")
-            w.turn(a, one, at, x)
-            w.turn(one, two, at, y)
+            w.turn(a, one, here, x)
+            w.turn(one, two, there, y)
             if form == "RRfR":
                 w.joint("fixed", two, two := self.name("link"), at + self.point(0.1), self.axis())
-            w.turn(two, b, at, z)
+            w.turn(two, b, far, z)
 
     def universal(self, a: str, b: str, at: np.ndarray) -> None:
         x, y, _ = self.axes()
@@ -168,9 +169,12 @@ def engine(r: Rods, ground: str) -> None:
 
 
 def dome(r: Rods, ground: str) -> None:
-    """A spherical linkage of five bars: all hinges meet, and nothing is a ball."""
-    center, bodies = r.point(), [ground, *(r.name("bar") for _ in range(4)), ground]
-    for a, b in zip(bodies[:-1], bodies[1:], strict=True):
+    """A spherical linkage of five bars, or a row of five hinges that meet in a longer loop: nothing is a ball."""
+    centers = [r.point()] * 5
+    if r.rng.random() < 0.5:
+        centers = [*centers, *(r.point() for _ in range(3))][:: int(r.rng.choice([-1, 1]))]
+    bodies = [ground, *(r.name("bar") for _ in centers[1:]), ground]
+    for a, b, center in zip(bodies[:-1], bodies[1:], centers, strict=True):
         r.world.turn(a, b, center, r.axis())
 
 

@@ -190,15 +190,15 @@ def _at_hub(m: Mechanism, body: str, X: np.ndarray, world: dict) -> np.ndarray:
 
 
 def test_the_rank_is_decided_at_the_gap():
-    assert decide(np.array([1.0, 0.5, 1e-15]), 3)[0] == 2
-    assert decide(np.array([1.0, 0.5, 3e-8]), 3)[0] == 2  # a singular point known to 1e-15 only
-    rank, gap = decide(np.array([1.0, 3e-6, 1e-7]), 3)
+    assert decide(np.array([1.0, 0.5, 1e-15]))[0] == 2
+    assert decide(np.array([1.0, 0.5, 3e-8]))[0] == 2  # a singular point known to 1e-15 only
+    rank, gap = decide(np.array([1.0, 3e-6, 1e-7]))
     assert rank == 1 and gap == pytest.approx(1 / 3e-6)
-    rank, gap = decide(np.array([1.0, 1e-5, 1e-7]), 3)
+    rank, gap = decide(np.array([1.0, 1e-5, 1e-7]))
     assert rank == 1 and gap > 1e3
-    assert decide(np.array([2.0, 1.0]), 5) == (2, pytest.approx(0.5 / 1e-15))
-    assert decide(np.zeros(3), 3)[0] == 0 and decide(np.zeros(0), 3)[0] == 0
-    rank, gap = decide(np.array([1.0, 1e-2, 3e-5, 2e-5, 5e-7]), 5)
+    assert decide(np.array([2.0, 1.0])) == (2, pytest.approx(0.5 / 1e-15))
+    assert decide(np.zeros(3))[0] == 0 and decide(np.zeros(0))[0] == 0
+    rank, gap = decide(np.array([1.0, 1e-2, 3e-5, 2e-5, 5e-7]))
     assert gap < 1e3  # said to be doubtful
 
 

@@ -67,6 +67,13 @@ def test_limits_that_are_reached(name, hunt):
             assert ways == (least(row, E, G) < -1e-6, least(-row, E, G) < -1e-6)
 
 
+def test_what_is_printed_of_a_report_is_short():
+    """Ranks, wrenches and the report of limits are arrays of many lines, which the `repr` of the answer leaves out."""
+    system = kempe.load("puma560")
+    m = system.mobility(system.structure.limits[:, 1])
+    assert m.one_sided is not None and not any(f"{name}=" in repr(m) for name in ("one_sided", "rank", "wrenches"))
+
+
 def test_states_and_slacks():
     system = kempe.load("puma560")
     low, high = system.structure.limits.T
@@ -77,7 +84,7 @@ def test_states_and_slacks():
     assert found.violated == ("lower limit of q2",)
     side = {s.name: s for s in found.sides}
     assert side["lower limit of q2"].slack == pytest.approx(-0.25)
-    assert side["lower limit of q3"].slack == pytest.approx(0.5)
+    assert side["lower limit of q3"].slack == pytest.approx(0.5) and side["lower limit of q3"].ways == (True, True)
     assert "violated: lower limit of q2 by 0.25 rad" in str(found)
     assert "closed, down but not up" in str(side["upper limit of q1"])
 

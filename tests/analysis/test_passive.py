@@ -72,6 +72,16 @@ def check(r: Rods) -> None:
     for f in m.idle_freedoms:
         assert_spins(system, q, f)
         assert alone(system, q, (*f.bodies, *f.links)) >= 1
+        assert f.joined == through_joints(r.world, f), str(f)
+
+
+def through_joints(w: World, f: IdleFreedom) -> bool:
+    """Whether the origins of both joints, or the ends of rods, are two points of the axis."""
+    places = {name: p for name, _, _, _, p, _, _ in w.joints}
+    places |= {name: at if a in f.bodies else end for name, _, a, _, at, end, _ in w.constraints}
+    first, second = (places[n] - f.point for n in f.joints)
+    off = [np.linalg.norm(np.cross(d, f.direction)) for d in (first, second)]
+    return bool(max(off) < 1e-7 and abs((second - first) @ f.direction) > 1e-7)
 
 
 # ---- one by one

@@ -125,14 +125,14 @@ class Rank:
         return out
 
 
-def decide(values: Array, columns: int, size: float = 0.0) -> tuple[int, float]:
-    """Rank and gap of a matrix with these singular values (descending) and this number of columns.
+def decide(values: Array, size: float = 0.0) -> tuple[int, float]:
+    """Rank and gap of a matrix with these singular values (descending).
 
     `size` is what the largest would be if the matrix were not singular; where it is 0 the largest counts always.
     """
     if not len(values) or values[0] <= 0.0:
         return 0, np.inf
-    s = np.append(values / max(values[0], size), 0.0 if len(values) < columns else [])
+    s = values / max(values[0], size)
     above = np.append(1.0, s)  # above[r]: the last that counts if the rank is r
     first = 0 if size else 1
     allowed = [r for r in range(first, len(above)) if above[r] > NOTHING and (r == len(s) or s[r] < SOMETHING)]
@@ -157,7 +157,7 @@ def _cluster(
         n = J.shape[1]
         return ClusterRank(c, J, np.zeros(0), 0, np.inf, np.eye(len(J)), np.eye(n))
     U, values, Vt = np.linalg.svd(J)
-    r, gap = decide(values, J.shape[1], size)
+    r, gap = decide(values, size)
     size = max(values[0], size, 1e-300)
     return ClusterRank(c, J, values / size, r, gap, U[:, r:], Vt[r:].T, size)
 

@@ -106,7 +106,7 @@ class Wrenches:
             return own
         moves = np.stack([r.rates for r in rows])[:, self._bodies[-1][1] :]
         U, sizes, _ = np.linalg.svd(moves)
-        return _reduced(U[:, decide(sizes, moves.shape[1])[0] :].T @ own)
+        return _reduced(U[:, decide(sizes)[0] :].T @ own)
 
     def point(self, name: str) -> Array:
         """Where (3,) a wrench is taken: the origin of frame M of a joint, of frame B of a constraint."""
@@ -287,7 +287,7 @@ class Wrenches:
     @cached_property
     def _rank(self) -> int:
         values = np.asarray(np.linalg.svd(self._balance, compute_uv=False), dtype=float)
-        return decide(values, self._size)[0]
+        return decide(values)[0]
 
     @cached_property
     def _along_tree(self) -> Array:

@@ -305,7 +305,7 @@ def _run(alike: list[list[bool]], columns: list[int], first: int) -> int:
     for k in range(first, min(first + 6, len(columns))):
         if not all(alike[columns[k]][columns[i]] for i in range(first, k + 1)):
             return k - first
-    return min(6, len(columns) - first)
+    return 6
 
 
 def _side_by_side(twists: Array) -> tuple[np.ndarray, np.ndarray]:

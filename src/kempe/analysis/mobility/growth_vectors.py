@@ -223,14 +223,8 @@ def _growth(at: Distribution, rng: np.random.Generator, enough: int, patient: bo
     found, length, limit = [m], 1, _limit(words)
     while found[-1] < enough and m > 1 and length < limit:
         length += 1
-        grown, tried = 0, 0
-        while span.basis.shape[1] < enough:
-            count = min(enough - span.basis.shape[1], _most(m, length)) + MORE
-            made, noise = words(count, length)
-            new = sum(span.add(made[:, k].T, noise[:, k], k > 0) for k in range(length - 1, -1, -1))
-            grown, tried = grown + new, tried + 1
-            if new < count - 1 or tried > 3:
-                break
+        made, noise = words(min(enough - found[-1], _most(m, length)) + MORE, length)
+        grown = sum(span.add(made[:, k].T, noise[:, k], k > 0) for k in range(length - 1, -1, -1))
         found.append(found[-1] + grown)
         if not grown and not patient:
             break
@@ -240,7 +234,7 @@ def _growth(at: Distribution, rng: np.random.Generator, enough: int, patient: bo
 
 
 def _most(m: int, length: int) -> int:
-    """About how many independent brackets of a length there are of m letters, at most (Witt, 1937)."""
+    """A bound of the number of independent brackets of a length of m letters (Witt, 1937)."""
     return max(1, m**length // length)
 
 
