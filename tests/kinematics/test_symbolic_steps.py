@@ -135,7 +135,7 @@ def test_what_has_no_formula_is_said():
             ask("e", snap=3.0)
 
 
-@pytest.mark.parametrize("wrong", ["cos(q1)", None, object, [1, "q1"]])
+@pytest.mark.parametrize("wrong", ["cos(q1)", None, object, [1, "q1"], {"q1": [1, 2]}, {"q1": {}}])
 def test_what_is_no_formula_is_refused(wrong):
     with pytest.raises(InputError, match="must be an expression or a matrix of sympy"):
         ARM.symbolic.short(wrong)

@@ -186,11 +186,12 @@ def short_form(system: System, formula: Any) -> ShortForm:
     number: Any = getattr(formula, "item", None)  # one of numpy, which older versions of sympy do not read
     given: Any = number() if callable(number) and np.ndim(formula) == 0 else formula
     try:
-        formula = sympy.sympify(given, strict=True)  # text would be evaluated
-    except sympy.SympifyError:
-        raise InputError(f"formula is {shown(formula)}; it must be an expression or a matrix of sympy") from None
-    if not isinstance(formula, (sympy.Basic, sympy.MatrixBase)):
+        read = sympy.sympify(given, strict=True)  # text would be evaluated
+    except (sympy.SympifyError, TypeError):  # the latter from containers of what has no hash
+        read = None
+    if not isinstance(read, (sympy.Basic, sympy.MatrixBase)):
         raise InputError(f"formula is {shown(formula)}; it must be an expression or a matrix of sympy")
+    formula = read
     legend: dict[Any, Any] = {}
     words, angles = _words(system), dict[str, Any]()
     for found in sorted(formula.atoms(sympy.sin, sympy.cos), key=str):
