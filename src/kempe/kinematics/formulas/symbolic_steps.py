@@ -189,7 +189,7 @@ def short_form(system: System, formula: Any) -> ShortForm:
         read = sympy.sympify(given, strict=True)  # text would be evaluated
     except (sympy.SympifyError, TypeError):  # the latter from containers of what has no hash
         read = None
-    if not isinstance(read, (sympy.Basic, sympy.MatrixBase)):
+    if not isinstance(read, (sympy.Expr, sympy.Rel, sympy.MatrixBase)):
         raise InputError(f"formula is {shown(formula)}; it must be an expression or a matrix of sympy")
     formula = read
     legend: dict[Any, Any] = {}
