@@ -23,6 +23,7 @@ from kempe_bench import (
     peers,
     process,
     trees,
+    ways,
     whole,
     workspaces,
 )  # fmt: skip
@@ -38,7 +39,7 @@ SECTIONS: dict[str, Callable[[Bench], Table | None]] = {
     "assembly": loops.assembly, "success": loops.success,
     "dyads": cranks.dyads, "row": cranks.row, "dof": freedoms.dof, "mobility": freedoms.mobility,
     "classify": holding.classify, "laws": holding.laws,
-    "workspace": workspaces.binned,
+    "workspace": workspaces.binned, "paths": ways.planar,
     "startup": process.startup, "memory": process.memory,
 }  # fmt: skip
 """The parts of the benchmark, in their order."""

@@ -25,7 +25,7 @@ PEERS = {
     "pytorch-kinematics": "pytorch_kinematics", "exudyn": "exudyn", "drake": "pydrake", "pylinkage": "pylinkage",
     "EAIK": "eaik", "ik-geo": "ik_geo", "ssik": "ssik", "py-opw-kinematics": "py_opw_kinematics",
     "optik-py": "optik", "pytracik": "pytracik", "roboplan": "roboplan", "klampt": "klampt", "mink": "mink",
-    "pin-pink": "pink", "placo": "placo",
+    "pin-pink": "pink", "placo": "placo", "ompl": "ompl",
 }  # fmt: skip
 """Package name and module name of each peer."""
 

@@ -6,6 +6,7 @@ constraint manifolds", ICRA 2009: each step towards a sample is led back onto th
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -57,11 +58,16 @@ class Tree:
         return out[::-1]
 
 
-def stepped(manifold: Manifold, q: Array, aim: Array, step: float, time: TimeLimit) -> list[Array]:
-    """Configurations on the manifold, within limits, by which one comes from q towards an aim (nq,)."""
+def stepped(
+    manifold: Manifold, q: Array, aim: Array, step: float, time: TimeLimit, most: float = math.inf
+) -> list[Array]:  # fmt: skip
+    """Configurations on the manifold, within limits, by which one comes from q towards an aim (nq,).
+
+    It ends where more than `most` steps would be needed, even straight.
+    """
     left = float(manifold.apart(q[None], aim[None])[0])
     out: list[Array] = []
-    while left > 1e-9:
+    while left > 1e-9 and len(out) + left / step <= most + 1e-9:
         time.check()
         way = manifold.between(q[None], aim[None])
         if manifold.dim < manifold.system.nv:
@@ -112,8 +118,8 @@ def _shortened(
         if len(way) < 3:
             break
         i, j = map(int, np.sort(rng.choice(len(way), 2, replace=False)))
-        cut = stepped(manifold, way[i], way[j], step, time)
-        if j - i > 1 and len(cut) < j - i and cut and manifold.apart(cut[-1][None], way[j][None])[0] < 1e-9:
+        cut = stepped(manifold, way[i], way[j], step, time, j - i - 1)
+        if cut and len(cut) < j - i and manifold.apart(cut[-1][None], way[j][None])[0] < 1e-9:
             way = [*way[: i + 1], *cut, *way[j + 1 :]]
     return way
 
