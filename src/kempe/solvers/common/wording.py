@@ -286,7 +286,7 @@ def to_spare(count: int, held: str = "", first: Sequence[float] = (), tried: int
     if tried == 1:
         return text
     if not len(first):
-        return f"{text} ({tried} values were tried)"
+        return f"{text} ({counted(tried, 'value')} {verb(tried, 'was', 'were')} tried)"
     there = ", ".join(map(number, first))
     return f"{text} (at {there} there is none{' inside the limits' if inside else ''})"
 
