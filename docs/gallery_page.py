@@ -58,8 +58,9 @@ def draw(folder: Path = PICTURES) -> list[Path]:
         if path.exists():
             continue
         system = kempe.load(name)
-        q = system.assemble().q if system.structure.closures else system.mid
-        figure = system.plot(q, labels=()).figure
+        held = system.structure.closures or system.mechanism.constraints
+        axes = () if system.nq else "all"  # what has nothing that moves may have nothing else to show
+        figure = system.plot(None if held else system.mid, labels=(), axes=axes).figure
         figure.set_size_inches(2.4, 2.4 * figure.get_figheight() / figure.get_figwidth())
         figure.savefig(path, dpi=75)
     return sorted(folder.glob("*.png"))

@@ -41,6 +41,7 @@ class KernelsHook(BuildHookInterface):
             raise
         build_data["force_include"][str(built)] = f"kempe/kernels/{built.name}"
         build_data["force_include"][str(_licence_of_numba())] = "kempe/kernels/LICENSE.numba"
+        build_data["force_include"][str(Path(self.root, "docs", "lecture.md"))] = "kempe/library/lecture.md"  # the tour
         build_data["pure_python"] = False
         build_data["tag"] = f"cp311-abi3-{_platform_tag()}"
 

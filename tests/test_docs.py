@@ -197,6 +197,26 @@ def test_written_pages_are_up_to_date(name):
     assert shown == written_by(f"{name}_page").page(), f"run  python docs/{name}_page.py"
 
 
+def test_each_model_has_its_row_in_the_gallery():
+    page = (DOCS / "gallery.md").read_text(encoding="utf-8")
+    rows = re.findall(
+        r"^\| !\[(\w+)\]\(_static/gallery/(\w+)\.png\) \| `(\w+)` \| (\d+)[^|]* \| \S[^|]+\S \|$", page, re.MULTILINE
+    )
+    assert sorted(row[0] for row in rows) == sorted(library.names()) and len(rows) >= 40
+    assert all(len(set(row[:3])) == 1 for row in rows)
+
+
+@pytest.mark.slow
+def test_pictures_of_the_gallery(tmp_path):
+    """Each has something drawn on it."""
+    pytest.importorskip("matplotlib")
+    from matplotlib.image import imread
+
+    drawn = written_by("gallery_page").draw(tmp_path)
+    assert [p.stem for p in drawn] == sorted(library.names())
+    assert all(0.002 < float((imread(p)[..., :3].min(axis=-1) < 0.9).mean()) < 0.6 for p in drawn)
+
+
 def test_the_map_is_up_to_date():
     shown = (ROOT / "docs" / "_static" / "map.svg").read_text(encoding="utf-8")
     assert shown == written_by("map_page").picture(), "run  python docs/map_page.py"

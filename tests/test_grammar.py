@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import ast
+import itertools
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
+import sources
+from closed_graphs import random_closed
 
 import kempe
 from kempe.errors import KempeError
 from kempe.library import names as library_models
 from kempe.views import report
 from kempe.words import counted, in_words, of_many, plural, verb
+
+SOURCE = Path(kempe.__file__).parent
 
 NOT_PLURAL = """
     across always as axis bus closes does gives has holds is its leads leaves less lies locus means meets moves needs
@@ -98,3 +105,72 @@ def test_sentences_of_shipped_models_agree(name):
         ]  # fmt: skip
     text = "\n".join(map(said, calls))
     assert wrong(text) == []
+
+
+def about(system: kempe.System) -> str:
+    """What Kempe says about a mechanism, quickly."""
+    names, tip, assemble = system.coordinate_names, system.frame_names[-1], system.assemble
+    calls = [
+        lambda: system, lambda: system.structure, lambda: system.configuration_space,
+        lambda: system.configuration_space.parametrizations(), lambda: system.mobility(local=False),
+        lambda: "\n".join(system.mobility(local=False).counting.steps), lambda: system.loops.closed_form(names[:1]),
+        lambda: system.mobility(actuated=names[:1], local=False), system.independent, system.classify,
+        lambda: system.independent(prefer=names[:2]), lambda: report.info(system, False),
+        lambda: report.tree(system), lambda: system.task_space(tip), system.opened, assemble,
+        lambda: assemble(dict.fromkeys(names, 0.1)), lambda: assemble({names[0]: np.array([0.1])}),
+        lambda: system.ik(np.eye(4), tip, budget=FEW),
+        lambda: "\n".join(j.forbids(system.dim) for j in system.structure.joints.values()),
+    ]  # fmt: skip
+    return "\n".join(map(said, calls))
+
+
+@pytest.mark.parametrize("most", [16, pytest.param(400, marks=pytest.mark.slow)])
+def test_sentences_of_random_mechanisms_agree(most, hunt):
+    """Random mechanisms with one to three loops; a hundred of them in the long run."""
+    rng = hunt.rng()
+    for case in range(hunt.cases(most)):
+        assert wrong(about(random_closed(rng).system())) == [], f"case {case}"
+
+
+FEW = kempe.Budget(starts=1)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: kempe.from_dh([(1,)]), lambda: kempe.constraints.Equation("atan2(x)", of="x"),
+        lambda: kempe.load("two_link").fk([0.1], "e"), lambda: kempe.load("slider").fk([0.1, 0.2], "B5"),
+        lambda: kempe.load("two_link").inverse.arm_angle([0.1, 0.2], "e"),
+        lambda: kempe.load("two_link").ik([0.6], "e"),
+        lambda: kempe.load("four_bar").loops.closed_form(["A"]).solve([0.1, 0.2]),
+        lambda: kempe.load("two_link").task_space("e", task="pose"), lambda: kempe.load("slider").task_space("B5"),
+        lambda: kempe.load("slider").independent(prefer=["J6", "J6"]),
+        lambda: kempe.load("slider").singularities("B5", budget=FEW),
+        lambda: kempe.load("two_link").workspace("e", n=1),
+        lambda: kempe.load("four_bar").trace("A", budget=kempe.Budget(points=2)),
+        lambda: kempe.load("two_link").inverse.self_motion([0.1, 0.2], "e", task="position"),
+    ],
+)  # fmt: skip
+def test_sentences_about_one_thing_agree(call):
+    assert wrong(said(call)) == []
+
+
+AT_LEAST_TWO = (
+    "joints lead to it", "links are nobody's child", "values; a coordinate has one", "characters; at most",
+    "bodies with a joint to the ground beside it", "orientations", "events in all", "branches", "files",
+    "joints; it may have", "other joints:", "signs of equality", "actuated coordinates depend",
+)  # fmt: skip
+"""How texts go on after a number that is never one."""
+
+
+def test_numbers_of_things_are_counted():
+    """A text that puts a number before a plural says `counted(n, "thing")`, unless the number is never one."""
+    bare: list[str] = []
+    for path in sorted(SOURCE.rglob("*.py")):
+        for node in sources.nodes(path) if "{len(" in path.read_text(encoding="utf-8") else ():
+            for number, text in itertools.pairwise(node.values if isinstance(node, ast.JoinedStr) else ()):
+                if isinstance(number, ast.FormattedValue) and isinstance(text, ast.Constant):
+                    after = str(text.value).strip()
+                    if ast.unparse(number.value).startswith("len(") and re.match(r"(?:[a-z]+ )?[a-z]+s\b", after):
+                        bare += [f"{path.name}: {after}"] * (not after.startswith(AT_LEAST_TWO))
+    assert not bare

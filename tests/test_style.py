@@ -151,7 +151,7 @@ VERBS = """
     add analyse answer append apply arrange ask begin call check close collect combine compare compute convert copy
     count declare divide do draw drop end exchange exit fill find follow give go hold join judge keep let list make mark
     measure move note open optimise overwrite pin place print put raise read record refuse replace restore run save say
-    scale search set show solve sort start stop take tell turn warn write
+    scale search set show solve sort start stop take tell turn walk warn write
 """.split()
 """What a function does that returns nothing."""
 

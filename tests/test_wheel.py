@@ -94,6 +94,7 @@ def test_what_is_in_it(wheel):
         licence = archive.read("kempe/kernels/LICENSE.numba").decode()
     assert [n for n in names if n.endswith((".so", ".o", ".c"))] == ["kempe/kernels/_native.abi3.so"]
     assert "Anaconda" in licence and "Redistribution" in licence
+    assert "kempe/library/lecture.md" in names, "the tour walks through it"
     needs = re.findall(r"^Requires-Dist: ([\w-]+)[^;\n]*$", metadata, re.MULTILINE)
     assert sorted(needs) == ["numpy", "rich", "scipy", "typer"]
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from kempe.errors import CallError, InputError, KempeError, UnknownNameError, shown
 from kempe.reals import is_array, is_whole, reals
+from kempe.words import counted
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 Class = TypeVar("Class", bound=type)
@@ -257,7 +258,9 @@ def place_in(index: Any, shape: tuple[int, ...]) -> tuple[int, ...]:
     at: tuple[Any, ...] = places if isinstance(index, tuple) else (index,)
     if len(at) == len(shape) and all(_is_whole(i) and 0 <= i < n for i, n in zip(at, shape, strict=True)):
         return tuple(int(i) for i in at)
-    needed = f"{len(shape)} whole numbers, from 0 and below {shape}" if shape else "(), for there is one answer"
+    needed = (
+        f"{counted(len(shape), 'whole number')}, from 0 and below {shape}" if shape else "(), for there is one answer"
+    )
     raise InputError(f"index is {shown(places)}; it must be {needed}")
 
 

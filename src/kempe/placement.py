@@ -17,6 +17,7 @@ from kempe.errors import InputError
 from kempe.reals import is_array, is_sequence
 from kempe.rigid import arrays, sound
 from kempe.values import Expression, Value, evaluate, negate, value, values
+from kempe.words import counted
 
 Step = tuple[str, tuple[Value, ...]]
 
@@ -182,7 +183,7 @@ def check_step(motion: str, numbers: tuple[Value, ...]) -> None:
     if motion not in COUNTS:
         raise InputError(f"unknown motion {motion!r}; allowed are {', '.join(COUNTS)}")
     if len(numbers) != COUNTS[motion]:
-        raise InputError(f"{motion} has {len(numbers)} numbers; it must have {COUNTS[motion]}")
+        raise InputError(f"{motion} has {counted(len(numbers), 'number')}; it must have {COUNTS[motion]}")
     if motion in _SCALAR:
         return
     if any(isinstance(x, Expression) for x in numbers):

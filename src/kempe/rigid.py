@@ -11,6 +11,7 @@ from kempe import spatial
 from kempe.errors import InputError, shown, warn
 from kempe.reals import PLAIN, is_plain, reals
 from kempe.spatial import Array
+from kempe.words import counted
 
 EXACT = 1e-6
 """How far R'R may be from 1 for R to be taken as it is: the kernels allow this, too."""
@@ -73,7 +74,7 @@ def sound(X: Array, what: str, exact: float = EXACT) -> Array:
     U, _, Vt = np.linalg.svd(R[rounded])
     out = X.copy()
     out[rounded, :3, :3] = U @ Vt
-    some = "" if off.ndim == 0 else f" in {np.count_nonzero(rounded)} of {off.size} cases"
+    some = "" if off.ndim == 0 else f" in {np.count_nonzero(rounded)} of {counted(off.size, 'case')}"
     warn(f"the rotation of {what} is off by {off[rounded].max():.1g} (R'R - 1){some}; the nearest rotation was taken")
     return out
 

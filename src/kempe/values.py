@@ -12,6 +12,7 @@ import numpy as np
 from kempe.calls import is_list
 from kempe.errors import InputError, UnknownNameError, shown
 from kempe.reals import is_real
+from kempe.words import counted
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {
     "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
@@ -196,7 +197,7 @@ def _check(node: ast.AST, text: str, depth: int) -> None:
             raise InputError(f"{text!r} calls {name!r}; allowed are {', '.join(FUNCTIONS)}")
         count = 2 if name in OF_TWO else 1
         if len(node.args) != count:
-            raise InputError(f"{text!r} calls {name} with {len(node.args)} numbers; it takes {count}")
+            raise InputError(f"{text!r} calls {name} with {counted(len(node.args), 'number')}; it takes {count}")
         for argument in node.args:
             _check(argument, text, depth + 1)
     elif isinstance(node, ast.Name) and node.id in FUNCTIONS:

@@ -18,11 +18,14 @@ SMALL = ("no", "one", "two", "three", "four", "five", "six")
 """Numbers that are written out."""
 
 
-PLURALS = {"body": "bodies", "axis": "axes", "branch": "branches", "mesh": "meshes"}
+PLURALS = {
+    "body": "bodies", "axis": "axes", "branch": "branches", "mesh": "meshes", "entry": "entries",
+    "assembly": "assemblies",
+}  # fmt: skip
 """Nouns whose plural has more than an s."""
 
 
-def plural(n: int, what: str) -> str:
+def plural(n: float, what: str) -> str:
     """A noun for a number of things, perhaps with words before it: 'start', 'planar joints', 'bodies'."""
     if n == 1:
         return what

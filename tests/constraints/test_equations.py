@@ -261,5 +261,5 @@ def test_a_function_that_changes_its_size_is_named_with_the_call():
 
     m = arm()
     m.equation("e", growing, of=("A",))
-    with pytest.raises(InputError, match="'e' gives 2 numbers at A = 60.0, but gave 1 before"):
+    with pytest.raises(InputError, match="'e' gave 1 number, and gives 2 at A = 60.0"):
         closure_rows.residual(m.build(), [60.0, 0.0])

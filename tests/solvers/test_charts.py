@@ -64,7 +64,7 @@ def test_preferred_coordinates_come_first_or_are_refused():
         if set(pair) <= set(s.structure.velocity_names):
             assert set(s.independent(q, prefer=pair).independent) == set(pair)
     assert "A" in s.independent(q, prefer=["A"]).independent
-    with pytest.raises(InputError, match="3 coordinates are preferred; here 2"):
+    with pytest.raises(InputError, match="3 coordinates are preferred; 2 freedoms can be chosen here, each once"):
         s.independent(q, prefer=s.structure.velocity_names[:3])
     with pytest.raises(UnknownNameError):
         s.independent(q, prefer=["nobody"])

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from kempe.cli.app import MODELS, Json, Picture, app, picture, save_picture, say_written
+from kempe.cli.app import MODELS, Json, Picture, app, option, picture, save_picture, say_written
 from kempe.views.terminal import guarded, print_json, show
 
 
@@ -57,3 +59,51 @@ def joints(plot: Picture = None, json: Json = False) -> None:
     )
     if plot is not None:
         say_written(plot, False)
+
+
+@app.command(rich_help_panel=MODELS)
+@guarded
+def tour(
+    number: Annotated[int | None, option("--section", "Only the section of this number.", "N")] = None,
+    every: Annotated[bool, option("--all", "Print all sections without pauses.")] = False,
+    pictures: Annotated[Path | None, option("--pictures", "Draw the pictures into this folder.", "FOLDER")] = None,
+    json: Json = False,
+) -> None:
+    """Walk through the lecture: its sections, their code, and what comes out. Enter goes on, q ends.
+
+    Example: kempe tour --section 3
+    """
+    from kempe.library import lecture
+
+    found = lecture.chosen(number)
+    if pictures is not None:
+        pictures.mkdir(parents=True, exist_ok=True)
+        picture(pictures / "01.png")
+    if json:
+        parts = [
+            {"section": x.number, "title": x.title, "parts": [{k: v} for k, v in lecture.walk(x, pictures)]}
+            for x in found
+        ]
+        print_json({"sections": parts})
+        return
+    pause = not every and sys.stdin.isatty() and sys.stdout.isatty()
+    for i, x in enumerate(found):
+        if i and pause and _ended():
+            return
+        heading = f"{x.number} {x.title}"
+        print(f"{heading}\n{'-' * len(heading)}\n")
+        code = False
+        for kind, text in lecture.walk(x, pictures):
+            said = {"code": lecture.prompted, "picture": "[picture: {}]".format}.get(kind, str)
+            print("\n" * (code and kind == "text") + said(text), end="\n" if kind == "code" else "\n\n")
+            code = kind == "code"
+        if code:
+            print()
+
+
+def _ended() -> bool:
+    """Whether the reader ends the tour here."""
+    try:
+        return input("Enter goes on, q ends: ").strip().lower().startswith("q")
+    except EOFError:
+        return True

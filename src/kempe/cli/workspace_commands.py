@@ -100,7 +100,7 @@ def workspace(
     along: Any = None if cells is None else [int(x) if x == int(x) else x for x in _numbers(cells, "--cells")]
     ends = None if box is None else _numbers(box, "--box")
     if ends is not None and len(ends) % 2:
-        raise InputError(f"--box has {len(ends)} numbers; it needs two for each axis")
+        raise InputError(f"--box has {counted(len(ends), 'number')}; it needs two for each axis")
     with slices.paced(sys.stderr, "samples") as said:
         answer = system.workspace(
             frame, kind=kind, orientation=None if orientation is None else _turned(orientation, "--orientation", deg),

@@ -23,6 +23,7 @@ from kempe.constraints.text import from_text, is_texts, read
 from kempe.errors import InputError, UnknownNameError, shown
 from kempe.reals import is_sequence
 from kempe.values import Expression
+from kempe.words import counted
 
 Written: TypeAlias = Any
 """A field of an expression: text, several, or a function of named inputs."""
@@ -57,7 +58,7 @@ class Call:
             given[TIME] = float(values.get(TIME, 0.0))
         found, _ = called(self.function, given, self.time, self.what)
         if len(found) != self.size:
-            raise InputError(f"{self.what} gives {len(found)} numbers at {at(given)}, but gave {self.size} before")
+            raise InputError(f"{self.what} gave {counted(self.size, 'number')}, and gives {len(found)} at {at(given)}")
         return found
 
     def __repr__(self) -> str:
@@ -341,7 +342,7 @@ class VelocityEquation(_WrittenKind):
         """Refuse what is no matrix with a column for each coordinate."""
         if len(shape) not in (1, 2) or shape[-1] != len(self.of) or 0 in shape:
             raise InputError(f"{self.what} has a matrix of the shape {shape}; each of its rows must have "
-                             f"{len(self.of)} entries, for {', '.join(self.of)}")  # fmt: skip
+                             f"{counted(len(self.of), 'entry')}, for {', '.join(self.of)}")  # fmt: skip
 
     def _as_many(self, shape: tuple[int, ...], rows: int) -> None:
         if shape not in ((), (1,), (rows,)):

@@ -21,6 +21,7 @@ from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.constraints import tape_layout as L
 from kempe.reals import is_sequence
 from kempe.values import CONSTANTS, FUNCTIONS
+from kempe.words import counted, verb
 
 Node = tuple[int, int, int]
 """Operation, left, right, as `tape_layout` says."""
@@ -169,7 +170,8 @@ class Tape:
         """The tape with other constants. Errors: `InputError` for another count."""
         found = tuple(float(x) for x in numbers)
         if len(found) != len(self.numbers):
-            raise InputError(f"{len(found)} numbers are given; the tape has {len(self.numbers)}")
+            given = f"{counted(len(found), 'number')} {verb(len(found), 'is', 'are')} given"
+            raise InputError(f"{given}; the tape has {len(self.numbers)}")
         return replace(self, numbers=found)
 
     def fixed(self, values: Mapping[str, float]) -> Tape:

@@ -76,9 +76,10 @@ class Pictured:
 
     @explained
     def plot_spaces(
-        self: Any, frame: FrameLike, *, points: ArrayLike = (), ax: Any = None, resolution: int = 240
+        self: Any, frame: FrameLike, *, points: ArrayLike = (), grid: bool = False, ax: Any = None,
+        resolution: int = 240
     ) -> tuple[Axes, Axes]:  # fmt: skip
         """Pictures of configuration space and task space beside one another; see `kempe.views.space_pictures`."""
         from kempe.views.space_pictures import plot_spaces
 
-        return plot_spaces(self, frame, points=points, ax=ax, resolution=resolution)
+        return plot_spaces(self, frame, points=points, grid=grid, ax=ax, resolution=resolution)

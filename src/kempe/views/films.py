@@ -16,6 +16,7 @@ from kempe.spatial import Array
 from kempe.views.drawing import page
 from kempe.views.drawing.scene import look
 from kempe.views.plots import drawing_of, motion_of, subject_of
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -57,7 +58,7 @@ def animate(
         raise InputError(f"seconds is {shown(seconds)} and fps {shown(fps)}; both must be positive, fps at most 60")
     count = round(seconds * fps)
     if not 2 <= count <= MOST:
-        raise InputError(f"seconds * fps are {count} pictures; they must be from 2 to {MOST}")
+        raise InputError(f"seconds * fps is {counted(count, 'picture')}; they must be from 2 to {MOST}")
     out = film_file(file)
     way, drivers = motion_of(system, path)
     if way is None:

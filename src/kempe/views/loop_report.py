@@ -17,7 +17,7 @@ from kempe.kinematics.common.tabular import write_table
 from kempe.model.tree.coordinates import units
 from kempe.status import named
 from kempe.views import facts, report
-from kempe.words import jsonable
+from kempe.words import counted, jsonable
 
 if TYPE_CHECKING:
     from kempe.analysis.continuation.path import Event, Path
@@ -173,7 +173,7 @@ def path(answer: Path, degrees: bool = False) -> RenderableType:
         shown += ["", report.table((">at s", "what", "=coordinate", ">value", "=unit"), lines)]
         more = len(answer.turning_points) - EVENT_LIMIT
         if more > 0:
-            shown.append(Text(f"... and {more} more points where coordinates turn back"))
+            shown.append(Text(f"... and {counted(more, 'more point')} where coordinates turn back"))
     if len(answer) > 1:
         all_q = np.vstack([answer.q, *(e.q for e in answer.extremes)])
         q = _shown(system, all_q, degrees)

@@ -20,6 +20,7 @@ from kempe.errors import PROBLEM_LIMIT, DescriptionError, Fault
 from kempe.model.tree.coordinates import units
 from kempe.views import facts
 from kempe.views.options import in_options
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.analysis.continuation.path import Path
@@ -264,7 +265,7 @@ def findings(file: str, problems: Sequence[Fault], notes: Sequence[str] = ()) ->
         shown.append(Text(f"... and {len(problems) - PROBLEM_LIMIT} more"))
     said = [Text.assemble(("note ", "bold cyan"), clean(note)) for note in notes[:NOTE_LIMIT]]
     if len(notes) > NOTE_LIMIT:
-        said.append(Text(f"... and {len(notes) - NOTE_LIMIT} more notes"))
+        said.append(Text(f"... and {counted(len(notes) - NOTE_LIMIT, 'more note')}"))
     return Group(head, *shown, *said)
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.calls import explained, numbers
+from kempe.calls import explained, flag, numbers
 from kempe.errors import InputError, UnsupportedError, shown
 from kempe.kinematics.configuration import circles, has_loops, sampling_box
 from kempe.model.tree.coordinates import units
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 SHADES = ("#ffffff", "#d3e3f2", "#8db8dc", "#4c7fb0")
 """Colours of places with no, one, two, and more configurations: from light to dark, so that they read in grey."""
 FINEST, COARSEST = 1000, 8
+FINE, STEP = 145, 12
+"""Points of a line of the grid, and how many lie between two lines: those are 1/12 of a side apart."""
 FEW = 0.005
 """Part of a space from which the legend names its shade."""
 ROOM = 0.06
@@ -35,7 +37,8 @@ ROOM = 0.06
 
 @explained
 def plot_spaces(
-    system: System, frame: FrameLike, *, points: ArrayLike = (), ax: Any = None, resolution: int = 240
+    system: System, frame: FrameLike, *, points: ArrayLike = (), grid: bool = False, ax: Any = None,
+    resolution: int = 240
 ) -> tuple[Axes, Axes]:  # fmt: skip
     """Axes with the configuration space and with the task space of a frame, of a system with two coordinates.
 
@@ -43,8 +46,9 @@ def plot_spaces(
     line, are dotted). Red lines are singular: there the frame's velocity has lost a direction. Shades say how many
     configurations within the limits reach the place. `points` (k, 2) are places that the frame shall reach [m]: their
     solutions are marked on both sides, or, where there is none, the nearest place that is reached, with the distance.
-    `ax` is a pair of axes to draw on; `resolution` the number of places along each axis (8 to 1000). Errors:
-    `UnsupportedError` for systems with loops or another number of coordinates; `InputError`; `UnknownNameError`.
+    `grid` draws lines on which one coordinate is constant, and their images. `ax` is a pair of axes to draw on;
+    `resolution` the number of places along each axis (8 to 1000). Errors: `UnsupportedError` for systems with loops or
+    another number of coordinates; `InputError`; `UnknownNameError`.
 
     ``system.plot_spaces("e", points=[(0.6, 0.3)])[0].figure.savefig("spaces.png")`` writes the picture.
     """
@@ -59,14 +63,17 @@ def plot_spaces(
         figure = page.new_figure(11.8, 5.0)
         ax = figure.add_axes((0.06, 0.12, 0.36, 0.8)), figure.add_axes((0.49, 0.12, 0.36, 0.8))
     left, right = page.axes_given(ax, 2)
-    grid = _grid(system, int(resolution))
-    p = system.fk(grid, name)[..., :2, 3]
+    lines = flag(grid, "grid")
+    every = _grid(system, int(resolution))
+    p = system.fk(every, name)[..., :2, 3]
     _shade_task_space(system, name, right, p, targets, int(resolution))
-    _shade_configurations(system, name, left, grid, p)
+    _shade_configurations(system, name, left, every, p)
     _draw_limits(system, name, left, right)
-    _draw_singular(system, name, left, right, grid)
+    if lines:
+        _draw_grid(system, name, left, right)
+    _draw_singular(system, name, left, right, every)
     for k, target in enumerate(targets):
-        _draw_point(system, name, left, right, target, k, grid, p)
+        _draw_point(system, name, left, right, target, k, every, p)
     _finish(system, name, left, right)
     return left, right
 
@@ -153,6 +160,17 @@ def _draw_limits(system: System, name: str, left: Any, right: Any) -> None:
             if not turns:
                 image = system.fk(np.stack([x, y], axis=-1), name)[:, :2, 3]
                 right.plot(*image.T, color=style.INK, lw=1.4, gid=gid, zorder=style.CURVE)
+
+
+def _draw_grid(system: System, name: str, left: Any, right: Any) -> None:
+    """Draw lines on which one coordinate is constant, a colour for each coordinate, and their images."""
+    fine = _grid(system, FINE)
+    for i in range(2):
+        for k, at in enumerate(range(STEP, FINE - 1, STEP)):
+            q = np.take(fine, at, axis=i)
+            for ax, line in ((left, q), (right, system.fk(q, name)[:, :2, 3])):
+                ax.plot(*line.T, color=style.link_colour(i + 1), lw=0.8, gid=f"grid:{system.coordinate_names[i]}:{k}",
+                        zorder=style.CURVE)  # fmt: skip
 
 
 def _draw_singular(system: System, name: str, left: Any, right: Any, grid: Array) -> None:

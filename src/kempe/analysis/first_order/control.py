@@ -56,7 +56,9 @@ class Control(InWords):
             text = f"{who} control{'s' if one else ''} the mechanism ({useful})"
         else:
             text = f"{who} control{'s' if one else ''} {self.controlled} of {useful}"
-        if self.excess:
+        if self.excess and len(self.actuated) == 1:
+            text += "; to first order it does not move (redundant actuation)"
+        elif self.excess:
             text += f"; {self.excess} of the {len(self.actuated)} actuated coordinates depend{'s' * (self.excess == 1)}"
             text += " on the others (redundant actuation)"
         if self.singular:

@@ -17,7 +17,7 @@ from kempe.errors import DamagedError, InputError, KempeError, MissingExtraError
 from kempe.kinematics.common.tabular import header_of, rows_of_text
 from kempe.reals import KINDS
 from kempe.spatial import Array
-from kempe.words import joined
+from kempe.words import counted, joined, verb
 
 BLOCK_ROWS = 2**16
 """Rows of a block where the file itself has none, or smaller ones."""
@@ -91,7 +91,8 @@ def open_rows(path: str | Path, columns: Sequence[str] | None = None) -> RowSour
         raise InputError(f"{path}: this cannot be read as {kind}: {error}") from error
     if columns is not None and source.names is None:
         if source.tail != (len(columns),):
-            raise InputError(f"{path}: a row is of shape {source.tail}, and {len(columns)} columns are named")
+            named = f"{counted(len(columns), 'column')} {verb(len(columns), 'is', 'are')} named"
+            raise InputError(f"{path}: a row is of shape {source.tail}, and {named}")
         source.names = tuple(columns)
     return source
 

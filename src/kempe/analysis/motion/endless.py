@@ -17,6 +17,7 @@ from kempe.analysis.continuation.events import sides_change
 from kempe.analysis.continuation.one_sided_ends import OneSidedEnds
 from kempe.solvers.common.tracing import Node, bend, step
 from kempe.spatial import Array
+from kempe.words import plural
 
 FAR = 50.0
 """Characteristic lengths that a slide, and radians that a turn without return, is away before one looks ahead."""
@@ -72,8 +73,9 @@ class Endless:
         if i < 0 or self._turned(b, i) < 2.0 * math.pi:
             return ""
         name, turns = self.equations.system.structure.velocity_names[i], round(self.periods[i] / (2.0 * math.pi))
-        done = self._turned(b, i) / (2.0 * math.pi)
-        return f", after {done:.4g} turns of {name!r}: by its gear ratios all is as before after {turns}"
+        done = f"{self._turned(b, i) / (2.0 * math.pi):.4g}"
+        after = f"{done} {plural(float(done), 'turn')} of {name!r}"
+        return f", after {after}: by its gear ratios all is as before after {turns}"
 
     def _turned(self, b: Node, i: int) -> float:
         """How far coordinate i is from where it was at first."""

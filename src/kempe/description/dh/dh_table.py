@@ -12,6 +12,7 @@ import numpy as np
 from kempe.errors import InputError, hint
 from kempe.reals import is_array, is_mapping
 from kempe.values import Expression, Value, value
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.description.dh.dh import DHRow
@@ -86,7 +87,7 @@ def _plain(row: Any, number: int, columns: tuple[str, ...]) -> dict[str, Any]:
     names = (*columns, "type") if columns == ORDER and len(entries) == 5 else columns
     if len(entries) != len(names):
         also = ", and the type where it is not revolute" if columns == ORDER else ""
-        raise InputError(f"row {number} has {len(entries)} entries; it must have {', '.join(columns)}{also}")
+        raise InputError(f"row {number} has {counted(len(entries), 'entry')}; it must have {', '.join(columns)}{also}")
     return {name: _own(x) for name, x in zip(names, entries, strict=True)}
 
 

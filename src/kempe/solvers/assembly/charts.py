@@ -12,6 +12,7 @@ rotation vector from where the chart was chosen (exponential coordinates, Murray
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -128,7 +129,9 @@ class Chart(Report):
         off = np.abs(self.u(answer.q)[..., : len(given)] - u).max(axis=-1, initial=0.0)
         success = np.logical_and(answer.success, off < REACHED)
         code = np.where(np.logical_and(answer.success, ~success), Status.NOT_FOUND, answer.code)
-        return replace(answer, success=plain(success), code=member(code))
+        bound, own = copy(answer.assembler), self.system.structure.velocity_names
+        bound.held |= {own[i] for i in self._rows(given)}  # rotation vectors are given, too: they leave nothing open
+        return replace(answer, success=plain(success), code=member(code), assembler=bound)
 
     def _rows(self, names: Iterable[str] | None = None) -> list[int]:
         """Velocity indices of the independent coordinates, or of others."""
@@ -232,7 +235,7 @@ def independent(
     rows = _wished(system, wish) if wish else []
     if len(set(rows)) < len(rows) or len(rows) > p:
         given = f"{counted(len(rows), 'coordinate')} {verb(len(rows), 'is', 'are')} preferred"
-        raise InputError(f"{given}; here {counted(p, 'freedom')} can be chosen, each once")
+        raise InputError(f"{given}; {counted(p, 'freedom')} can be chosen here{', each once' * (p > 1)}")
     least = _worst(p, system.nv)
     if rows and _quality(N, rows) < least:
         raise InputError(

@@ -120,13 +120,15 @@ def nearest(place: float | None, turn: float | None) -> str:
 
 
 def _lengths(
-    place: float = 0.0, turned: float = 0.0, plane: float = 0.0, task: str = "", times: float = 0.0
+    place: float = 0.0, turned: float = 0.0, plane: float = 0.0, task: str = "", times: float = 0.0,
+    point: bool = False,
 ) -> str:  # fmt: skip
     """Out of reach of the links by at least so many metres: whatever the orientation, with it, or off the plane."""
     who = f"{task!r} is " if task else ""
     units = "; lengths are metres: are these millimetres?" if times > MILLIMETRES else ""
     if plane > 0.0:
-        return f"{who}outside the plane of the system by {plane:.6g} m{units}"
+        angle = "; three numbers are x, y, z here, and x, y, angle with task='pose'" if point else ""
+        return f"{who}outside the plane of the system by {plane:.6g} m{units}{angle}"
     parts = [f" by at least {place:.6g} m"] if place > 0.0 else []
     parts += [f" with this orientation by at least {turned:.6g} m"] if turned > place else []
     return f"{who}outside the workspace{','.join(parts)}, by the lengths of the links{units}"
@@ -284,7 +286,7 @@ def to_spare(count: int, held: str = "", first: Sequence[float] = (), tried: int
     if tried == 1:
         return text
     if not len(first):
-        return f"{text} ({tried} values were tried)"
+        return f"{text} ({counted(tried, 'value')} {verb(tried, 'was', 'were')} tried)"
     there = ", ".join(map(number, first))
     return f"{text} (at {there} there is none{' inside the limits' if inside else ''})"
 

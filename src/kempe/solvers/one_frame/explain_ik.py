@@ -89,7 +89,8 @@ def beyond(task: FrameProblem, target: Array) -> Evidence | None:
     """How far a target (1, 4, 4) is out of reach at least, by the lengths of the links."""
     off = abs(float(target[0, 2, 3])) if task.system.dim == 2 else 0.0
     place, turned = past_lengths(task, target)[0].tolist()
-    return lengths(task.system, place, turned, off if off > task.tolerance[0] else 0.0)
+    return lengths(task.system, place, turned, off if off > task.tolerance[0] else 0.0,
+                   point=task.name == "position")  # fmt: skip
 
 
 def _reasons(task: FrameProblem, target: Array, q: Array, position: float, angle: float) -> list[Any]:

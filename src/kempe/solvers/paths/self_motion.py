@@ -94,7 +94,7 @@ class SelfMotion(Configurations):
         how = "it comes back to its start" if self.closed else f"from {self.ends[0]} to {self.ends[1]}"
         if not self.freedoms:
             return f"1 configuration, no motion: {self.ends[0]}"
-        many = f"{len(self.q)} configurations of a self-motion with {counted(self.freedoms, 'freedom')}"
+        many = f"{counted(len(self.q), 'configuration')} of a self-motion with {counted(self.freedoms, 'freedom')}"
         return f"{many}: {how}{self._partial()}"
 
 
@@ -274,7 +274,7 @@ class _Direction:
             if names := _at_limits(system, b.x, a.t):
                 return _HalfCurve(out, False, f"the limit of {names[0]!r}", a.t)
             if len(out) == steps:
-                return _HalfCurve(out, False, f"the last of {steps} steps", a.t, True)
+                return _HalfCurve(out, False, f"the last of {counted(steps, 'step')}", a.t, True)
             if b.sigma < LEAST_PART:
                 return nothing._replace(t=b.t)
             a = b

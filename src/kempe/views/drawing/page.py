@@ -48,7 +48,7 @@ def axes_given(ax: Any, count: int = 1) -> tuple[Axes, ...]:
     given = tuple(np.ravel(np.array(ax, dtype=object)))
     if len(given) != count or not all(isinstance(one, Axes) for one in given):
         need = "matplotlib axes" if count == 1 else f"{count} matplotlib axes"
-        got = f"{len(given)} axes" if all(isinstance(one, Axes) for one in given) else type(ax).__name__
+        got = f"{len(given)} of them" if all(isinstance(one, Axes) for one in given) else type(ax).__name__
         raise InputError(f"ax must be {need}, not {got}")
     return given
 

@@ -20,6 +20,7 @@ from kempe.views.viewer.overlays import Overlay, offered, rounds
 from kempe.views.viewer.player import Player
 from kempe.views.viewer.scene_nodes import Drawn, Nodes, poses_as
 from kempe.views.viewer.session import KINDS, Session, Slider
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.views.viewer.live import Viewer
@@ -168,7 +169,7 @@ class Page:
             self.axes = gui.add_checkbox("axes of frames", False)
         self.player = Player(self)
         if drawn.lost:
-            gui.add_markdown(f"{len(drawn.lost)} meshes could not be shown, such as {drawn.lost[0]}")
+            gui.add_markdown(f"{counted(len(drawn.lost), 'mesh')} could not be shown, such as {drawn.lost[0]}")
         self.frame.on_update(self.by_hand("frame", lambda: self._aim(self.frame.value)))
         self.task.on_update(self.by_hand("task", lambda: self._aim(self.frame.value, self.task.value)))
         for name, box in self.boxes.items():

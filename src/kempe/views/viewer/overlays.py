@@ -20,6 +20,7 @@ from kempe.spatial import Array
 from kempe.views.drawing import shapes
 from kempe.views.drawing.solids import rgb
 from kempe.views.viewer.motions import PATIENCE
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.analysis.spaces.planar.planar_workspace import PlanarWorkspace
@@ -212,7 +213,8 @@ def _singular(session: Session) -> Iterator[Overlay]:
             colours.append(np.tile(rgb(KINDS[word]), (len(points[-1]), 1)))
             said.append(f"{name} ({word})")
         every = np.concatenate(points)
-        yield Overlay(f"{frame} at singular configurations: {', '.join(said) or 'none'} found from {total} starts",
+        what = f"{', '.join(said) or 'none'} found from {counted(total, 'start')}"
+        yield Overlay(f"{frame} at singular configurations: {what}",
                       every, np.concatenate(colours), np.full(len(every), 0.012 * session.size))  # fmt: skip
 
 

@@ -21,6 +21,7 @@ from kempe.solvers.assembly.charts import Chart, independent
 from kempe.spatial import Array
 from kempe.views.drawing.scene import links_of, look
 from kempe.views.viewer.motions import found, motion_from
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -275,7 +276,7 @@ class Session:
     def choose(self, k: int) -> None:
         """Go to one of the other configurations; the one that was left takes its place among them."""
         if not 0 <= k < len(self.solutions):
-            raise InputError(f"there are {len(self.solutions)} other {KINDS[self.kind]}s; {k} is none of them")
+            raise InputError(f"{k} is none of {counted(len(self.solutions), f'other {KINDS[self.kind]}')}")
         solutions = np.array(self.solutions)
         solutions[k], self.q = self.q, np.array(solutions[k])
         self.target = None

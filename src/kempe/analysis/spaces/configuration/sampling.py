@@ -182,7 +182,8 @@ def _by_walk(
     q = np.concatenate([np.empty((0, system.nq)), *kept])[:n]
     measure = "area" if dim == 2 else f"volume of dimension {dim}"
     each = walkers.steps // len(walkers.q)
-    how = f"a random walk of {counted(each, 'step')} from each of {len(walkers.q)} assemblies"
+    starts = f"{'each of ' * (len(walkers.q) > 1)}{counted(len(walkers.q), 'assembly')}"
+    how = f"a random walk of {counted(each, 'step')} from {starts}"
     how += f", {walkers.taken:.2g} of them taken"
     return _broken(_made(system, n, q, measure, False, how, walkers.taken), why)
 

@@ -20,7 +20,7 @@ from kempe.kinematics.tasks.packed import count, jacobian
 from kempe.solvers.assembly.charts import tangent_space
 from kempe.solvers.common.arguments import start_count
 from kempe.spatial import Array
-from kempe.words import counted
+from kempe.words import counted, verb
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -76,7 +76,8 @@ class TaskSpace(Report):
         k, m, n = self.generic_rank, self.m, self.n
         counts = f"m = n = {n}" if m == n else f"m = {m} {'<' if m < n else '>'} n = {n}"
         if m > n:
-            said = f"no solution unless the {m} constraints are dependent: what can be reached has dimension {k}"
+            lucky = f"unless the {counted(m, 'constraint')} {verb(m, 'is', 'are')} dependent"
+            said = f"no solution {lucky}: what can be reached has dimension {k}"
         elif k < m:
             said = f"{counted(m - k, 'constraint')} of the task cannot be set independently"
         elif n > k:

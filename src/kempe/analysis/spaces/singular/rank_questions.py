@@ -22,6 +22,7 @@ from kempe.kinematics import closure_rows
 from kempe.kinematics.configuration import random
 from kempe.solvers.common.targets import twist_rows
 from kempe.spatial import Array
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -61,7 +62,9 @@ class RankQuestions:
             found = [close(equations, q) for q in self.starts]
             self.starts = np.array([q for q in found if q is not None]).reshape(-1, system.nq)
         if not len(self.starts):
-            raise InputError(f"{system.name}: no configuration with closed loops was found in {starts} starts")
+            raise InputError(
+                f"{system.name}: no configuration with closed loops was found in {counted(starts, 'start')}"
+            )
         self.rows = twist_rows(task, system.dim)
         self.twists = np.eye(len(self.rows))
         if frame is not None:

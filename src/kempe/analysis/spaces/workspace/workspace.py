@@ -25,7 +25,7 @@ from kempe.kinematics.common.result import Cells, Report
 from kempe.reals import reals
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import counted
+from kempe.words import counted, plural
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -248,7 +248,9 @@ class Workspace(Report):
         size = "" if self.kind == ORIENTATION else f" of {edges} mm"
         cells = f"{found} of {counted(of, 'cell')}{size}: each of these holds a point that is reached"
         if not wanted.tried:
-            return f"{self.samples:.6g} samples{left} of frame {self.frame!r} fell into {cells}"
+            return (
+                f"{self.samples:.6g} {plural(self.samples, 'sample')}{left} of frame {self.frame!r} fell into {cells}"
+            )
         many = f" in all {len(wanted.turns)} orientations" if len(wanted.turns) > 1 else ""
         hits = int(self.map.counts.sum())
         return (f"{self.kind}: {hits} of {counted(self.samples, wanted.noun)}{left} that were tried are reached by "

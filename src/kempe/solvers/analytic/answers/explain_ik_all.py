@@ -178,7 +178,7 @@ def _reasons(solutions: Solutions, index: int) -> tuple[list[Any], bool]:
     if question.task not in TURNS:
         off = abs(float(target[0, 2, 3])) if system.dim == 2 else 0.0
         if off > tolerance:
-            return [lengths(system, plane=off)], True
+            return [lengths(system, plane=off, point=question.task == "position")], True
         bounds = chain_of(system, question.frame).bounds
         far = lengths(system, float(by_lengths(bounds, target, (tolerance, tolerance), False)[0, 0]))
     wide = plan.lines.span.wide

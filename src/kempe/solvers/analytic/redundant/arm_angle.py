@@ -41,6 +41,7 @@ from kempe.solvers.analytic.plans.structure import Axes, keeps_point, meeting
 from kempe.solvers.analytic.redundant.intervals import arcs, joined
 from kempe.solvers.common.targets import Z_AXIS
 from kempe.spatial import Array
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -98,7 +99,7 @@ class Arm:
 def arm_of(lines: Lines, reference: ArrayLike | None = None) -> Arm | str:
     """The arm that a chain is, or a sentence that says why it is none. Errors: `InputError` for the reference."""
     if len(lines) != 7:
-        return f"it has {len(lines)} joints, not seven"
+        return f"it has {counted(len(lines), 'joint')}, not seven"
     if np.any(lines.kinds != TURN):
         return "not all of its joints turn"
     axes = Axes(lines.kinds, lines.h, lines.o)

@@ -27,6 +27,7 @@ from kempe.solvers.analytic.redundant.sweep_net import arcs_through
 from kempe.solvers.common.problem import Problem, Solver, choose, chosen_by
 from kempe.solvers.common.targets import Z_AXIS, axis_for, refuse_position, targets_of, task_and_axis, task_of
 from kempe.spatial import Array
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -249,7 +250,7 @@ class JointCurves:
         self.motion, self.arcs, self.lines, self.parameter = motion, arcs, motion.lines, name
         self.domain, self.held, self.base, self.unit = domain, fixed, motion.base, float(motion.unit[motion.p])
         self.labels = tuple(f"branch {k + 1}" for k in range(len(arcs)))
-        self.reason = f"none of {samples} values has one; it may be that the target alone decides it"
+        self.reason = f"none of {counted(samples, 'value')} has one; it may be that the target alone decides it"
 
     def intervals(self, limited: bool) -> list[list[tuple[float, float]]]:
         """For each branch, where it exists, inside the limits where `limited`."""

@@ -231,7 +231,7 @@ class Sweep(Answer):
             return best
         scores = reals(score(q[rows, 0]), "the score")
         if scores.shape != rows.shape:
-            raise InputError(f"the objective gives an array {scores.shape} for {len(rows)} configurations")
+            raise InputError(f"the objective gives an array {scores.shape} for {counted(len(rows), 'configuration')}")
         k = int(np.argmax(scores))
         if best is not None and scores[k] <= best.score:
             return best

@@ -1,0 +1,163 @@
+"""A walk through the lecture in the terminal: the sections of its page, their code run, and what comes out."""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import io
+import re
+import textwrap
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from kempe.errors import InputError, shown
+
+HERE = Path(__file__).parent
+
+CELL = re.compile(r"^```\{code-cell\} python\n(.*?)^```\n", re.DOTALL | re.MULTILINE)
+WIDTH = 100
+"""Columns of the text."""
+
+MARKUP = (
+    (r"<!--.*?-->", ""), (r"<details><summary>(.*?)</summary>", r"\1:"), (r"</details>", ""),
+    (r"\[([^]]*)\]\([^)]*\)", r"\1"), (r"\*\*(.*?)\*\*|\*(\S.*?\S)\*", r"\1\2"), (r"`(.*?)`", r"\1"),
+)  # fmt: skip
+"""What marks up the text of the page, and what stands in the terminal."""
+
+FORMULAS = (
+    (r"\{\}\^(\w)|\{\}\^\{([^{}]*)\}", r"\1\2"), (r"\\begin\{bmatrix\} *(.*?) *\\end\{bmatrix\}", r"[\1]"),
+    (r" *\\\\ *", "; "), (r" & ", ", "), (r"\\(?:mathbb|mathcal|mathrm)\{(\w+)\}", r"\1"), (r"\\dot (\w)", r"d\1/dt"),
+    (r"\\,|\\quad", " "), (r"\\times", "x"), (r"\\geq", ">="), (r"\\leq", "<="), (r"\\neq", "!="),
+    (r"\\notin", "not in"), (r"\\mapsto", "->"), (r"\\dots", "..."), (r"\\\|", "|"), (r"\\Sigma", "S"),
+    (r"\\Delta *", "d"), (r"\\([a-z]+)", r"\1"), (r"([_^])\{([^{}]*)\}", r"\1\2"), (r" +", " "),
+)  # fmt: skip
+"""TeX of the page's formulas, and what stands for it, in this order."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Code of the page. `picture` says that its last line draws."""
+
+    code: str
+
+    @property
+    def picture(self) -> bool:
+        """Whether the last line is there for a picture: it ends with a semicolon."""
+        return self.code.rstrip().endswith(";")
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section of the lecture: its number from 1, its title, its texts and cells."""
+
+    number: int
+    title: str
+    parts: tuple[str | Cell, ...]
+
+
+def page() -> str:
+    """The page of the lecture as Markdown: in an installed package it lies beside the models."""
+    packed = HERE / "lecture.md"
+    source = packed if packed.is_file() else HERE.parents[2] / "docs" / "lecture.md"
+    return source.read_text(encoding="utf-8")
+
+
+def sections() -> tuple[Section, ...]:
+    """The sections in the lecture's order; each one runs without the others."""
+    head, *rest = re.split(r"^## ", page(), flags=re.MULTILINE)
+    first = [Cell(code) for code in CELL.findall(head)]
+    out: list[Section] = []
+    for number, text in enumerate(rest, 1):
+        title, _, body = text.partition("\n")
+        pieces = CELL.split(body)
+        parts = [Cell(x) if i % 2 else plain(x) for i, x in enumerate(pieces)]
+        out.append(Section(number, title.strip(), (*first, *(x for x in parts if x))))
+    return tuple(out)
+
+
+def chosen(number: int | None) -> tuple[Section, ...]:
+    """All sections, or the one of this number. Errors: `InputError` with the titles."""
+    every = sections()
+    if number is None:
+        return every
+    if number not in range(1, len(every) + 1):
+        titles = "; ".join(f"{x.number} {x.title}" for x in every)
+        raise InputError(f"section is {shown(number)}; there are: {titles}")
+    return (every[number - 1],)
+
+
+def plain(text: str) -> str:
+    """Text of the page without its markup, wrapped; formulas in letters that can be typed."""
+
+    def formula(match: re.Match[str]) -> str:
+        out = match[1]
+        for pattern, letters in FORMULAS:
+            out = re.sub(pattern, letters, out)
+        return out.strip()
+
+    for pattern, letters in MARKUP:
+        text = re.sub(pattern, letters, text, flags=re.DOTALL)
+    text = re.sub(r"\$(.+?)\$", formula, text, flags=re.DOTALL)
+    paragraphs = [" ".join(x.split()) for x in re.split(r"\n\s*\n", text)]
+    return "\n\n".join(textwrap.fill(x, WIDTH) for x in paragraphs if x)
+
+
+def walk(section: Section, pictures: Path | None = None) -> Iterator[tuple[str, str]]:
+    """The parts of a section as pairs: "text", "code" and its "output", what a "picture" is.
+
+    Pictures are drawn where there is a folder for them, which is made. Code that needs a package that is not
+    installed says so, and is left out with what depends on it.
+    """
+    names: dict[str, Any] = {}
+    drawn = 0
+    for part in section.parts:
+        if isinstance(part, str):
+            yield "text", part
+            continue
+        yield "code", part.code.rstrip()
+        drawn += part.picture
+        to = pictures / f"{section.number:02d}_{drawn}.png" if pictures and part.picture else None
+        if out := run(part, names, to):
+            yield "output", out
+        if part.picture:
+            yield "picture", str(to) if to else "--pictures FOLDER draws it"
+
+
+def run(cell: Cell, names: dict[str, Any], picture: Path | None = None) -> str:
+    """What a cell prints, and the value of its last line; its picture goes to the file `picture` if there is one."""
+    tree = ast.parse(cell.code)
+    last = tree.body.pop() if isinstance(tree.body[-1], ast.Expr) else None
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        try:
+            exec(compile(tree, "lecture", "exec"), names)
+            if isinstance(last, ast.Expr) and (picture or not cell.picture):
+                value = eval(compile(ast.Expression(last.value), "lecture", "eval"), names)
+                if picture:
+                    _save(value, picture)
+                elif value is not None:
+                    print(value)
+        except ImportError as error:  # an extra that is not installed
+            names["left out"] = True
+            print(f"left out: {error}")
+        except NameError as error:
+            if "left out" not in names:
+                raise
+            print(f"left out: {error}")
+    return printed.getvalue().rstrip("\n")
+
+
+def prompted(code: str) -> str:
+    """Code as one types it: `>>>` before each statement, `...` before its further lines."""
+    begins = {node.lineno for node in ast.parse(code).body}
+    return "\n".join(f"{'>>>' if i in begins else '...'} {line}".rstrip() for i, line in enumerate(code.split("\n"), 1))
+
+
+def _save(axes: Any, path: Path) -> None:
+    """Write the figure of axes, or of the first of several, to a file."""
+    while not hasattr(axes, "figure"):
+        axes = axes[0]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    axes.figure.savefig(path, dpi=150, bbox_inches="tight")
