@@ -16,6 +16,7 @@ import kempe
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.solvers.analytic import further
 from kempe.solvers.analytic.answers import families, nearest
+from kempe.solvers.analytic.answers.family_curves import Samples, TolerantMotion
 from kempe.solvers.analytic.plans import choice
 from kempe.solvers.analytic.plans.plan import spread
 from kempe.solvers.analytic.redundant.arm_angle import reference_plane
@@ -127,3 +128,19 @@ def test_families_are_not_looked_for_where_nothing_is_singular(monkeypatch):
     assert arm.ik_all(arm.fk(q, "tool"), "tool").families == [] and not asked
     q[4] = 0.0  # the axes of the wrist line up
     assert arm.ik_all(arm.fk(q, "tool"), "tool").families and asked
+
+
+def test_nothing_is_left_out_where_there_was_room():
+    arm = kempe.load("puma560")
+    answer = arm.ik_all(arm.fk([0.3, -0.7, 0.4, 0.5, 0.0, -0.2], "tool"), "tool")
+    assert families._left_out(answer, 0, nearest.aim_of(answer, 0, spare=True)).shape == (0, 6)
+
+
+def test_curves_cross_where_the_second_singular_value_vanishes():
+    """It is the distance from 0.47 along a straight curve, and nowhere near zero at its other ends."""
+    x = np.linspace(0.0, 1.0, 9)
+    theta, way = np.stack([x, 0.0 * x], axis=1), np.tile([1.0, 0.0], (9, 1))
+    chain: Any = SimpleNamespace(led=lambda p, t: (p, None, p), spectrum=lambda p: (0.0, abs(p[0] - 0.47)))
+    curve = Samples(1, theta, way, way[:1], False, 0.0, 0.1 * np.abs(x - 0.47))
+    (found,) = TolerantMotion.crossings_of(chain, curve)
+    np.testing.assert_allclose(found, [0.47, 0.0], atol=1e-6)
