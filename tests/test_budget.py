@@ -23,8 +23,8 @@ THIRD = SEVEN.coordinate_names[2]
 METHODS = {n: f for n in dir(kempe.System) if n[0] != "_" and callable(f := inspect.getattr_static(kempe.System, n))}
 FREE_NAMES = {"with_parameters"}
 """Methods whose keywords are names that the system has."""
-MORE = {"plot": 14, "workspace": 10}
-"""Methods with more arguments: one for each thing that a picture shows (`PlotOptions`), what each kind needs."""
+MORE = {"plot": 14, "workspace": 10, "ik": 9}
+"""Methods with more arguments: what a picture shows (`PlotOptions`), what each kind needs, the steps of a search."""
 
 
 @pytest.mark.parametrize("name", METHODS)

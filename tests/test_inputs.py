@@ -427,7 +427,7 @@ def test_spatial_functions_refuse_what_is_no_number(name):
     shapes = {"X": (4, 4), "R": (3, 3), "twist": (6,), "values": (6,), "angle": ()}
     shapes |= dict.fromkeys(("q", "quat_wxyz", "a", "b"), (4,))
     good = {p: np.full(shapes.get(p, (3,)), 0.5) for p in parameters}
-    good |= {p: np.eye(n) for p, n in (("X", 4), ("R", 3)) if p in good}
+    good |= {p: np.eye(n) for p, n in (("X", 4), ("R", 3), ("particles", 2), ("places", 2)) if p in good}
     function(**good)
     for place in parameters:
         for kind, bad in wrong(good[place]).items():

@@ -292,7 +292,9 @@ def fit_pose(particles: ArrayLike, places: ArrayLike) -> PoseFit:
     loose = ~bad & ~(S[..., -2] + sense[..., -1] * S[..., -1] > 1e-12 * size)
     if bad.ndim == 0 and (bad or loose):
         open_ = "the particles lie on one line or in one point, which leaves the orientation open"
-        raise InputError("particles or places have entries that are not finite" if bad else open_)
+        raise InputError(
+            "particles or places have entries that are not finite; all must be finite numbers" if bad else open_
+        )
     X = np.zeros((*bad.shape, 4, 4))
     X[...] = np.eye(4)
     X[..., :dim, :dim] = (U * sense[..., None, :]) @ Vt

@@ -462,12 +462,13 @@ def test_groups_of_loops_are_counted_by_themselves():
     for k in range(2):
         m.attach(kempe.load("four_bar"), at=(2.0 * k, 0), prefix=f"m{k}_")
     q = {f"m{k}_{n}": v for k in range(2) for n, v in kempe.load("four_bar").mechanism.postures["closed"].items()}
-    report = mobility(m.build(), q)
+    system = m.build()
+    report = mobility(system, q)
     assert [(c.gruebler, c.rank_dof, c.redundant) for c in report.clusters] == [(1, 1, 0), (1, 1, 0)]
     assert (report.gruebler, report.dof, report.outside) == (2, 2, 0)
     names = [*kempe.load("four_bar").joint_names]
-    for k, (c, cut) in enumerate(zip(report.clusters, report.system.structure.closures, strict=True)):
-        assert sorted(c.edges) == sorted(f"m{k}_{n}" for n in names) and c.loops == (cut,)
+    for k, (c, cut) in enumerate(zip(report.clusters, system.structure.closures, strict=True)):
+        assert sorted(c.joints) == sorted(f"m{k}_{n}" for n in names) and c.loops == (cut,)
 
 
 @pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])

@@ -135,7 +135,7 @@ WRONG = [
     (lambda m: m.body("x", mass=-1), DescriptionError, "body 'x': mass is -1; it must not be negative"),
     (lambda m: m.body("x", mass="heavy"), InputError, "body 'x': mass is 'heavy'; it must be a number"),
     (lambda m: m.body("x", mass=np.nan), InputError, "body 'x': mass is nan"),
-    (lambda m: m.body("x", center=(1,)), DescriptionError, "body 'x': center has 1 numbers; it must have 2 or 3"),
+    (lambda m: m.body("x", center=(1,)), DescriptionError, "body 'x': center has 1 number; it must have 2 or 3"),
     (lambda m: m.body("x", center=5), DescriptionError, "body 'x': center is 5; it must have 2 or 3 numbers"),
     (lambda m: m.body("x", center=(1, 2, np.inf)), InputError, "body 'x': center is inf"),
     (lambda m: m.frame("tip", "link1"), DescriptionError, "frame 'tip': there is another frame of this name"),

@@ -124,8 +124,8 @@ def test_wrong_jacobians_are_refused():
 @pytest.mark.parametrize(("made", "said"), [
     (c.Function(lambda q: math.nan), "finite"), (c.Function(lambda q: "x"), "must give a number"),
     (c.Function(lambda q: []), "gives no numbers at all"), (c.Function(NONE), "it must be a function of q"),
-    (c.Function(NONE, frames="coupler"), r"it must be a function of 1 poses \(4, 4\)"),
-    (c.Function(lambda X, Y: 0.0, frames="coupler"), "is called with 1 poses, of coupler, which it does not take"),
+    (c.Function(NONE, frames="coupler"), r"it must be a function of 1 pose \(4, 4\)"),
+    (c.Function(lambda X, Y: 0.0, frames="coupler"), "is called with 1 pose, of coupler, which it does not take"),
     (c.Function(lambda q: q[0], low=1.0, high=0.0), "leave nothing"),
     (c.Function(lambda q: q[0], weight=1.0), "has a weight, which ik reads of a wish"),
 ])  # fmt: skip

@@ -232,8 +232,8 @@ def test_plain_calls_say_what_is_wrong():
             robot.ik(np.ascontiguousarray(far.T), frame)
         with pytest.raises(InputError, match="start has entries"):
             robot.ik(X, frame, start=np.full(robot.nq, np.nan))
-        with pytest.raises(InputError, match="start has shape"):
-            robot.ik(X, frame, start=np.zeros((2, robot.nq)))
+        with pytest.raises(InputError, match="start has 8 coordinates; panda needs 7"):
+            robot.ik(X, frame, start=np.zeros((2, robot.nq + 1)))
     turned = X.copy()
     turned[:3, 3] = [0.0, 0.0, 0.05]
     s = robot.ik(turned, frame)

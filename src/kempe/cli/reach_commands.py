@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated
 
@@ -125,7 +125,7 @@ def place(
 
 
 @contextmanager
-def _paced(starts: int | None, rng: int | None, time_limit: float | None, of: str) -> Iterator[Budget]:
+def _paced(starts: int | None, rng: int | None, time_limit: float | None, of: str) -> Generator[Budget]:
     """The budget of a command, which shows how many of what are done where the terminal is one."""
     from kempe.views import slices
 

@@ -43,12 +43,12 @@ def as_start(system: System, q: Any) -> Array:
     """
     if isinstance(q, str):
         return q_from_dict(system, q, home_of(system))
-    return _read(system, q, from_home)
+    return _read(system, q, from_home, "start")
 
 
-def _read(system: System, q: Any, complete: Callable[[System, Mapping[str, Any]], Array]) -> Array:
+def _read(system: System, q: Any, complete: Callable[[System, Mapping[str, Any]], Array], word: str = "q") -> Array:
     if is_plain(q):
-        array = converted(q, "q", WANTED)
+        array = converted(q, word, WANTED)
     else:
         if q.__class__ is not np.ndarray or q.dtype.names:
             coordinates = named(q)
@@ -56,12 +56,12 @@ def _read(system: System, q: Any, complete: Callable[[System, Mapping[str, Any]]
                 return complete(system, coordinates)
             rows = rows_of(q)
             if rows is not None:
-                return np.stack([_read(system, row, complete) for row in rows])
-        array = np.require(reals(q, "q", WANTED), np.float64, ["C", "A"])
+                return np.stack([_read(system, row, complete, word) for row in rows])
+        array = np.require(reals(q, word, WANTED), np.float64, ["C", "A"])
     if array.ndim == 0 or array.shape[-1] != system.nq:
         names = ", ".join(system.coordinate_names[:12]) + (", ..." if system.nq > 12 else "")
         got = "a single number" if array.ndim == 0 else counted(array.shape[-1], "coordinate")
-        raise InputError(f"q has {got}; {system.name} needs {system.nq}: {names}")
+        raise InputError(f"{word} has {got}; {system.name} needs {system.nq}: {names}")
     return array
 
 

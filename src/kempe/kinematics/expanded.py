@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from kempe import spatial
 from kempe.description.mechanism import Mechanism
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 
-class _Part(NamedTuple):
+class _SingleJoint(NamedTuple):
     """One turn or slide of a joint: its coordinate by its full name and within the joint, and the motion."""
 
     name: str
@@ -43,20 +44,20 @@ def expanded(system: System) -> System:
     return m.build()
 
 
-def _parts(m: Mechanism, joint: Joint) -> list[_Part]:
+def _parts(m: Mechanism, joint: Joint) -> list[_SingleJoint]:
     """The turns and slides of a joint; those of a quaternion with three angles, in postures, too."""
     keys, steps = joint.type.layout(m.dim, m.bodies[joint.child].particle)
-    names, out = coordinate_names(m, joint), list[_Part]()
+    names, out = coordinate_names(m, joint), list[_SingleJoint]()
     for p in steps:
         if p.kind != Q:
-            out.append(_Part(names[p.coordinate], keys[p.coordinate], p))
+            out.append(_SingleJoint(names[p.coordinate], keys[p.coordinate], p))
             continue
         four = names[p.coordinate : p.coordinate + 4]
         tied = {*m.locks, *m.couplings, *(s for c in m.couplings.values() for s in c.sources)}
         if tied & set(four):
             raise InputError(f"joint {joint.name!r} has a quaternion that is locked or coupled, and no angles")
         angles, turns = Spherical(angles=True).layout()
-        out += [_Part(f"{joint.name}.{a}", a, turn) for a, turn in zip(angles, turns, strict=True)]
+        out += [_SingleJoint(f"{joint.name}.{a}", a, turn) for a, turn in zip(angles, turns, strict=True)]
         for posture in m.postures.values():
             if set(four) & set(posture):
                 q = [posture.pop(n, float(k == 0)) for k, n in enumerate(four)]
@@ -65,7 +66,7 @@ def _parts(m: Mechanism, joint: Joint) -> list[_Part]:
     return out
 
 
-def _expand(m: Mechanism, joint: Joint, parts: list[_Part]) -> None:
+def _expand(m: Mechanism, joint: Joint, parts: list[_SingleJoint]) -> None:
     """Add a joint to a mechanism as a chain of turns and slides."""
     here, X = joint.parent, joint.X_PF
     for k, (name, key, motion) in enumerate(parts):
@@ -77,13 +78,13 @@ def _expand(m: Mechanism, joint: Joint, parts: list[_Part]) -> None:
         if follows:
             name, source = _free(m, f"{name} slide"), name
             m.couplings[name] = Coupling(name, {source: motion.multiplier})
-        own = [{"": table[key]} if key in table and not follows else {}
-               for table in (joint.limits, joint.velocity_limits, joint.effort_limits)]  # fmt: skip
+        tables: tuple[Mapping[str, Any], ...] = (joint.limits, joint.velocity_limits, joint.effort_limits)
+        own: list[Any] = [{"": table[key]} if key in table and not follows else {} for table in tables]
         m.joints[name] = Joint(
             name, Revolute() if motion.kind == R else Prismatic(), here, there, X @ axis,
             (joint.X_CM if last else Placement()) @ axis, *own, actuated=None if follows else joint.actuated,
             cut=joint.cut and last, where=joint.where,
-        )  # type: ignore[arg-type]  # fmt: skip
+        )  # fmt: skip
         here, X = there, Placement()
 
 

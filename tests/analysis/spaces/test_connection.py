@@ -132,7 +132,9 @@ def test_one_sided_constraints_are_gone_around():
     assert found.length >= 2.0 * (np.sqrt(1.5**2 - 1.0) + np.arcsin(1 / 1.5)) / 2.0
 
 
-@pytest.mark.parametrize(("q0", "said"), [([0.0], "coordinates"), ([np.nan] * 4, "finite"), ([0.1] * 4, "not closed")])
+@pytest.mark.parametrize(
+    ("q0", "said"), [([0.0], "needs 4: A, B, C, D"), ([np.nan] * 4, "finite"), ([0.1] * 4, "not closed")]
+)
 def test_ends_that_are_no_configurations_are_refused(q0, said):
     system = kempe.load("four_bar")
     with pytest.raises(InputError, match=said):

@@ -57,19 +57,22 @@ def _by_values(A: Array, b: Array, cut: float) -> Array:
 def least_squares_of_many(A: Array, b: Array, cut: float = CUT) -> Array:
     """`least_squares` of many A (k, m, n) and b (k, m): the normal equations, where these are far from singular.
 
-    A second right-hand side, in no special direction, tells how near to singular they are.
+    Of the first kind, or of the second where there are fewer equations than unknowns. A second right-hand side, in no
+    special direction, tells how near to singular they are.
     """
-    G, n = np.swapaxes(A, -1, -2) @ A, A.shape[-1]
+    At, wide = np.swapaxes(A, -1, -2), A.shape[-2] < A.shape[-1]
+    G = A @ At if wide else At @ A
+    n = G.shape[-1]
     right = np.empty((len(A), n, 2))
-    right[..., 0] = np.einsum("kmn,km->kn", A, b)
+    right[..., 0] = b if wide else np.einsum("kmn,km->kn", A, b)
     right[..., 1] = np.cos(np.arange(n, dtype=float))
     scale = np.einsum("kii->k", G)
     bad = np.ones(len(A), dtype=bool)
-    y = np.zeros((len(A), n))
+    y = np.zeros((len(A), A.shape[-1]))
     with contextlib.suppress(np.linalg.LinAlgError):
         found = np.linalg.solve(G, right)
         bad = ~(np.linalg.norm(found[..., 1], axis=-1) * scale < WELL)
-        y[:] = found[..., 0]
+        y[:] = np.einsum("kmn,km->kn", A, found[..., 0]) if wide else found[..., 0]
     for k in np.flatnonzero(bad):
         y[k] = _by_values(A[k], b[k], cut)
     return y

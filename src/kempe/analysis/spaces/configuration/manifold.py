@@ -6,12 +6,13 @@ space around, and volumes on the manifold are those that it induces there (of ro
 
 from __future__ import annotations
 
+import contextlib
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from kempe.kinematics import closure_rows
-from kempe.kinematics.common.gauss_newton import gauss_newton_of_many
+from kempe.kinematics.common.gauss_newton import gauss_newton_of_many, least_squares_of_many
 from kempe.kinematics.configuration import by_short_turns, circles, random
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.solvers.modes.same_configuration import metric_of
@@ -26,6 +27,9 @@ REGULAR = 1e-6
 """Singular value, as a part of the largest, below which a constraint counts as dependent on others."""
 TRIES, STEEP = 30, 0.5
 """Steps of a search for the manifold, and the longest."""
+NEWTON, EXACT, LONGEST, NEARER = 8, 1e-11, 10.0, 0.7
+"""Steps of Newton's method, the norm of the equations at which it ends, that from which it does not begin, and the part
+of it that is left after a step, at most."""
 
 
 class Frames(NamedTuple):
@@ -80,6 +84,12 @@ class Manifold:
         if not rank:
             eye = np.broadcast_to(np.eye(self.system.nv), (len(q), self.system.nv, self.system.nv))
             return Frames(eye, eye[..., :0], np.ones(len(q), dtype=bool))
+        if J.shape[1] == rank:
+            Q, R = np.linalg.qr(np.swapaxes(J, -1, -2), mode="complete")
+            size = np.abs(np.einsum("kii->ki", R[:, :rank]))
+            return Frames(
+                Q[..., rank:], Q[..., :rank], size.min(axis=1) > REGULAR * np.maximum(size.max(axis=1), 1e-300)
+            )
         _, s, Vt = np.linalg.svd(J, full_matrices=True)
         least = REGULAR * np.maximum(s[:, 0], 1e-300)
         regular = s[:, rank - 1] > least
@@ -89,19 +99,25 @@ class Manifold:
         return Frames(V[..., rank:], V[..., :rank], regular)
 
     def lifted(self, q: Array, y: Array, normal: Array) -> tuple[Array, np.ndarray]:
-        """Steps (k, nv) from q (k, nq) onto the manifold: `y` (k, nv) and a combination of normals; whether (k,)."""
+        """Steps (k, nv) from q (k, nq) onto the manifold: `y` (k, nv) and a combination of normals; whether (k,).
 
-        def at(a: Array, who: np.ndarray) -> Array:
-            return y[who] + np.einsum("kij,kj->ki", normal[who], a)
-
-        def both(a: Array, who: np.ndarray) -> tuple[Array, Array]:
-            r, J = self.equations(self.move(q[who], at(a, who)))
-            return r, J @ normal[who]
-
-        every = np.arange(len(q))
-        a = gauss_newton_of_many(both, np.zeros(normal.shape[::2]), TRIES, longest=2.0 * STEEP)
-        step = at(a, every)
-        return step, self._met(self.move(q, step))
+        By Newton's method from no normals at all, which is given up where it does not come much nearer at each step.
+        """
+        step, found = np.array(y), np.zeros(len(q), dtype=bool)
+        left, before = np.arange(len(q)), np.full(len(q), np.inf)
+        for k in range(NEWTON):
+            r, J = self.equations(self.move(q[left], step[left]))
+            size = np.linalg.norm(r, axis=1)
+            met = size < EXACT
+            found[left[met]] = True
+            go_on = ~met & (size < NEARER * before if k else size < LONGEST)
+            if not go_on.any():
+                break
+            left, before = left[go_on], size[go_on]
+            N = normal[left]
+            a = solved(J[go_on] @ N, -r[go_on])
+            step[left] += np.einsum("kij,kj->ki", N, a)
+        return step, found
 
     def _met(self, q: Array) -> np.ndarray:
         out = np.asarray(np.isfinite(q).all(axis=-1))
@@ -109,3 +125,11 @@ class Manifold:
             closure_rows.evaluate(self.system, np.where(out[:, None], q, 0.0), False, True)[0], axis=-1
         )
         return out & (size < CLOSED)
+
+
+def solved(A: Array, b: Array) -> Array:
+    """The y (k, n) that solve A y = b, for A (k, m, n) of rank n and b (k, m), or come nearest."""
+    if A.shape[1] == A.shape[2]:
+        with contextlib.suppress(np.linalg.LinAlgError):
+            return np.asarray(np.linalg.solve(A, b[..., None])[..., 0], dtype=float)
+    return least_squares_of_many(A, b)

@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe.analysis.spaces.configuration.manifold import Frames
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.analysis.spaces.configuration.manifold import Frames, Manifold
+    from kempe.analysis.spaces.configuration.manifold import Manifold
 
 FIRST = 0.5
 """Standard deviation of the first steps in each tangent direction, in radians and characteristic lengths."""
@@ -29,15 +30,12 @@ LEAST, LARGEST = 1e-3, 2.0
 
 
 class Walkers:
-    """Walkers on a manifold at q (k, nq), each by itself; `taken` is the share of the steps that were taken."""
+    """Walkers on a manifold at q (k, nq), each by itself, with steps of standard deviation `sigma`."""
 
     def __init__(self, manifold: Manifold, q: Array, rng: np.random.Generator):
         self.manifold, self.rng, self.sigma = manifold, rng, FIRST
-        self.frames = manifold.frames(q)
-        self.q = q[self.frames.regular]
-        self.frames = self.frames._replace(**{
-            "tangent": self.frames.tangent[self.frames.regular], "normal": self.frames.normal[self.frames.regular],
-            "regular": self.frames.regular[self.frames.regular]})  # fmt: skip
+        frames = manifold.frames(q)
+        self.q, self.frames = q[frames.regular], Frames(*(x[frames.regular] for x in frames))
         self.steps = self.moves = 0
 
     @property
@@ -46,12 +44,11 @@ class Walkers:
         return self.moves / max(1, self.steps)
 
     def fit(self, steps: int, check: Callable[[], None]) -> None:
-        """Take so many steps whose length is fitted; nothing of them is counted."""
+        """Take so many steps whose length `sigma` is fitted."""
         for _ in range(steps):
             check()
             share = self._step()
             self.sigma = float(np.clip(self.sigma * np.exp(0.5 * (share - WANTED)), LEAST, LARGEST))
-        self.steps = self.moves = 0
 
     def walk(self, steps: int, check: Callable[[], None]) -> None:
         """Take so many steps of one length."""
@@ -64,25 +61,24 @@ class Walkers:
         v = self.sigma * self.rng.normal(size=(k, m.dim))
         chance = np.log(np.maximum(self.rng.random(k), 1e-300))
         step, ok = m.lifted(q, _along(f.tangent, v), f.normal)
-        y = m.move(q, np.where(ok[:, None], step, 0.0))
-        there = m.frames(y)
-        ok &= there.regular & m.inside(y)
-        back = -np.einsum("kij,ki->kj", there.tangent, step)
-        ok &= chance < (np.sum(v * v, axis=1) - np.sum(back * back, axis=1)) / (2.0 * self.sigma**2)
         who = np.flatnonzero(ok)
-        if len(who):
-            returned, found = m.lifted(y[who], _along(there.tangent[who], back[who]), there.normal[who])
-            ok[who] = found & (np.linalg.norm(returned + step[who], axis=1) < BACK)
-        self._take(y, there, ok)
-        self.steps, self.moves = self.steps + k, self.moves + int(ok.sum())
-        return float(ok.mean()) if k else 0.0
+        y = m.move(q[who], step[who])
+        who, y = _some(m.inside(y), who, y)
+        there = m.frames(y)
+        back = -np.einsum("kij,ki->kj", there.tangent, step[who])
+        likely = np.sum(v[who] ** 2, axis=1) - np.sum(back**2, axis=1)
+        taken = there.regular & (chance[who] < likely / (2.0 * self.sigma**2))
+        who, y, back, tangent, normal = _some(taken, who, y, back, there.tangent, there.normal)
+        returned, found = m.lifted(y, _along(tangent, back), normal)
+        found &= np.linalg.norm(returned + step[who], axis=1) < BACK
+        who = who[found]
+        self.q[who], f.tangent[who], f.normal[who] = _some(found, y, tangent, normal)
+        self.steps, self.moves = self.steps + k, self.moves + len(who)
+        return len(who) / max(1, k)
 
-    def _take(self, y: Array, there: Frames, ok: np.ndarray) -> None:
-        wide = ok[:, None, None]
-        self.q = np.where(ok[:, None], y, self.q)
-        f = self.frames
-        self.frames = f._replace(tangent=np.where(wide, there.tangent, f.tangent),
-                                 normal=np.where(wide, there.normal, f.normal))  # fmt: skip
+
+def _some(which: np.ndarray, *arrays: np.ndarray) -> tuple[np.ndarray, ...]:
+    return tuple(x[which] for x in arrays)
 
 
 def _along(basis: Array, v: Array) -> Array:

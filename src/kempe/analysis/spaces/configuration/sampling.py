@@ -29,8 +29,8 @@ MOST = 10**7
 """Configurations at most."""
 CHUNK = 1 << 16
 """Configurations that are drawn, and judged by one-sided constraints, at once."""
-WALKERS, STARTS = 1000, 4
-"""Walkers at most, and starts that are assembled for each."""
+WALKERS, FEW, STARTS = 1000, 100, 4
+"""Walkers at most, those that the length of steps is fitted with, and starts that are assembled for each."""
 FITTED, FIRST, EACH = 60, 140, 40
 """Steps whose length is fitted, steps before the first configuration is kept, and between two of one walker."""
 FAR = 1e3
@@ -165,11 +165,13 @@ def _by_walk(
     _refuse(_run_away(system))
     why = None
     kept: list[Array] = []
-    walkers = Walkers(manifold, _starts(manifold, min(n, WALKERS), home, rng), rng)
+    starts = _starts(manifold, min(n, WALKERS), home, rng)
+    few, walkers = Walkers(manifold, starts[:FEW].copy(), rng), Walkers(manifold, starts, rng)
     if not len(walkers.q):
         raise UnsupportedError(f"{system.name}: no regular configuration was found from which to walk")
     try:
-        walkers.fit(FITTED, lambda: check(0))
+        few.fit(FITTED, lambda: check(0))
+        walkers.sigma = few.sigma
         walkers.walk(FIRST, lambda: check(0))
         while sum(map(len, kept)) < n:
             if kept:

@@ -336,7 +336,7 @@ class Solutions(ConfigurationList, Answer):
         from kempe.solvers.analytic.answers.nearest import nearest
 
         if not 0 <= index < len(self._rows):
-            raise InputError(f"index is {index}; the targets are {len(self._rows)}")
+            raise InputError(f"index is {index}; there are {counted(len(self._rows), 'target')}, from 0")
         return nearest(self, index)
 
     def chosen(self, expand_turns: bool, inside_only: bool) -> Solutions:
