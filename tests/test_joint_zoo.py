@@ -20,7 +20,7 @@ from kempe.description.toml.toml import read_toml
 from kempe.description.toml.toml_writer import write_toml
 from kempe.description.urdf.urdf_writer import write_urdf
 from kempe.errors import DescriptionError, InputError, UnknownNameError
-from kempe.joints import TYPES, Helical, JointType, P, Product, Q, R, Revolute, Spherical, in_zoo, joint_type
+from kempe.joints import TYPES, Helical, JointType, P, Primitive, Product, Q, R, Revolute, Spherical, in_zoo, joint_type
 from kempe.kinematics.closure_errors import joint_pose
 
 
@@ -614,3 +614,20 @@ def test_random_products(hunt):
         q = sample(system, rng)
         np.testing.assert_allclose(system.fk(q, "M"), expected_pose(case, q, placed=True), rtol=0, atol=1e-12)
         assert read_toml(write_toml(system.mechanism)).build() == system
+
+
+def test_a_joint_is_one_of_space_where_nothing_is_said():
+    """Also one whose motions stand in a table by the dimension."""
+
+    class Slab(JointType):
+        """Slides, and in space a ball."""
+
+        def layout(self, dim: int = 3, particle: bool = False):
+            """By the dimension."""
+            flat = (Primitive(P, "x", 0), Primitive(P, "y", 1))
+            return {2: (("x", "y"), flat), 3: (("x", "y", "qw", "qx", "qy", "qz"), (*flat, Primitive(Q, "z", 2)))}[dim]
+
+    kind = Slab()
+    assert (kind.dof(), kind.constraints(), kind.forbids()) == (5, 1, ("z",))
+    assert (kind.dof(2), kind.constraints(2), kind.forbids(2)) == (2, 1, ("rz",))
+    assert kind.velocities() == ("x", "y", "wx", "wy", "wz") and len(kind.coordinates()) == 6

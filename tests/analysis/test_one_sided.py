@@ -265,3 +265,9 @@ def test_what_declared_constraints_allow(number, hunt):
             row = np.eye(system.nv)[k]
             assert found.coordinates[name] == (least(row, E, G) < -1e-6, least(-row, E, G) < -1e-6)
     assert closed > hunt.cases(number)
+
+
+def test_what_is_open_may_fall_and_rise():
+    system = kempe.load("puma560")
+    found = one_sided(system, system.mid)
+    assert len(found.sides) == 12 and all(s.state == "open" and s.ways == (True, True) for s in found.sides)

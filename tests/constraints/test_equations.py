@@ -10,6 +10,7 @@ import pytest
 
 import kempe
 from kempe.constraints import Equation, Inequality, VelocityEquation
+from kempe.constraints.text import from_text
 from kempe.errors import DescriptionError, InputError, KempeError, UnknownNameError
 from kempe.kinematics import closure_rows
 
@@ -263,3 +264,27 @@ def test_a_function_that_changes_its_size_is_named_with_the_call():
     m.equation("e", growing, of=("A",))
     with pytest.raises(InputError, match="'e' gave 1 number, and gives 2 at A = 60.0"):
         closure_rows.residual(m.build(), [60.0, 0.0])
+
+
+def test_the_words_of_a_tape_are_its_inputs():
+    tape = from_text("A - 2*sin(B)", ("A", "B"))
+    assert Equation(tape, of=("A", "B")).words == ("A", "B")
+    assert Equation(branching, of=("B", "A")).words == ("B", "A")
+
+
+@pytest.mark.parametrize(("entry", "said"), [("C", "no .*'C'"), ("t", "no .*'t'.*; for the time say time=True")])
+def test_names_in_rows_of_velocities_that_are_neither_coordinates_nor_parameters(entry, said):
+    made = VelocityEquation([[entry, "p"]], of=("A", "B"), parameters=("p",))
+    with pytest.raises(InputError, match=said):
+        made.rows(2)
+
+
+def test_a_function_reads_coordinates_where_they_are_in_q():
+    """A ball before them has four numbers in q and three velocities."""
+    m = kempe.Mechanism("ball and arm")
+    m.spherical("J", m.ground, m.body("ball"))
+    for name in "AB":
+        m.revolute(name, m.ground, m.body(f"body {name}"))
+    m.equation("e", branching, of=("A", "B"))
+    q = np.array([1.0, 0.0, 0.0, 0.0, 0.7, 0.2])
+    assert closure_rows.residual(m.build(), q) == pytest.approx([0.7 - 2.0 * 0.2], abs=1e-14)

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from kinds_battery import EXAMPLES, run
 
+from kempe import constraints as c
 from kempe.constraints import KINDS
-from kempe.constraints.base import Constraint, kind
+from kempe.constraints.base import Constraint, content, kind
 from kempe.errors import InputError
 
 HERE = Path(__file__).parent
@@ -89,3 +90,25 @@ def test_a_kind_whose_fields_are_not_written_as_text_is_refused():
     with pytest.raises(InputError, match="Odd: its module must begin with: from __future__ import annotations"):
         kind("odd")(made)
     assert "odd" not in KINDS
+
+
+def test_what_may_be_left_out_is_given_by_name_only_and_parameters_are_not_shown():
+    made = [EXAMPLES[name](3) for name in EXAMPLES]
+    late = {(m.kind, f.name) for m in made if m.rows(3) for f in fields(m) if f.default is None and not f.kw_only
+            and f.name in ("other", "parameters", "at_least", "at_most", "name")}  # fmt: skip
+    assert late == {(name, "other") for name in ("contact", "no_sideslip", "rolls")}
+    assert not [m.kind for m in made if "parameters=" in repr(m)]
+
+
+def test_the_content_of_a_constraint_is_its_kind_and_what_it_says_but_not_the_parameters_of_a_mechanism():
+    made = c.Equation("A - 2*B")
+    assert content(made)[0] == "equation" and ("expression", "A - 2*B") in content(made)
+    assert content(made) == content(replace(made, parameters=("p",))) != content(c.Equation("A - 3*B"))
+
+
+@pytest.mark.parametrize(("name", "label"), [
+    ("centre_of_points", "CentreOfPoints of 'tip', 'eye'"), ("centre_of_mass", "CentreOfMass of the system"),
+    ("distance", "Distance of 'tip' and 'eye'"), ("position", "Position of 'tip'"),
+])  # fmt: skip
+def test_messages_name_what_a_constraint_is_about(name, label):
+    assert EXAMPLES[name](3).label == label

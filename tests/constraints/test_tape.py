@@ -11,7 +11,8 @@ import sympy
 from hypothesis import given, reject
 from hypothesis import strategies as st
 
-from kempe.constraints.recording import NotRecorded, probe, record
+from kempe.constraints.builder import Builder
+from kempe.constraints.recording import _UFUNCS, _UFUNCS_2, NotRecorded, probe, record
 from kempe.constraints.tape import NAMES, Tape, is_plain
 from kempe.constraints.text import from_text
 from kempe.errors import InputError, KempeError, UnknownNameError
@@ -341,3 +342,20 @@ def test_long_texts_are_refused_where_shared_parts_multiply():
 ])  # fmt: skip
 def test_names_that_stand_in_text_as_they_are(name, plain):
     assert is_plain(name) is plain
+
+
+def test_an_entry_of_a_list_is_the_number_at_its_place():
+    lists = ([2.0, 2.0, 2.0], [3.0, 5.0, 3.0], [3.0, 5.0, 7.0])
+    build = Builder(("s",))
+    tape = build.finish([build.entry(0, numbers) for numbers in lists])
+    for k in range(3):
+        assert tape.evaluate({"s": k + 0.4}).tolist() == [numbers[k] for numbers in lists]
+
+
+@pytest.mark.filterwarnings("ignore:invalid value")
+def test_every_function_of_numpy_is_recorded_as_itself():
+    one, two = (sorted(table, key=lambda f: f.__name__) for table in (_UFUNCS, _UFUNCS_2))
+    tape, _ = record(lambda x: [f(x["A"]) for f in one] + [f(x["A"], x["B"]) for f in two], ["A", "B"])
+    for a, b in ((0.3, 0.7), (1.4, 0.2), (0.9, 1.6)):
+        expected = [f(a) for f in one] + [f(a, b) for f in two]
+        np.testing.assert_allclose(tape.evaluate({"A": a, "B": b}), expected, rtol=1e-14)

@@ -199,6 +199,16 @@ def test_limits_that_touch_through_a_gear_are_accepted(ratio, driver, driven, dr
     assert limits[0, 0] <= limits[0, 1]
 
 
+@pytest.mark.parametrize(("apart", "good"), [(5e-4, True), (2e-3, False)])
+def test_limits_touch_up_to_rounding_of_their_size(apart, good):
+    given = (0.0, 1e6), (1e6 + apart, 2e6), 1.0, False
+    if good:
+        np.testing.assert_allclose(geared(*given).structure.limits, [[1e6, 1e6]], rtol=1e-9)
+    else:
+        with pytest.raises(DescriptionError, match="leave nothing to 'x'"):
+            geared(*given)
+
+
 @pytest.mark.parametrize(("value", "good"), [(0.5, True), (1.0, True), (0.7, True), (0.49, False), (1.01, False)])
 def test_a_joint_is_locked_inside_its_limits_and_at_them(value, good):
     m = Mechanism("arm", dim=2)

@@ -16,7 +16,7 @@ from kempe.model.closures.packed_loops import PackedLoops, loops_of, must_be_exp
 from kempe.solvers.assembly.assembler import Assembler
 
 TABLE = [kind(**options) for kind in TYPES.values() for options in variants(kind, 0.3)]
-EVERY = [*TABLE, *(t() for t in OWN)]
+EVERY = [*TABLE, Helical(1.0), *(t() for t in OWN)]
 CASES = [(kind, dim) for kind in EVERY for dim in (2, 3) if dim == 3 or kind.planar]
 FORMS = {
     "fixed": ("xyz", "xyz"), "revolute": ("xyz", "xy"), "prismatic": ("xy", "xyz"), "helical": None,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from types import SimpleNamespace
 
 import graphs
 import numpy as np
@@ -18,6 +19,7 @@ from kempe import Mechanism, constraints
 from kempe.errors import InputError, NoSolutionError, UnknownNameError
 from kempe.kinematics import closure_rows
 from kempe.solvers.assembly.assembler import Assembler
+from kempe.solvers.assembly.assembly_bounded import OneSidedAssembly
 from kempe.status import Status
 
 MECHANISMS = [
@@ -371,7 +373,7 @@ def test_a_branch_by_its_signs():
     posture = s.assemble({"A": 1.5}, branch="closed")
     assert posture and s.q_dict(posture.q)["D"] > 0
     open_ = four_bar(a=0.3, b=0.2, c=0.2, d=0.4).assemble({"A": 2.0}, branch="+")
-    assert not open_ and open_.status
+    assert not open_ and open_.status and open_.starts == 1  # the closed form is where it starts, once
 
 
 def test_further_constraints():
@@ -528,3 +530,32 @@ def test_bad_further_constraints_are_refused_and_violated_ones_named():
     a, b = s.body_names[1], s.body_names[-1]
     answer = s.assemble(also=constraints.Distance(a, b, 99.0, name="far rod"))
     assert not answer and "'far rod'" in answer.status
+
+
+def test_values_of_a_bound_assembler_are_rows_of_its_coordinates():
+    s = kempe.load("five_bar")
+    assembler, rows = s.loops.assembler(["A", "D"]), np.array([[1.9, 1.2], [2.1, 1.0]])
+    found = assembler(rows)
+    assert found.success.all()
+    np.testing.assert_allclose([[s.q_dict(q)[name] for name in "AD"] for q in found.q], rows, atol=1e-12)
+    np.testing.assert_allclose(assembler(rows[1]).q, found.q[1], atol=1e-9)
+
+
+@pytest.mark.parametrize(("beyond", "good"), [(0.5e-9, True), (1.5e-9, False)])
+def test_known_values_are_inside_the_limits_up_to_rounding(beyond, good):
+    s = kempe.load("four_bar").with_limits({"A": (0.0, 1.0)})
+    answer = s.assemble({"A": -beyond})
+    assert bool(answer) == good and (good or answer.code == Status.OUTSIDE_LIMITS)
+
+
+def test_held_balls_keep_their_known_quaternions():
+    """A ball behind a hinge, and one behind both, whose places in q and among velocities are no longer the same."""
+    m = Mechanism("arm")
+    m.revolute("A", m.ground, m.body("a"))
+    m.spherical("B", "a", m.body("b"))
+    m.spherical("C", "b", m.body("c"))
+    s = m.build()
+    loops, none = SimpleNamespace(unknown=np.array([1, 2, 3])), np.zeros(0)
+    q, known = np.arange(9.0)[None], -1.0 - np.arange(9.0)[None]
+    found = OneSidedAssembly(s, loops, none, 0, 0.0, 0, None)._with_known(q, known)
+    assert found.tolist() == [[-1.0, 1.0, 2.0, 3.0, 4.0, -6.0, -7.0, -8.0, -9.0]]

@@ -63,8 +63,7 @@ def split_turns(placement: np.ndarray) -> tuple[tuple[float, float], np.ndarray,
     rest = _turn(*a).T @ placement
     b = _unit(rest[0, 0], -rest[0, 1])
     cosine, sine = _unit(rotation[2, 2], sine)
-    middle = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, cosine, -sine, 0.0], [0.0, sine, cosine, 0.0]])
-    middle[:, 3] = rest[:, 3]
+    middle = np.column_stack([[[1.0, 0.0, 0.0], [0.0, cosine, -sine], [0.0, sine, cosine]], rest[:, 3]])
     if sine == 0.0:
         middle[:, 3] = math.hypot(origin[0], origin[1]), 0.0, origin[2]
     return a, middle, b

@@ -138,7 +138,7 @@ def _rotation_vector(D: Array) -> Array:
     """Rotation vectors (N, 3) of rotations."""
     v = 0.5 * np.stack([D[:, 2, 1] - D[:, 1, 2], D[:, 0, 2] - D[:, 2, 0], D[:, 1, 0] - D[:, 0, 1]], axis=1)
     sine = np.sqrt((v * v).sum(axis=1))
-    if sine.max(initial=0.0) < SMALL_SINE and D[:, 0, 0].min(initial=1.0) > 0.0 and D[:, 1, 1].min(initial=1.0) > 0.0:
+    if sine.max(initial=0.0) < SMALL_SINE and np.trace(D, axis1=1, axis2=2).min(initial=3.0) > 1.0:  # no half turns
         return v * np.where(sine < 1e-8, 1.0, np.arcsin(sine) / np.maximum(sine, 1e-300))[:, None]
     return spatial.log_so3(D)
 

@@ -187,7 +187,7 @@ def _directions(arm: Arm, theta: Array) -> tuple[Array, Array]:
     h = arm.lines.h[ELBOW]
     bent, over = arm.upper(np.array(arm.stretched + 1e-3))
     across = np.cross(h, u)
-    across = across * np.sign(np.cross(h, bent) @ (over - bent * (bent @ over) / (bent @ bent)))
+    across = across * np.sign(np.cross(h, bent) @ over)
     out = np.where(size > STRETCHED, out / np.maximum(size, STRETCHED), across)
     out = out - u * np.sum(u * out, axis=-1, keepdims=True)
     return u, out / np.linalg.norm(out, axis=-1, keepdims=True)

@@ -1,0 +1,208 @@
+"""Parts of the analysis of mobility, each where its answer is known by hand: series of joints, forms, steps, ranks."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import kempe
+from kempe import Mechanism
+from kempe.analysis.first_order.constraint_graph import structure
+from kempe.analysis.first_order.ends import BallEnd, Pair, _grow, _Meeting, _one_of_many
+from kempe.analysis.first_order.generic_configurations import nearby
+from kempe.analysis.first_order.idle_freedoms import _freedom
+from kempe.analysis.first_order.rank import rank_at
+from kempe.analysis.first_order.redundant_constraints import REACTIONS, _choose, _JointReaction
+from kempe.analysis.first_order.series_joints import stars
+from kempe.analysis.local import known_motions, leading_forms
+from kempe.analysis.local.branches import RADII, Spot, _apart
+from kempe.analysis.local.leading_forms import split_of
+from kempe.analysis.local.local import local_dimension
+from kempe.analysis.local.local_equations import FLAT, Equations
+from kempe.analysis.mobility.growth_vectors import _null_space
+from kempe.analysis.mobility.mobility import mobility
+from kempe.analysis.mobility.reachable import EvaluationPoint, random_place
+from kempe.kinematics.velocity.velocity import tangent_rows
+
+EYE = np.eye(3)
+
+
+def series_of(count: int) -> Any:
+    """A series of hinges."""
+    return SimpleNamespace(edges=tuple(range(count)), own=lambda k: range(1))
+
+
+def test_hinges_whose_axes_meet_are_a_ball_from_either_end():
+    """They meet 0.5, 1.2 and -0.3 from the origins of the three, and the fourth axis does not meet the third."""
+    meets = [_Meeting((0.5, 1.2), False), _Meeting((1.2, -0.3), False), None]
+    assert _grow(series_of(4), meets, 0, 1) == BallEnd((0, 1, 2), 0.5, False)
+    assert _grow(series_of(4), meets, 2, -1) == BallEnd((2, 1, 0), -0.3, False)
+    assert _grow(series_of(4), meets, 3, -1) == BallEnd((3,), 0.0, True)
+    bent = [_Meeting((0.5, 1.2), False), _Meeting((0.9, -0.3), False), None]
+    assert _grow(series_of(4), bent, 0, 1).edges == (0, 1)
+
+
+@pytest.mark.parametrize("through", [None, 4, 5])
+def test_a_ball_of_hinges_is_part_of_a_spherical_linkage_if_the_next_axis_goes_through_its_point(through):
+    """Hinges 1, 2 and 3 are the ball, 0 is the hinge: next to them are 4 and 5."""
+    w = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1]], dtype=float)
+    away = np.array([[0.0, 0.0, 0.0] if k < 4 or k == through else [0.0, 0.3, 0.7] for k in range(6)])
+    at: Any = SimpleNamespace(M=np.tile(np.eye(4), (6, 1, 1)), center=np.zeros(3), length=1.0)
+    at.twists = [np.concatenate([np.cross(p, x), x])[:, None] for p, x in zip(away, w, strict=True)]
+    at.M[:, :3, 3] = away
+    edges: Any = SimpleNamespace(edges=[SimpleNamespace(columns=(SimpleNamespace(slides=False),))] * 6)
+    pair = Pair(series_of(6), BallEnd((0,), 0.0, True), BallEnd((1, 2, 3), 0.0, False))
+    assert _one_of_many(edges, at, series_of(6), pair) == (through is not None)
+
+
+@pytest.mark.parametrize(("aside", "along", "joined"), [(0.0, 1.0, True), (0.3, 1.0, False), (0.0, 0.0, False)])
+def test_a_spin_joins_two_points_if_both_are_on_its_axis(aside, along, joined):
+    ends = np.tile(np.eye(4), (2, 1, 1))
+    ends[1, :3, 3] = aside, 0.0, along
+    at = SimpleNamespace(M=ends, F=ends, center=np.zeros(3), length=1.0)
+    system: Any = SimpleNamespace(body_names=("ground", "rod"))
+    s: Any = SimpleNamespace(edges=[SimpleNamespace(name="A"), SimpleNamespace(name="B")])
+    rank: Any = SimpleNamespace(screws=at, units=np.ones(2))
+    spin: Any = SimpleNamespace(point=np.array([0.0, 0.0, 0.4]), direction=EYE[2], of=None)
+    group: Any = SimpleNamespace(joints=(0, 1), bodies={1}, links=set())
+    assert _freedom(system, s, rank, spin, group, np.ones(2)).joined == joined
+
+
+def test_what_has_no_direction_is_released_before_turns():
+    rows = [_JointReaction("J", label, False, None, np.ones(1)) for label in (REACTIONS["x"], REACTIONS["rx"], "law")]
+    assert _choose(rows, 1) == [[rows[2]]] and _choose(rows[:2], 1) == [[rows[1]]]
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_joint_that_can_make_every_motion_holds_nothing_of_a_star(dim):
+    m = Mechanism("table", dim)
+    plate = m.body("plate")
+    kind = "revolute" if dim == 2 else "spherical"
+    for k, at in enumerate(([0.0, 0.0, 0.0], [1.0, 0.2, 0.0], [0.3, 0.9, 0.1])):
+        rod = m.body(f"rod {k}")
+        m.joint(f"A{k}", kind, m.ground, rod, at=at[:dim])
+        m.joint(f"B{k}", kind, rod, plate, at=[0.1, 0.2, 1.0][:dim], child_at=at[:dim])
+    m.free("F", m.ground, plate)
+    system = m.build()
+    names = [e.name for e in structure(system).edges]
+    (star,) = stars(system, frozenset())
+    assert [names[i] for i in star.loose] == ["F"]
+    assert sorted(names[c.edges[0]] for c in star.chains) == ["B0", "B1", "B2"]
+    held = frozenset([system.structure.velocity_names.index("F.x")])
+    assert all(not star.loose for star in stars(system, held))
+
+
+def test_a_regular_configuration_has_one_neighbour():
+    s = kempe.load("four_bar")
+    regular = rank_at(s, s.assemble({"A": 1.0}).q)
+    assert regular.dependent == 0 and len(nearby(s, regular, np.random.default_rng(0))) == 1
+
+
+# ---- local dimensions
+
+
+@pytest.mark.parametrize(("delta", "offset", "left"), [(2, 0.0, 1), (2, 0.9, 2), (1, 0.0, 2)])
+def test_half_branches_that_are_shaky_and_next_to_each_other_are_one(delta, offset, left):
+    split: Any = SimpleNamespace(delta=delta)
+    ends = [np.array(RADII)[:, None] * np.array([1.0, x]) for x in (0.0, offset)]
+    assert len(_apart([Spot(x, split) for x in ends])) == left
+
+
+def test_rates_that_are_none_of_a_bennett_linkage(monkeypatch):
+    """Its own are recognised; where opposite joints turn the other way against each other nothing stays closed."""
+    asked, whole = [], known_motions.half_angles
+    monkeypatch.setattr(known_motions, "half_angles", lambda *given: asked.append(given) or whole(*given))
+    system = kempe.load("bennett")
+    local_dimension(system, system.q("closed"))
+    ((equations, q, axes, places, rates),) = asked
+    assert whole(equations, q, axes, places, rates)
+    for turned in (places[2:], places[3:]):
+        other = rates.copy()
+        other[list(turned)] *= -1.0
+        assert not whole(equations, q, axes, places, other)
+
+
+def test_singular_values_count_by_their_part_of_the_largest():
+    J = np.array([[1e3, 0.0, 0.0], [0.0, 1e-4, 0.0]])
+    here = split_of(np.zeros(3), J, np.eye(2), np.arange(3))
+    assert (here.split.delta, here.split.corank) == (2, 1)
+    np.testing.assert_allclose(J @ here.split.null_space, 0.0, atol=1.1e-4)
+
+
+def slides(law: str) -> kempe.System:
+    m = Mechanism("slides", dim=2)
+    m.prismatic("x", m.ground, m.body("a"), axis=(1.0, 0.0))
+    m.prismatic("y", "a", m.body("b"), axis=(0.0, 1.0))
+    m.equation("law", law, of=("x", "y"))
+    return m.build()
+
+
+@pytest.mark.parametrize(("law", "ends"), [
+    ("y^2 - x^3", [(2, True)]), ("y^2 - x^2*(1 + x)", [(2, False)] * 2), ("x^3 - 3*x*y^2", [(2, False)] * 3),
+    ("x^3 - 3*x*y^2 + 1e-20*(x^2 + y^2)", [(2, False)] * 3), ("x^2 + y^2", []),
+])  # fmt: skip
+def test_branches_of_one_equation(law, ends):
+    """A cusp, a node, three lines, and these up to far below rounding; a point."""
+    found = local_dimension(slides(law), [0.0, 0.0])
+    assert [(b.ends, b.cusp) for b in found.branches] == ends and found.dim == bool(ends) and not found.more
+
+
+@pytest.mark.parametrize(("law", "count"), [
+    ("y^2 - x^3", None), ("y^2 - x^2*(1 + x)", 2), ("x^3 - 3*x*y^2", None), ("x^2 + y^2", 0)
+])  # fmt: skip
+def test_a_quadratic_form_counts_branches_only_where_no_direction_is_lost(law, count, monkeypatch):
+    found, whole = [], leading_forms.decide
+    monkeypatch.setattr(leading_forms, "decide", lambda *given: found.append(whole(*given)) or found[-1])
+    local_dimension(slides(law), [0.0, 0.0])
+    assert found[0][:2] == (int(count != 0), count)
+
+
+@pytest.mark.parametrize("far", [1.1, 0.93])
+def test_a_step_leads_towards_a_sphere_from_outside_and_from_inside(far):
+    equations = Equations(slides("y"))
+    center, radii = np.array([[0.3, 0.0]]) * equations.length, np.ones(1)
+    q = center + equations.length * far * np.array([[1.0, 0.0]])
+    q = equations._step(equations._project(q, center, radii, 0), center, radii, FLAT)
+    assert np.linalg.norm(q - center) / equations.length == pytest.approx(1.0, abs=0.006)
+
+
+# ---- mobility
+
+
+def test_the_gap_is_between_the_last_singular_value_that_counts_and_the_next():
+    A = np.array([[1.0, 0.0, 0.0, 0.0], [1.0, 1e-2, 0.0, 0.0], [1.0, 2e-2, 1e-12, 0.0]])
+    values = np.linalg.svd(A / np.linalg.norm(A, axis=1, keepdims=True), compute_uv=False)
+    rows: Any = SimpleNamespace(units=np.ones(4))
+    found = _null_space(rows, np.zeros(4), 0.0, np.arange(3), A, 1e-15)
+    assert found.dimension == 2 and found.gap == pytest.approx(values[1] / values[2], rel=1e-2)
+
+
+@pytest.mark.parametrize("length", [100.0, 0.01])
+def test_random_places_are_as_far_away_as_links_are_long(length):
+    m = Mechanism("cross", dim=2)
+    m.prismatic("x", m.ground, m.body("a"), axis=(1.0, 0.0), at=(length, 0.0))
+    m.prismatic("y", "a", m.body("b"), axis=(0.0, 1.0), at=(0.0, length))
+    m.velocity_equation("w", [[0.0, 0.0]], of=("x", "y"))
+    rows = tangent_rows(m.build())
+    assert rows.units[:2] == pytest.approx([length, length], rel=0.5)
+    place, rng = EvaluationPoint(rows, np.zeros(2), 0.0, (), lambda q: q), np.random.default_rng(0)
+    found = np.array([random_place(place, rng).q for _ in range(200)]) / rows.units[:2]
+    assert np.sqrt((found**2).mean(axis=0)) == pytest.approx([0.7, 0.7], rel=0.2)
+
+
+def test_a_report_names_the_joints_of_each_group_of_loops_and_shows_no_parts():
+    m = mobility(kempe.load("four_bar"))
+    (group,) = m.clusters
+    assert (sorted(group.joints), group.loops) == (["A", "B", "C", "D"], ("C",))
+    assert str(m).startswith("four_bar")
+    assert not [part for part in ("rank=", "local=", "one_sided=", "wrenches=", "within=") if part in repr(m)]
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [("four_bar", ""), ("shaky_3r", "shaky: it can move to first order, but is rigid")]
+)
+def test_kinds_of_configurations(name, kind):
+    assert mobility(kempe.load(name)).kind == kind

@@ -1,0 +1,44 @@
+"""What kernels are given of closures: functions of Python that fail, the order of equations."""
+
+from __future__ import annotations
+
+import ctypes
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+import kempe
+from kempe.model.closures.callback import Callback
+from kempe.model.closures.frame_constraints import Tie
+from kempe.model.closures.packed_loops import _by_level
+
+NOWHERE = (-1, np.eye(4), False)
+
+
+def test_where_a_function_fails_kernels_find_no_numbers_and_the_error_is_kept():
+    def fails(q):
+        raise ZeroDivisionError("at home")
+
+    s = kempe.load("four_bar")
+    made = Callback(s, 2, fails)
+    q, value, columns = s.mid.copy(), np.full(2, 7.0), np.zeros((s.nv, 2))
+    numbers = ctypes.POINTER(ctypes.c_double)
+    made._kept(*(x.ctypes.data_as(numbers) for x in (q, value, columns)), 1)
+    assert np.isnan(value).all() and repr(made.error) == "ZeroDivisionError('at home')"
+
+
+def test_equations_of_one_coordinate_stand_before_the_first_that_moves_with_it():
+    """They do if they are of the last level; all others stand in the order of levels."""
+
+    def tie(name: str, **more: Any) -> Tie:
+        return Tie(name, NOWHERE, NOWHERE, **more)
+
+    def moved_by(*velocities: int) -> Any:
+        return SimpleNamespace(support=velocities)
+
+    first = [tie("2 first", function=moved_by(2)), tie("0 first", function=moved_by(0))]
+    last = [tie("own 1", own=1), tie("own 0", own=0), tie("1 last", function=moved_by(1)), tie("own 3", own=3)]
+    table: Any = None
+    found = _by_level([*last, *first], table, lambda t: int("first" not in t.name), {})
+    assert [t.name for t in found] == ["2 first", "own 0", "0 first", "own 1", "1 last", "own 3"]
