@@ -45,8 +45,8 @@ force. A *property* is a test by Hypothesis, which shrinks the counter-example t
 through a list of cases, such as all joint types or all shipped models. None of them is a proof: they say where
 somebody has looked.
 
-The tests that everybody runs take a quarter of the cases; `--hunt-times 1` takes all of them, as is done for each
-change. The same hunts on other cases, and on ten times as many:
+The tests that everybody runs take a quarter of the cases; `--hunt-times 1` takes all of them. For each change
+half of them are taken. The same hunts on other cases, and on ten times as many:
 
 ```console
 $ pytest --hunt-seed 7 --hunt-times 10

@@ -51,9 +51,9 @@ def planar(bench: Bench) -> Grid:
     table.remarks += [
         f"{PAIRS} pairs each, at most {LIMIT:g} s a pair; a way counts if its steps are at most {STEP:g} rad and all "
         f"its configurations close to {CLOSED:g}",
-        "OMPL: RRT-Connect with the defaults of its constrained state spaces; the constraint and its Jacobian are a few "
-        "lines of numpy, called from C++ for each configuration, which is most of its time; its coordinates are numbers "
-        "within a turn, those of Kempe angles",
+        "OMPL: RRT-Connect with the defaults of its constrained state spaces; the constraint and its Jacobian are some "
+        "lines of numpy, called from C++ for each configuration, which is most of its time; its coordinates are "
+        "numbers within a turn, those of Kempe angles",
     ]
     return table
 

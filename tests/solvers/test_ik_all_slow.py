@@ -6,6 +6,7 @@ import analytic_oracle as oracle
 import arms
 import numpy as np
 import pytest
+from hunts import part
 from ik_all_checks import (
     SAME,
     allowed,
@@ -24,8 +25,8 @@ from ik_all_checks import (
 pytestmark = pytest.mark.slow
 
 ARMS = arms.arms()
-every_arm = pytest.mark.parametrize("name", ARMS)
-SQUARE = [name for name, arm in ARMS.items() if square(arm)]
+every_arm = pytest.mark.parametrize("name", part(ARMS))
+SQUARE = part(name for name, arm in ARMS.items() if square(arm))
 
 MISSED = {"randomPRRPRP_2": 20}
 """Of 300 poses within 1e-12 to 1e-3 of a singularity those that may be missed, in answers that are not complete: next
@@ -70,14 +71,14 @@ def test_the_frozen_counts_are_those_of_the_oracle(name):
 
 
 @pytest.mark.parametrize("name", SQUARE)
-def test_near_singularities(name):
+def test_near_singularities(name, hunt):
     """Configurations moved off random singular ones by 1e-12 to 1e-3; solutions that merge are one.
 
     No two answers are nearer than 1e-6.
     """
     arm = ARMS[name]
     sizes = 10.0 ** -np.arange(3, 13)
-    theta, curve = near_singular(arm, 3, 30, sizes)
+    theta, curve = near_singular(arm, 3, hunt.cases(30), sizes)
     far = allowed(arm, theta, curve[:, None]).ravel()
     theta = theta.reshape(-1, arm.model.n)
     X = arm.model.pose(theta)
@@ -136,7 +137,7 @@ def test_calibrated_arms(rows_, size):
         assert_found(arm, answer, q)
 
 
-@pytest.mark.parametrize("seed", range(100, 160))
+@pytest.mark.parametrize("seed", part(range(100, 160)))
 @pytest.mark.parametrize("kinds", ["RRRRRR", "RRPRRR", "PRRRRR", "RRRPRP"])
 def test_random_arms(kinds, seed):
     arm = arms.random_arm(seed, kinds)
