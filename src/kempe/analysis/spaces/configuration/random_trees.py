@@ -6,7 +6,6 @@ constraint manifolds", ICRA 2009: each step towards a sample is led back onto th
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,8 +19,10 @@ if TYPE_CHECKING:
 
 FEWEST = 0.1
 """Part of a step that must be left of the distance to the aim, and of the step itself, to go on."""
-SHORTCUTS = 60
-"""Shortcuts that are tried."""
+ROUNDS, SHORTCUTS = 4, 30
+"""Rounds of shortcuts, and how many are tried in each, at most."""
+MET = 1e-9
+"""Length up to which an aim counts as reached."""
 DEEPEST = 12
 """How often the way between two points is halved."""
 BENT = 1.5
@@ -41,7 +42,7 @@ class Tree:
     def grow(self, aim: Array, step: float, time: TimeLimit) -> int:
         """The number of the configuration from which no step leads nearer to the aim (nq,), added step by step."""
         at = self.nearest(aim)
-        for q in stepped(self.manifold, self.q[at], aim, step, time):
+        for q in stepped(self.manifold, self.q[at][None], aim[None], step, time)[0]:
             self.q, at = np.concatenate([self.q, q[None]]), self._add(at)
         return at
 
@@ -59,29 +60,33 @@ class Tree:
 
 
 def stepped(
-    manifold: Manifold, q: Array, aim: Array, step: float, time: TimeLimit, most: float = math.inf
-) -> list[Array]:  # fmt: skip
-    """Configurations on the manifold, within limits, by which one comes from q towards an aim (nq,).
+    manifold: Manifold, q: Array, aims: Array, step: float, time: TimeLimit, most: Array | float = np.inf
+) -> list[list[Array]]:  # fmt: skip
+    """Configurations on the manifold, within limits, by which one comes from each q (k, nq) towards its aim (k, nq).
 
     It ends where more than `most` steps would be needed, even straight.
     """
-    left = float(manifold.apart(q[None], aim[None])[0])
-    out: list[Array] = []
-    while left > 1e-9 and len(out) + left / step <= most + 1e-9:
+    out: list[list[Array]] = [[] for _ in q]
+    at, left, most = np.array(q), manifold.apart(q, aims), np.broadcast_to(most, len(q)) + 1e-9
+    on = np.flatnonzero((left > MET) & (left / step <= most))
+    while len(on):
         time.check()
-        way = manifold.between(q[None], aim[None])
-        if manifold.dim < manifold.system.nv:
-            tangent = manifold.frames(q[None]).tangent[0]
-            way = (tangent @ (tangent.T @ way[0]))[None] if left > step else way
-        size = float(np.linalg.norm(way))
-        if size < FEWEST * step and left > step:
-            break
-        x, ok = manifold.closed(manifold.move(q[None], way * min(1.0, step / max(size, 1e-300))))
-        gone, rest = float(manifold.apart(q[None], x)[0]), float(manifold.apart(x, aim[None])[0])
-        if not ok[0] or not manifold.inside(x)[0] or gone > BENT * step or rest > left - FEWEST * min(step, left):
-            break
-        q, left = x[0], rest
-        out.append(q)
+        before, aim, far = at[on], aims[on], left[on] > step
+        way = manifold.between(before, aim)
+        if manifold.dim < manifold.system.nv and far.any():
+            T = manifold.frames(before[far]).tangent
+            way[far] = np.einsum("kip,kp->ki", T, np.einsum("kip,ki->kp", T, way[far]))
+        size = np.linalg.norm(way, axis=1)
+        x, ok = manifold.closed(manifold.move(before, way * np.minimum(1.0, step / np.maximum(size, 1e-300))[:, None]))
+        gone, rest = manifold.apart(before, x), manifold.apart(x, aim)
+        ok &= manifold.inside(x) & (gone <= BENT * step) & (rest <= left[on] - FEWEST * np.minimum(step, left[on]))
+        ok &= ~far | (size >= FEWEST * step)
+        on, x, rest = on[ok], x[ok], rest[ok]
+        for i, y in zip(on, x, strict=True):
+            out[i].append(y)
+        at[on], left[on] = x, rest
+        taken = np.array([len(out[i]) for i in on])
+        on = on[(rest > MET) & (taken + rest / step <= most[on])]
     return out
 
 
@@ -97,7 +102,7 @@ def joined(
         aim = other.q[0] if k < 2 else random(manifold.system, rng)
         here = one.grow(aim, coarse, time)
         there = other.grow(one.q[here], coarse, time)
-        if manifold.apart(one.q[here][None], other.q[there][None])[0] < 1e-9:
+        if manifold.apart(one.q[here][None], other.q[there][None])[0] < MET:
             ways = one.way(here), other.way(there)
             first, second = ways if k % 2 == 0 else ways[::-1]
             rough = [*first, *second[::-1][1:]]
@@ -113,32 +118,39 @@ def joined(
 def _shortened(
     manifold: Manifold, way: list[Array], step: float, rng: np.random.Generator, time: TimeLimit
 ) -> list[Array]:  # fmt: skip
-    """The way with shortcuts between points of it."""
-    for _ in range(SHORTCUTS):
+    """The way with shortcuts between points of it: in each round those that save most, and do not overlap."""
+    for _ in range(ROUNDS):
         if len(way) < 3:
             break
-        i, j = map(int, np.sort(rng.choice(len(way), 2, replace=False)))
-        cut = stepped(manifold, way[i], way[j], step, time, j - i - 1)
-        if cut and len(cut) < j - i and manifold.apart(cut[-1][None], way[j][None])[0] < 1e-9:
-            way = [*way[: i + 1], *cut, *way[j + 1 :]]
+        ends = np.unique(np.sort(rng.integers(len(way), size=(SHORTCUTS, 2)), axis=1), axis=0)
+        i, j = ends[ends[:, 1] - ends[:, 0] > 1].T
+        points = np.array(way)
+        cuts = stepped(manifold, points[i], points[j], step, time, j - i - 1)
+        better = [(len(cut) - (b - a), a, b, cut) for a, b, cut in zip(i.tolist(), j.tolist(), cuts, strict=True)
+                  if cut and manifold.apart(cut[-1][None], way[b][None])[0] < MET]  # fmt: skip
+        kept: list[tuple[int, int, list[Array]]] = []
+        for _, a, b, cut in sorted(better, key=lambda found: found[:3]):
+            if all(b <= c or a >= d for c, d, _ in kept):
+                kept.append((a, b, cut))
+        if not kept:
+            break
+        for a, b, cut in sorted(kept, key=lambda found: found[0], reverse=True):
+            way = [*way[: a + 1], *cut, *way[b + 1 :]]
     return way
 
 
 def _refined(manifold: Manifold, way: list[Array], step: float, time: TimeLimit) -> Array | None:
     """The way with no step longer than `step`, each once more halved without a jump; None where there is one."""
-    out, waiting = [way[0]], [(q, 0) for q in way[:0:-1]]
-    while waiting:
+    q = np.array(way)
+    for _ in range(DEEPEST):
         time.check()
-        q, depth = waiting.pop()
-        far = float(manifold.apart(out[-1][None], q[None])[0])
-        half = manifold.move(out[-1][None], 0.5 * manifold.between(out[-1][None], q[None]))
-        middle, ok = manifold.closed(half)
-        ends = np.stack([out[-1], q])
-        parts = manifold.apart(np.repeat(middle, 2, axis=0), ends)
-        if not ok[0] or not manifold.inside(middle)[0] or parts.sum() > BENT * far + 1e-12 or depth > DEEPEST:
+        far = manifold.apart(q[:-1], q[1:])
+        half, ok = manifold.closed(manifold.move(q[:-1], 0.5 * manifold.between(q[:-1], q[1:])))
+        parts = manifold.apart(q[:-1], half) + manifold.apart(half, q[1:])
+        if not (ok & manifold.inside(half) & (parts <= BENT * far + 1e-12)).all():
             return None
-        if far > step:
-            waiting += [(q, depth + 1), (middle[0], depth + 1)]
-        else:
-            out.append(q)
-    return np.array(out)
+        long = far > step
+        if not long.any():
+            return q
+        q = np.insert(q, np.flatnonzero(long) + 1, half[long], axis=0)
+    return None
