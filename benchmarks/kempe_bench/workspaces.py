@@ -6,12 +6,14 @@ import math
 
 import numpy as np
 
+from kempe.description.urdf.urdf_writer import write_urdf
+from kempe_bench import peers
 from kempe_bench.bench import Bench
 from kempe_bench.timing import Case, Table, measure
 
 ARMS = {"puma560": "tool", "panda": "tool"}
 SAMPLES, BY_HAND, CELLS = 4_000_000, 20_000, 256
-ONE, TWO, NUMPY = "Kempe, one thread", "Kempe, two threads", "numpy, by hand"
+ONE, TWO, NUMPY, TORCH = "Kempe, one thread", "Kempe, two threads", "numpy, by hand", "pytorch-kinematics"
 
 
 def binned(bench: Bench) -> Table:
@@ -33,12 +35,16 @@ def binned(bench: Bench) -> Table:
             "by_hand": by_hand, "system": system, "frame": frame, "n": BY_HAND,
             "box": list(zip(recipe.grid.low, recipe.grid.high, strict=True)),
         }, BY_HAND))  # fmt: skip
+        if "pytorch-kinematics" in bench.versions:
+            timed.append(_torch(system, frame, timed[-1].names["box"]))
         table.rows += measure(timed, 1e9)
     table.at_most(f"one thread, ns a sample of {next(iter(ARMS))}", table.best(ONE, "puma560"), 50.0)
     one, two = table.best(ONE, "puma560"), table.best(TWO, "puma560")
     if one and two:
         table.at_least("two threads, times one", one / two, 1.8)
-    table.remarks.append(f"{CELLS}^3 cells; numpy by hand multiplies matrices of all joints, and counts by add.at")
+    table.remarks += [f"{CELLS}^3 cells; numpy by hand multiplies matrices of all joints, and counts by add.at; so does "
+                      "pytorch-kinematics, with its own forward model",
+                      "pycapacity answers another question, what is reached within a time, as a convex body"]  # fmt: skip
     return table
 
 
@@ -55,7 +61,11 @@ def by_hand(system, frame: str, n: int, box: list[tuple[float, float]]) -> np.nd
         turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1] = c, -s, s, c
         turn[:, 2, 2] = turn[:, 3, 3] = 1.0
         X = X @ table.placement[row] @ turn
-    points = (X @ table.at[frame][1])[:, :3, 3]
+    return counted((X @ table.at[frame][1])[:, :3, 3], box)
+
+
+def counted(points: np.ndarray, box: list[tuple[float, float]]) -> np.ndarray:
+    """How many points (n, 3) lie in each cell of a box."""
     edges = [np.linspace(low, high, CELLS + 1) for low, high in box]
     at = [np.searchsorted(e, p, side="right") - 1 for e, p in zip(edges, points.T, strict=True)]
     inside = np.logical_and.reduce([(0 <= k) & (k < CELLS) for k in at])
@@ -64,3 +74,19 @@ def by_hand(system, frame: str, n: int, box: list[tuple[float, float]]) -> np.nd
     np.add.at(counts, flat, 1)
     assert math.isclose(float(counts.sum()), float(inside.sum()))
     return counts
+
+
+def _torch(system, frame: str, box: list[tuple[float, float]]) -> Case:
+    """The same map with the forward model of pytorch-kinematics, one thread, float32, and the same counting."""
+    torch, kinematics = peers.module("torch"), peers.module("pytorch_kinematics")
+    torch.set_num_threads(1)
+    chain = kinematics.build_serial_chain_from_urdf(write_urdf(system.mechanism).encode(), frame)
+    names = chain.get_joint_parameter_names()
+    at = [system.coordinate_names.index(name) for name in names]
+    low, high = (torch.tensor(x[at], dtype=torch.float32) for x in (system.lower, system.upper))
+
+    def run() -> np.ndarray:
+        q = low + (high - low) * torch.rand(BY_HAND, len(at))
+        return counted(chain.forward_kinematics(q).get_matrix()[:, :3, 3].numpy(), box)
+
+    return Case(TORCH, system.name, "run()", {"run": run}, BY_HAND)
