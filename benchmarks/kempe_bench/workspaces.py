@@ -42,9 +42,11 @@ def binned(bench: Bench) -> Table:
     one, two = table.best(ONE, "puma560"), table.best(TWO, "puma560")
     if one and two:
         table.at_least("two threads, times one", one / two, 1.8)
-    table.remarks += [f"{CELLS}^3 cells; numpy by hand multiplies matrices of all joints, and counts by add.at; so does "
-                      "pytorch-kinematics, with its own forward model",
-                      "pycapacity answers another question, what is reached within a time, as a convex body"]  # fmt: skip
+    table.remarks += [
+        f"{CELLS}^3 cells; numpy by hand multiplies matrices of all joints, and counts by add.at",
+        "pytorch-kinematics has its own forward model, and counts as numpy by hand does",
+        "pycapacity answers another question: what is reached within a time, as a convex body",
+    ]
     return table
 
 
