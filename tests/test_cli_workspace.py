@@ -32,6 +32,31 @@ def test_the_text_says_what_is_proven():
     assert "each of these holds a point that is reached" in " ".join(out.split()) and "area = 2.5" in out
 
 
+@pytest.fixture
+def three_links(tmp_path):
+    """A file of three links in the plane, 0.5, 0.3 and 0.1 m long: the wrist reaches a ring from 0.2 to 0.8 m."""
+    m = kempe.Mechanism("three links", dim=2)
+    before, at = m.ground, (0.0, 0.0)
+    for k, length in enumerate((0.5, 0.3, 0.1), 1):
+        body = m.body(f"B{k}")
+        m.revolute(f"J{k}", before, body, at=at)
+        before, at = body, (length, 0.0)
+    m.frame("tool", before, at)
+    return str(m.save(tmp_path / "three.toml"))
+
+
+@pytest.mark.parametrize(("options", "kind", "size", "true"), [
+    ((), "reachable", "area", 0.81 * np.pi - 0.01 * np.pi),
+    (("--orientation", "40", "--deg"), "constant-orientation", "area", 0.6 * np.pi),  # the ring, moved by the hand
+    (("--kind", "dexterous"), "dexterous", "area", 0.4 * np.pi),  # where the hand can stand inwards and outwards
+    (("--kind", "orientation", "--at", "0.75,0"), "orientation", "length", 2.0 * np.arccos(-0.45)),  # cosine theorem
+], ids=lambda x: x if isinstance(x, str) else "")  # fmt: skip
+def test_kinds_of_workspaces(three_links, options, kind, size, true):
+    done = Result("workspace", three_links, "--frame", "tool", "-n", "2e5", "--cells", "64", *options, "--json").json()
+    assert done["kind"] == kind
+    assert abs(done[size] - true) <= max(2 * done[f"{size}_error"], 1e-9)
+
+
 def test_the_time_limit_is_an_exit_code(tmp_path):
     done = Result("workspace", "two_link", "--frame", "e", "-n", "1e13", "--time-limit", "0.3", "--json")
     assert done.code == 1 and done.json()["code"] == "OUT_OF_TIME"
@@ -47,6 +72,11 @@ def test_the_time_limit_is_an_exit_code(tmp_path):
     (("workspace", "two_link", "--frame", "e", "--cells", "x"), "--cells"),
     (("workspace", "two_link", "--frame", "e", "--plot", "map.txt"), "a picture ends with"),
     (("query", "nowhere.zarr", "1,2"), "no such map"),
+    (("workspace", "two_link", "--frame", "e", "--kind", "some"), "no kind 'some'; there are: 'reachable'"),
+    (("workspace", "two_link", "--frame", "e", "--kind", "orientation"), "needs at"),
+    (("workspace", "two_link", "--frame", "e", "--at", "1"), "one place (2,)"),
+    (("workspace", "two_link", "--frame", "e", "--orientation", "a"), "--orientation"),
+    (("workspace", "two_link", "--frame", "e", "--scheduler", "tcp://127.0.0.1:9"), "127.0.0.1:9"),
 ], ids=lambda x: x if isinstance(x, str) else "")  # fmt: skip
 def test_wrong_questions(arguments, words):
     done = Result(*arguments)
