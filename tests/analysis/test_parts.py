@@ -115,11 +115,11 @@ def test_half_branches_that_are_shaky_and_next_to_each_other_are_one():
 
 def test_rates_that_are_none_of_a_bennett_linkage(monkeypatch):
     """Its own are recognised; where opposite joints turn the other way against each other nothing stays closed."""
-    asked, whole = [], known_motions.half_angles
-    monkeypatch.setattr(known_motions, "half_angles", lambda *given: asked.append(given) or whole(*given))
+    calls, whole = [], known_motions.half_angles
+    monkeypatch.setattr(known_motions, "half_angles", lambda *given: calls.append(given) or whole(*given))
     system = kempe.load("bennett")
     local_dimension(system, system.q("closed"))
-    ((equations, q, axes, places, rates),) = asked
+    ((equations, q, axes, places, rates),) = calls
     assert whole(equations, q, axes, places, rates)
     for turned in (places[2:], places[3:]):
         other = rates.copy()

@@ -124,12 +124,12 @@ def test_rounded_rotations_of_a_batch_are_mended():
 def test_families_are_not_looked_for_where_nothing_is_singular(monkeypatch):
     arm = kempe.load("puma560")
     q = np.array([0.3, -0.7, 0.4, 0.5, 0.9, -0.2])
-    asked = []
+    calls = []
     whole = families.families_of
-    monkeypatch.setattr(families, "families_of", lambda *given: asked.append(given) or whole(*given))
-    assert arm.ik_all(arm.fk(q, "tool"), "tool").families == [] and not asked
+    monkeypatch.setattr(families, "families_of", lambda *given: calls.append(given) or whole(*given))
+    assert arm.ik_all(arm.fk(q, "tool"), "tool").families == [] and not calls
     q[4] = 0.0  # the axes of the wrist line up
-    assert arm.ik_all(arm.fk(q, "tool"), "tool").families and asked
+    assert arm.ik_all(arm.fk(q, "tool"), "tool").families and calls
 
 
 def test_nothing_is_left_out_where_there_was_room():
