@@ -62,6 +62,8 @@ a seed, as many from each area, each run against the tests that reach it until o
 assertions (`strict` of `zip` among them), the values of arrays without entries, defaults of arguments that are not
 read, and the compiled kernels.
 `python tests/mutants.py --seed {seed} -n {count}` does it again.
+What was found killed is not run again where only tests were added (`--resume --again`), nor is a survivor of which the
+reason is that it changes nothing: so most kills are of the tests as they were before the last ones were added.
 
 """
 

@@ -24,12 +24,14 @@ from kempe.solvers.analytic.redundant.arm_angle import reference_plane
 AXES = ([0.0, 0.0, 1.0], [1.0, 1.0, 0.0], [1.0, -2.0, 0.5], [-0.3, 0.2, 0.9])
 
 
-@pytest.mark.parametrize("axis", AXES, ids=str)
-@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-4, 0.05, 0.2, 1.0, math.pi / 2 - 1e-8, 1.7, 2.9, 3.1])
-def test_rotation_vectors(angle, axis):
-    v = angle * np.array(axis) / np.linalg.norm(axis)
-    R = Rotation.from_rotvec(v).as_matrix()
-    np.testing.assert_allclose(nearest._rotation_vector(R[None])[0], v, rtol=1e-11, atol=1e-15)
+ANGLES = (0.0, 1e-12, 1e-4, 0.05, 0.2, 1.0, math.pi / 2 - 1e-8, 1.7, 2.9, 3.1)
+
+
+def test_rotation_vectors():
+    """Each alone: a batch has one formula for all."""
+    v = np.array([angle * np.array(axis) / np.linalg.norm(axis) for angle in ANGLES for axis in AXES])
+    found = np.concatenate([nearest._rotation_vector(R[None]) for R in Rotation.from_rotvec(v).as_matrix()])
+    np.testing.assert_allclose(found, v, rtol=1e-11, atol=1e-15)
 
 
 def linear(A: np.ndarray, b: np.ndarray) -> Any:
@@ -122,12 +124,12 @@ def test_rounded_rotations_of_a_batch_are_mended():
 def test_families_are_not_looked_for_where_nothing_is_singular(monkeypatch):
     arm = kempe.load("puma560")
     q = np.array([0.3, -0.7, 0.4, 0.5, 0.9, -0.2])
-    asked = []
+    calls = []
     whole = families.families_of
-    monkeypatch.setattr(families, "families_of", lambda *given: asked.append(given) or whole(*given))
-    assert arm.ik_all(arm.fk(q, "tool"), "tool").families == [] and not asked
+    monkeypatch.setattr(families, "families_of", lambda *given: calls.append(given) or whole(*given))
+    assert arm.ik_all(arm.fk(q, "tool"), "tool").families == [] and not calls
     q[4] = 0.0  # the axes of the wrist line up
-    assert arm.ik_all(arm.fk(q, "tool"), "tool").families and asked
+    assert arm.ik_all(arm.fk(q, "tool"), "tool").families and calls
 
 
 def test_nothing_is_left_out_where_there_was_room():
