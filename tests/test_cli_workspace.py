@@ -52,7 +52,7 @@ def three_links(tmp_path):
     (("--kind", "orientation", "--at", "0.75,0"), "orientation", "length", 2.0 * np.arccos(-0.45)),  # cosine theorem
 ], ids=lambda x: x if isinstance(x, str) else "")  # fmt: skip
 def test_kinds_of_workspaces(three_links, options, kind, size, true):
-    done = Result("workspace", three_links, "--frame", "tool", "-n", "2e5", "--cells", "64", *options, "--json").json()
+    done = Result("workspace", three_links, "--frame", "tool", "-n", "300", "--cells", "16", *options, "--json").json()
     assert done["kind"] == kind
     assert abs(done[size] - true) <= max(2 * done[f"{size}_error"], 1e-9)
 
@@ -76,7 +76,6 @@ def test_the_time_limit_is_an_exit_code(tmp_path):
     (("workspace", "two_link", "--frame", "e", "--kind", "orientation"), "needs at"),
     (("workspace", "two_link", "--frame", "e", "--at", "1"), "one place (2,)"),
     (("workspace", "two_link", "--frame", "e", "--orientation", "a"), "--orientation"),
-    (("workspace", "two_link", "--frame", "e", "--scheduler", "tcp://127.0.0.1:9"), "127.0.0.1:9"),
 ], ids=lambda x: x if isinstance(x, str) else "")  # fmt: skip
 def test_wrong_questions(arguments, words):
     done = Result(*arguments)
