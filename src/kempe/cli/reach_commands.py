@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Generator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -18,6 +19,7 @@ from kempe.cli.app import (
     File,
     Json,
     Lenient,
+    Picture,
     PositionOnly,
     Rng,
     Root,
@@ -26,11 +28,16 @@ from kempe.cli.app import (
     app,
     load,
     option,
+    picture,
+    remark,
+    save_picture,
 )
 from kempe.errors import InputError
 from kempe.views.terminal import guarded, leave, print_json, show
 
 if TYPE_CHECKING:
+    from kempe.analysis.spaces.reach.base_placement import BasePlacement
+    from kempe.analysis.spaces.reach.reached_poses import ReachStudy
     from kempe.model.system import System
     from kempe.spatial import Array
 
@@ -86,8 +93,9 @@ def singularities(
 @guarded
 def reach(
     file: File, poses: Poses, frame: Reaching, position_only: PositionOnly = False, starts: Starts = None,
-    rng: Rng = None, time_limit: TimeLimit = None, deg: Deg = False, json: Json = False, base: Base = None,
-    root: Root = None, package_dir: Dirs = None, xacro: Xacro = False, lenient_limits: Lenient = False,
+    rng: Rng = None, time_limit: TimeLimit = None, plot: Picture = None, deg: Deg = False, json: Json = False,
+    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Say which of a list of poses are reached, how well, and what blocks the others.
 
@@ -96,18 +104,18 @@ def reach(
     system = load(file, base, root, package_dir, xacro, lenient_limits)
     X, position = _poses(system, poses, frame, deg)
     task = "position" if position or position_only else None
+    picture(plot)
     with _paced(starts, rng, time_limit, "poses") as budget:
         answer = system.reach.poses(X, frame, task=task, budget=budget)
-    print_json(answer.data()) if json else show(str(answer))
-    leave(answer)
+    _say(answer, plot, json)
 
 
 @app.command(rich_help_panel=OPEN)
 @guarded
 def place(
     file: File, poses: Poses, frame: Reaching, box: Ranges, cells: Cells = 11, position_only: PositionOnly = False,
-    starts: Starts = None, rng: Rng = None, time_limit: TimeLimit = None, deg: Deg = False, json: Json = False,
-    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    starts: Starts = None, rng: Rng = None, time_limit: TimeLimit = None, plot: Picture = None, deg: Deg = False,
+    json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
     lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Find where to put the base so that all poses of a list are reached.
@@ -118,8 +126,17 @@ def place(
     X, position = _poses(system, poses, frame, deg)
     task = "position" if position or position_only else None
     ranges = _box(box, deg)
+    picture(plot)
     with _paced(starts, rng, time_limit, "poses") as budget:
         answer = system.reach.place(X, frame, ranges, cells, task=task, budget=budget)
+    _say(answer, plot, json)
+
+
+def _say(answer: ReachStudy | BasePlacement, plot: Path | None, json: bool) -> None:
+    """Draw an answer, print it, and leave with its exit code."""
+    if plot is not None:
+        save_picture(answer.plot(), plot)
+        remark(f"written to {plot}")
     print_json(answer.data()) if json else show(str(answer))
     leave(answer)
 

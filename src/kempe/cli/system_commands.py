@@ -19,6 +19,7 @@ from kempe.cli.app import (
     Json,
     Lenient,
     Out,
+    Picture,
     Posture,
     Root,
     Values,
@@ -26,9 +27,11 @@ from kempe.cli.app import (
     app,
     load,
     option,
+    picture,
     reading,
     remark,
     results,
+    save_picture,
     say_written,
     written_to,
 )
@@ -133,8 +136,8 @@ def convert(
 def fk(
     file: File,
     frame: FrameOrAll = None, q: Values = None, posture: Posture = None, deg: Deg = False, out: Out = None,
-    json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
-    lenient_limits: Lenient = False,
+    plot: Picture = None, json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None,
+    xacro: Xacro = False, lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Say where a frame is, or all bodies are (forward model).
 
@@ -146,8 +149,12 @@ def fk(
     if frame is not None:
         system.structure.frame_name(frame)  # a wrong name is reported before kernels are compiled
     results(out)
+    picture(plot)
     values = rows.configuration(system, q, posture, deg)
     X = system.fk(values, frame)
+    if plot is not None:
+        save_picture(system.plot(values, frames=[] if frame is None else [frame]), plot)
+        remark(f"written to {plot}")
     if out is not None:
         rows.write_poses(out, X, frame is None, deg)
         say_written(out, json)

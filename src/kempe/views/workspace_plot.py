@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from kempe.analysis.spaces.planar.planar_workspace import PlanarWorkspace
     from kempe.analysis.spaces.reach.base_placement import BasePlacement
     from kempe.analysis.spaces.reach.capability import CapabilityMap
+    from kempe.analysis.spaces.reach.reached_poses import ReachStudy
     from kempe.analysis.spaces.workspace.workspace import Workspace
 
 COLOURS = "cividis_r"
@@ -135,6 +136,37 @@ def _picture(ax: Axes | None, x: Array, y: Array, values: Array, labels: tuple[s
     ax.set_xlabel(labels[0])
     ax.set_ylabel(labels[1])
     return ax
+
+
+def plot_reach(study: ReachStudy, ax: Axes | None = None) -> Axes:
+    """Matplotlib axes with the system at the best of the reached poses, and the places of all: dots, crosses, rings."""
+    system, best = study.system, np.where(study.reached, study.margin, -np.inf)
+    dim, shape = system.dim, study.targets.shape[1:]
+    points = study.targets[:, :3, 3] if shape == (4, 4) else study.targets
+    if points.ndim != 2 or points.shape[1] < dim:
+        raise UnsupportedError("orientations have no places to draw")
+    ax = system.plot(study.q[int(np.argmax(best))] if len(best) and study.reached.any() else None, ax=ax)
+    marks = (("reached", "o", study.reached & study.tried), ("not reached", "x", ~study.reached & study.tried),
+             ("not tried", "$\\circ$", ~study.tried))  # fmt: skip
+    for name, mark, which in marks:
+        if which.any():
+            line = ax.plot(*points[which, :dim].T, mark, color=style.MOTION if mark == "o" else style.OPEN, label=name)
+            line[0].set_gid(f"poses:{name}")
+    _show_all(ax, points[:, :dim])
+    ax.legend(loc="upper right")
+    return ax
+
+
+def _show_all(ax: Any, points: Array) -> None:
+    """Widen the limits of axes so far that points (n, 2 or 3) are inside, on one scale."""
+    limits = np.array([ax.get_xlim(), ax.get_ylim(), *([ax.get_zlim()] if points.shape[1] == 3 else [])])
+    margin = 0.05 * np.ptp(limits, axis=1).max()
+    limits[:, 0] = np.minimum(limits[:, 0], points.min(axis=0) - margin)
+    limits[:, 1] = np.maximum(limits[:, 1], points.max(axis=0) + margin)
+    for change, pair in zip((ax.set_xlim, ax.set_ylim, getattr(ax, "set_zlim", None)), limits, strict=False):
+        change(*pair)
+    if points.shape[1] == 3:
+        ax.set_box_aspect(np.ptp(limits, axis=1))
 
 
 def plot_placement(found: BasePlacement, ax: Axes | None = None) -> Axes:

@@ -41,6 +41,34 @@ def test_poses_of_a_file(tmp_path):
     assert arm.name == data["system"]
 
 
+def test_what_is_reached_is_drawn(tmp_path):
+    """Every place is inside the axes, marked by whether it is reached; so are the map of the base, and an arm."""
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra view)")
+    path, files = tmp_path / "points.csv", [tmp_path / f"{k}.svg" for k in range(4)]
+    path.write_text("x,y\n0.5,0.3\n3,0.3\n-0.2,0.4\n")
+    run = Result("reach", "two_link", path, "--frame", "e", "--plot", files[0])
+    assert run.code == 1 and f"written to {files[0]}" in run.err
+    assert all(f'id="poses:{name}"' in files[0].read_text() for name in ("reached", "not reached"))
+    ax = kempe.load("two_link").reach.poses([[0.5, 0.3], [3.0, 0.3], [-0.2, 0.4]], "e").plot()
+    marked = {
+        line.get_gid(): line.get_xydata().tolist() for line in ax.lines if str(line.get_gid()).startswith("poses")
+    }
+    assert marked == {"poses:reached": [[0.5, 0.3], [-0.2, 0.4]], "poses:not reached": [[3.0, 0.3]]}
+    assert ax.get_xlim()[0] < -0.2 and ax.get_xlim()[1] > 3.0
+    arm = kempe.load("ur5")
+    far = arm.fk(arm.random(0, 2), "tool")
+    far[1, :3, 3] = 2.0
+    axes = arm.reach.poses(far, "tool").plot()
+    assert all(limits()[1] > 2.0 for limits in (axes.get_xlim, axes.get_ylim, axes.get_zlim))
+    box = ("--box", "x=-1,1", "--box", "y=-1,1", "--cells", "3")
+    assert Result("place", "two_link", path, "--frame", "e", *box, "--plot", files[1]).code == 1
+    assert "<svg" in files[1].read_text()
+    assert Result("fk", "two_link", "--frame", "e", "--q", "30,50", "--deg", "--plot", files[2]).code == 0
+    assert 'id="mark:e:x"' in files[2].read_text()
+    refused = Result("fk", "two_link", "--q", "0,0", "--plot", tmp_path / "arm.txt")
+    assert refused.code == 2 and "pictures are .png, .svg or .pdf files" in refused.err
+
+
 def test_the_time_limit_of_the_commands(tmp_path):
     path = tmp_path / "weld.npy"
     np.save(path, kempe.load("ur5").fk(kempe.load("ur5").random(0, 30_000), "tool"))

@@ -22,6 +22,8 @@ from kempe.status import Status, named
 from kempe.words import counted
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from kempe.model.system import FrameLike, System
 
 USUAL = Usual("reach.poses", starts=1000, rng=0, threads=None, time_limit=None, progress=None)
@@ -146,6 +148,15 @@ class ReachStudy(Report):
     def tried(self) -> np.ndarray:
         """Which poses (n,) were tried before the study was broken off: all of them, mostly."""
         return self.codes != (-1 if self.broken is None else int(self.broken))
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Matplotlib axes with the system at the reached pose with the largest margin, and where all poses are.
+
+        Reached ones are dots, others crosses, those that were not tried rings.
+        """
+        from kempe.views.workspace_plot import plot_reach
+
+        return plot_reach(self, ax)
 
     def reason(self, index: int) -> str:
         """What blocks a pose, or how it is reached, as the sentence of `System.ik`. Errors: `InputError`."""
