@@ -145,27 +145,30 @@ def plot_reach(study: ReachStudy, ax: Axes | None = None) -> Axes:
     points = study.targets[:, :3, 3] if shape == (4, 4) else study.targets
     if points.ndim != 2 or points.shape[1] < dim:
         raise UnsupportedError("orientations have no places to draw")
-    ax = system.plot(study.q[int(np.argmax(best))] if len(best) and study.reached.any() else None, ax=ax)
+    drawn: Any = system.plot(study.q[int(np.argmax(best))] if study.reached.any() else None, ax=ax)
     marks = (("reached", "o", study.reached & study.tried), ("not reached", "x", ~study.reached & study.tried),
              ("not tried", "$\\circ$", ~study.tried))  # fmt: skip
     for name, mark, which in marks:
         if which.any():
-            line = ax.plot(*points[which, :dim].T, mark, color=style.MOTION if mark == "o" else style.OPEN, label=name)
+            line = drawn.plot(
+                *points[which, :dim].T, mark, color=style.MOTION if mark == "o" else style.OPEN, label=name
+            )
             line[0].set_gid(f"poses:{name}")
-    _show_all(ax, points[:, :dim])
-    ax.legend(loc="upper right")
-    return ax
+    _show_all(drawn, points[np.isfinite(points).all(axis=1), :dim])
+    if len(points):
+        drawn.legend(loc="upper right")
+    return drawn
 
 
 def _show_all(ax: Any, points: Array) -> None:
     """Widen the limits of axes so far that points (n, 2 or 3) are inside, on one scale."""
-    limits = np.array([ax.get_xlim(), ax.get_ylim(), *([ax.get_zlim()] if points.shape[1] == 3 else [])])
+    names = "xyz"[: points.shape[1]]
+    limits = np.array([getattr(ax, f"get_{name}lim")() for name in names])
     margin = 0.05 * np.ptp(limits, axis=1).max()
-    limits[:, 0] = np.minimum(limits[:, 0], points.min(axis=0) - margin)
-    limits[:, 1] = np.maximum(limits[:, 1], points.max(axis=0) + margin)
-    for change, pair in zip((ax.set_xlim, ax.set_ylim, getattr(ax, "set_zlim", None)), limits, strict=False):
-        change(*pair)
-    if points.shape[1] == 3:
+    limits[:, 0] = np.minimum(limits[:, 0], points.min(axis=0, initial=np.inf) - margin)
+    limits[:, 1] = np.maximum(limits[:, 1], points.max(axis=0, initial=-np.inf) + margin)
+    ax.set(**{f"{name}lim": pair for name, pair in zip(names, limits, strict=True)})
+    if len(names) == 3:
         ax.set_box_aspect(np.ptp(limits, axis=1))
 
 

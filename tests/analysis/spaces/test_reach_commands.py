@@ -60,6 +60,8 @@ def test_what_is_reached_is_drawn(tmp_path):
     far[1, :3, 3] = 2.0
     axes = arm.reach.poses(far, "tool").plot()
     assert all(limits()[1] > 2.0 for limits in (axes.get_xlim, axes.get_ylim, axes.get_zlim))
+    none = arm.reach.poses(far[:0], "tool")
+    assert none.plot().get_legend() is None and none.q.shape == (0, 6) and "0 of 0 poses" in none.status
     box = ("--box", "x=-1,1", "--box", "y=-1,1", "--cells", "3")
     assert Result("place", "two_link", path, "--frame", "e", *box, "--plot", files[1]).code == 1
     assert "<svg" in files[1].read_text()

@@ -6,7 +6,7 @@ constraint manifolds", ICRA 2009: each step towards a sample is led back onto th
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -60,7 +60,7 @@ class Tree:
 
 
 def stepped(
-    manifold: Manifold, q: Array, aims: Array, step: float, time: TimeLimit, most: Array | float = np.inf
+    manifold: Manifold, q: Array, aims: Array, step: float, time: TimeLimit, most: Any = np.inf
 ) -> list[list[Array]]:  # fmt: skip
     """Configurations on the manifold, within limits, by which one comes from each q (k, nq) towards its aim (k, nq).
 
@@ -82,10 +82,10 @@ def stepped(
         ok &= manifold.inside(x) & (gone <= BENT * step) & (rest <= left[on] - FEWEST * np.minimum(step, left[on]))
         ok &= ~far | (size >= FEWEST * step)
         on, x, rest = on[ok], x[ok], rest[ok]
-        for i, y in zip(on, x, strict=True):
-            out[i].append(y)
+        for k, i in enumerate(map(int, on)):
+            out[i].append(x[k])
         at[on], left[on] = x, rest
-        taken = np.array([len(out[i]) for i in on])
+        taken = np.array([len(out[i]) for i in map(int, on)], dtype=int)
         on = on[(rest > MET) & (taken + rest / step <= most[on])]
     return out
 
@@ -123,10 +123,11 @@ def _shortened(
         if len(way) < 3:
             break
         ends = np.unique(np.sort(rng.integers(len(way), size=(SHORTCUTS, 2)), axis=1), axis=0)
-        i, j = ends[ends[:, 1] - ends[:, 0] > 1].T
-        points = np.array(way)
+        ends = ends[ends[:, 1] - ends[:, 0] > 1]
+        points, i, j = np.array(way), ends[:, 0], ends[:, 1]
         cuts = stepped(manifold, points[i], points[j], step, time, j - i - 1)
-        better = [(len(cut) - (b - a), a, b, cut) for a, b, cut in zip(i.tolist(), j.tolist(), cuts, strict=True)
+        pairs: list[tuple[int, int]] = ends.tolist()
+        better = [(len(cut) - (b - a), a, b, cut) for (a, b), cut in zip(pairs, cuts, strict=True)
                   if cut and manifold.apart(cut[-1][None], way[b][None])[0] < MET]  # fmt: skip
         kept: list[tuple[int, int, list[Array]]] = []
         for _, a, b, cut in sorted(better, key=lambda found: found[:3]):
