@@ -161,7 +161,7 @@ def plot_reach(study: ReachStudy, ax: Axes | None = None) -> Axes:
 
 
 def _show_all(ax: Any, points: Array) -> None:
-    """Widen the limits of axes so far that points (n, 2 or 3) are inside, on one scale."""
+    """Set the limits of axes so wide that points (n, 2 or 3) are inside, too, on one scale."""
     names = "xyz"[: points.shape[1]]
     limits = np.array([getattr(ax, f"get_{name}lim")() for name in names])
     margin = 0.05 * np.ptp(limits, axis=1).max()
