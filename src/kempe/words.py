@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import io
-import json
 import math
 import re
-from base64 import b64encode
 from collections.abc import Iterable, Sequence
-from html import escape
 from textwrap import fill
 from typing import Any, cast
 
@@ -88,9 +85,16 @@ def by_topic(headline: str, topics: Iterable[tuple[str, Sequence[str]]], wide: i
     return "\n".join(out)
 
 
+def _escaped(text: str) -> str:
+    """Text as HTML shows it as it is."""
+    from html import escape  # sentences are made at start-up, and need no HTML; so with JSON and images below
+
+    return escape(text)
+
+
 def paragraphs(lines: Iterable[str]) -> str:
     """Lines as paragraphs of HTML."""
-    return "".join(f"<p>{escape(line)}</p>" for line in lines)
+    return "".join(f"<p>{_escaped(line)}</p>" for line in lines)
 
 
 class InWords:
@@ -104,23 +108,25 @@ class InWords:
 
 def image_html(figure: Any, said: str) -> str:
     """A figure of matplotlib as an image of HTML, with words for those who do not see it."""
+    from base64 import b64encode
+
     data = io.BytesIO()
     figure.savefig(data, format="png", dpi=72, bbox_inches="tight")
-    return f'<p><img alt="{escape(said)}" src="data:image/png;base64,{b64encode(data.getvalue()).decode()}"/></p>'
+    return f'<p><img alt="{_escaped(said)}" src="data:image/png;base64,{b64encode(data.getvalue()).decode()}"/></p>'
 
 
 def table_html(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A table of HTML; empty without rows."""
-    body = "".join(f"<tr>{''.join(f'<td>{escape(x)}</td>' for x in row)}</tr>" for row in rows)
-    top = f"<tr>{''.join(f'<th>{escape(h)}</th>' for h in heads)}</tr>" if heads else ""
+    body = "".join(f"<tr>{''.join(f'<td>{_escaped(x)}</td>' for x in row)}</tr>" for row in rows)
+    top = f"<tr>{''.join(f'<th>{_escaped(h)}</th>' for h in heads)}</tr>" if heads else ""
     return f"<table>{top}{body}</table>" if body else ""
 
 
 def topics_html(topics: Iterable[tuple[str, Sequence[str]]]) -> str:
     """The (title, lines) of a report as a table of HTML, without lines that are empty."""
     rows = "".join(
-        f"<tr><th style='text-align:left;vertical-align:top'>{escape(title)}</th>"
-        f"<td style='text-align:left'>{'<br>'.join(escape(x) for x in lines if x)}</td></tr>"
+        f"<tr><th style='text-align:left;vertical-align:top'>{_escaped(title)}</th>"
+        f"<td style='text-align:left'>{'<br>'.join(_escaped(x) for x in lines if x)}</td></tr>"
         for title, lines in topics
     )
     return f"<table>{rows}</table>"
@@ -131,6 +137,8 @@ _NUMBERS = re.compile(r"\[\n\s+(?:[-+.\deE]+|null)(?:,\n\s+(?:[-+.\deE]+|null))*
 
 def json_text(data: Any, ascii_only: bool = False) -> str:
     """Data as indented JSON, with lists of numbers on one line."""
+    import json
+
     text = json.dumps(data, indent=2, allow_nan=False, ensure_ascii=ascii_only)
     return _NUMBERS.sub(lambda m: "[" + ", ".join(m[0].strip("[]").replace(",", " ").split()) + "]", text)
 

@@ -24,7 +24,7 @@ def sliced(
     that were not reached before the time limit or an interrupt are NaN; the first slice is always done.
     """
     clock, each = TimeLimit(spend.time_limit), Budget(starts=spend.starts, rng=spend.rng, threads=spend.threads)
-    at_once, broken = max(1, SLICE // max(poses, 1)), None
+    at_once, broken = max(1, SLICE // poses), None
     rows: list[list[Array]] = []
     try:
         for first in range(0, max(count, 1), at_once):
