@@ -520,7 +520,7 @@ WRONG = [
     (rows_of(5, 2, columns=["q1", "elbow"]), {}, "no coordinate 'elbow'; .*q1"),
     (rows_of(5, 2, columns=["q1", "q1"]), {}, "'q1' appears twice"),
     (rows_of(5, 2, columns=["q1", "q2"]), {"columns": ["q9"]}, "no column 'q9'"),
-    (rows_of(5, 6), {"columns": ["q1"]}, "1 columns are named"),
+    (rows_of(5, 6), {"columns": ["q1"]}, "1 column is named"),
     (rows_of(5, 5), {"verb": "ik"}, "the target has 5 numbers; it must be x,y,z .position only., x,y,z,roll"),
     (rows_of(5, 3, columns=["a", "b", "c"]), {"verb": "ik"}, "the columns a, b, c; it must be x,y,z"),
     (rows_of(5, 3, 3), {"verb": "ik"}, r"a row is of shape \(3, 3\); a target is \(4, 4\)"),
