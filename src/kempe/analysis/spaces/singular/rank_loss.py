@@ -36,6 +36,8 @@ PULL = 1e-3
 
 Matrices = Callable[[Array], Array]
 """The matrices (k, m, n) at configurations (k, nq), of which the ranks are looked at."""
+Equations = Callable[[Array], tuple[Array, Array]]
+"""What is missing (k, e) at configurations (k, nq), and the derivatives (k, e, nv) without unit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +52,8 @@ class RankLoss:
     rank: int
     columns: np.ndarray
     unit: Array
+    further: Equations | None = None
+    """Equations that hold besides the loops."""
 
     @cached_property
     def closed(self) -> bool:
@@ -57,10 +61,15 @@ class RankLoss:
         return len(closure_rows.row_names(self.system)) > 0
 
     def closure(self, q: Array, with_jacobian: bool = True) -> tuple[Array, Array]:
-        """What the loops miss (k, c), and the derivatives (k, c, nv), at q (k, nq)."""
-        if not self.closed:
-            return np.zeros((len(q), 0)), np.zeros((len(q), 0, self.system.nv))
-        return closure_rows.evaluate(self.system, q, with_jacobian, scaled=True)
+        """What the loops and further equations miss (k, c), and the derivatives (k, c, nv), at q (k, nq)."""
+        rows = np.zeros((len(q), 0)), np.zeros((len(q), 0, self.system.nv))
+        if self.closed:
+            rows = closure_rows.evaluate(self.system, q, with_jacobian, scaled=True)
+        if self.further is None:
+            return rows
+        F, dF = self.further(q)
+        both = np.concatenate([rows[1], dF], axis=1) if with_jacobian else rows[1]
+        return np.concatenate([rows[0], F], axis=1), both
 
     def move(self, q: Array, y: Array) -> Array:
         """The configurations (k, nq) a step (k, nv) from q (k, nq)."""
@@ -73,6 +82,11 @@ class RankLoss:
     def _transposed(self, A: Array) -> Array:
         """The matrices, or their transposes where these have the smaller null space."""
         return A if A.shape[-1] <= A.shape[-2] else np.swapaxes(A, -1, -2)
+
+    def null_vectors(self, q: Array) -> Array:
+        """Orthonormal bases V (k, n, d) of what the matrices at q (k, nq) lead to the least."""
+        A = self._transposed(self.matrices(q))
+        return np.swapaxes(np.linalg.svd(A)[2][:, self.rank - 1 :], 1, 2)
 
     def _slopes(self, q: Array) -> Array:
         """Derivatives (k, nv, m, n) of the matrices along all velocity coordinates."""
@@ -116,9 +130,7 @@ class RankLoss:
 
     def _steps(self, q: Array, home: Array | None) -> Array:
         nq, nv = self.system.nq, self.system.nv
-        A = self._transposed(self.matrices(q))
-        d = A.shape[2] - self.rank + 1
-        frame = np.swapaxes(np.linalg.svd(A)[2][:, A.shape[2] - d :], 1, 2)
+        frame = self.null_vectors(q)
         shape = frame.shape[1:]
 
         def equations(x: Array, at: np.ndarray) -> tuple[Array, Array]:
@@ -151,9 +163,7 @@ class RankLoss:
         It is exact where the set is smooth and its equations are regular.
         """
         nv = self.system.nv
-        A = self._transposed(self.matrices(q[None]))
-        d = A.shape[2] - self.rank + 1
-        V = np.swapaxes(np.linalg.svd(A)[2][:, A.shape[2] - d :], 1, 2)
+        V = self.null_vectors(q[None])
         J = self.equations(q[None], V, V)[1][0]
         _, s, Vt = np.linalg.svd(J)
         null_space = Vt[int(np.sum(s > FLAT * max(s[0], 1.0))) :, :nv].T

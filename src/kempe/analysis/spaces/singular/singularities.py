@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,17 +12,18 @@ from kempe.analysis.first_order.control import driven
 from kempe.analysis.spaces.singular.arm_names import names_of
 from kempe.analysis.spaces.singular.rank_loss import RankLoss
 from kempe.analysis.spaces.singular.rank_questions import CONSTRAINT, OF_FRAMES, SERIAL, LostAndGained, RankQuestions
+from kempe.analysis.spaces.singular.singular_curves import SingularCurves, held_equations, singular_curves
+from kempe.analysis.spaces.singular.singular_sets import SAME, NearestSingular, SingularSet, changes, inside_limits
 from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods, flag, generator, known
 from kempe.errors import InputError
 from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import as_q, by_short_turns, circles, has_loops
-from kempe.kinematics.one_sided import one_sided_rows
 from kempe.solvers.common.arguments import start_count
 from kempe.solvers.common.clock import BROKEN_OFF, TimeLimit, TimeUp, partial
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import InWords, counted, joined
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
 USUAL = Usual("singularities", starts=64, rng=0, time_limit=None, progress=None)
 AT_ONCE = 16
 """Starts between which the time is looked at."""
-SAME = 1e-5
-"""Difference of coordinates, in radians and metres, up to which they are the same."""
 MATTERS = 1e-4
 """How far, of 1, a coordinate must be from the directions of the set, to matter."""
 BESIDE = 1e-3
@@ -39,106 +38,6 @@ BESIDE = 1e-3
 NEAR = 6
 """Configurations of each set from which the nearest is searched for."""
 FULL_TURN = 2.0 * np.pi
-
-
-@dataclass(frozen=True, eq=False)
-class SingularSet(InWords):
-    """Configurations that are singular in the same way.
-
-    `kinds` are "serial" of a chain, and of closed loops some of "type 1", "type 2" and "constraint". `name` is
-    "shoulder", "elbow" or "wrist" where the arm has such, else "". `coordinates` are those that decide whether a
-    configuration is in the set, and `values` (k, n) theirs, where they are isolated; elsewhere it has no rows.
-    `dimension` is that of the set; `q` (m, nq) are the configurations that were found.
-    """
-
-    __repr__ = brief
-
-    kinds: tuple[str, ...]
-    name: str
-    coordinates: tuple[str, ...]
-    values: Array
-    dimension: int
-    q: Array
-    local: tuple[LostAndGained, ...] = field(repr=False)
-    """What is lost and gained at each of `q`."""
-
-    @property
-    def lost(self) -> tuple[Array, ...]:
-        """Twists (k, 6), [linear; angular] at the frame along the axes of the ground, that the frame has lost."""
-        return tuple(x.lost for x in self.local)
-
-    @property
-    def gained(self) -> tuple[Array, ...]:
-        """Twists (k, 6) that the frame has while all inputs are held."""
-        return tuple(x.gained for x in self.local)
-
-    @property
-    def self_motion(self) -> tuple[Array, ...]:
-        """Velocities (k, nv) that leave the frame where it is."""
-        return tuple(x.self_motion for x in self.local)
-
-    def __str__(self) -> str:
-        head = self.name or " and ".join(self.kinds)
-        if not len(self.values):
-            single = f": {counted(len(self.q), 'configuration')}" if self.dimension == 0 else ""
-            return f"{head} ({joined(self.coordinates)})" if self.coordinates else head + single
-        if len(self.coordinates) == 1:
-            return f"{head} ({self.coordinates[0]} = {' or '.join(f'{x:.4g}' for x in self.values[:, 0])})"
-        points = [f"({', '.join(f'{x:.4g}' for x in row)})" for row in self.values[:4]]
-        more = f" and {len(self.values) - 4} more" if len(self.values) > 4 else ""
-        return f"{head} ({', '.join(self.coordinates)} = {' or '.join(points)}{more})"
-
-    def data(self) -> dict[str, Any]:
-        """Its numbers and names."""
-        names = ("kinds", "name", "coordinates", "values", "dimension", "q", "lost", "gained", "self_motion")
-        values: dict[str, Any] = {n: getattr(self, n) for n in names}
-        several = [n for n in names[-3:] if isinstance(values[n], tuple)]
-        return values | {n: [np.asarray(x) for x in values[n]] for n in several}
-
-
-@explained_methods
-@dataclass(frozen=True, eq=False)
-class NearestSingular(Report):
-    """The singular configuration `q` (nq,) that is nearest to one, of those found, at a `distance`.
-
-    Angles count in radians and lengths in characteristic lengths. `kinds`, `name`, and what is lost and gained there,
-    are as in `SingularSet`; `distances` are those of all sets, by their words.
-    """
-
-    __repr__ = brief
-
-    q: Array
-    distance: float
-    kinds: tuple[str, ...]
-    name: str
-    lost: Array
-    gained: Array
-    self_motion: Array
-    distances: dict[str, float]
-    code: Any = Status.SOLVED
-
-    @property
-    def status(self) -> str:
-        """Which is the nearest, and how far it is."""
-        if self.code is not Status.SOLVED:
-            return "no singular configuration was found"
-        what = self.name or " and ".join(self.kinds)
-        if self.distance < SAME:
-            return f"singular ({what}): {_changes(self.lost, self.gained)}"
-        return f"the nearest singular configuration found ({what}) is {self.distance:.4g} away"
-
-    def _lines(self) -> list[str]:
-        return [f"{name}: {x:.4g} away" for name, x in sorted(self.distances.items(), key=lambda row: row[1])]
-
-    def _data(self) -> dict[str, Any]:
-        names = ("q", "distance", "kinds", "name", "lost", "gained", "self_motion", "distances")
-        return {n: getattr(self, n) for n in names}
-
-
-def _changes(lost: Array, gained: Array) -> str:
-    said = [f"{counted(len(lost), 'direction')} lost"] if len(lost) else []
-    said += [f"{counted(len(gained), 'direction')} gained"] if len(gained) else []
-    return " and ".join(said) or "no direction of a frame lost or gained"
 
 
 @explained_methods
@@ -179,7 +78,7 @@ class Singularities(Report):
         return f"{of}: {found} of singular configurations{within}, from {counted(self.starts, 'start')}{tail}"
 
     def _lines(self) -> list[str]:
-        return [f"{s}: dimension {s.dimension}, {_changes(s.local[0].lost, s.local[0].gained)}" for s in self.sets]
+        return [f"{s}: dimension {s.dimension}, {changes(s.local[0].lost, s.local[0].gained)}" for s in self.sets]
 
     def _data(self) -> dict[str, Any]:
         own = {n: getattr(self, n) for n in ("frame", "task", "starts", "limits")}
@@ -208,6 +107,27 @@ class Singularities(Report):
         return NearestSingular(there, distance, local.kinds or s.kinds, s.name, local.lost, local.gained,
                                local.self_motion, distances)  # fmt: skip
 
+    def curves(
+        self, *, hold: Mapping[str, float] | None = None, orientation: Any = None, budget: Budget | None = None
+    ) -> SingularCurves:  # fmt: skip
+        """The curves of singular configurations, and those that the frame draws there, where the sets are curves.
+
+        In the plane those are curves at which a frame's position loses a direction, and of two freedoms all of them.
+        Larger sets are cut down to curves by coordinates that are held, `hold` {name: value}, and by the frame's
+        `orientation` (planar systems: an angle in radians). With the answer's `limits` curves end there. Of the
+        `budget` are read: step (0.05, the longest step, in radians and characteristic lengths), time_limit, and
+        progress, which is called with the number of configurations done and that of all. Errors: `InputError` where
+        the sets are larger than curves; `UnknownNameError`.
+        """
+        rows, held = held_equations(self, hold, orientation)
+        problems = {kind: replace(p, further=rows) for kind, p in self.problems.items()}
+        starts = [(s.kinds, s.name, q) for s in self.sets for q in s.q]
+        if held:
+            near = np.concatenate([*(s.q for s in self.sets), self.questions.starts])
+            led = _led(self.questions, problems, near, self.task, self.limits)
+            starts = [(kinds, name, q) for (kinds, name, _), (q, _) in led if kinds]
+        return singular_curves(self, problems, starts, held, budget)
+
     def _nearest(self, s: SingularSet, q: Array) -> tuple[Array, float]:
         problem = self.problems[s.kinds[-1]]
         starts = s.q[np.argsort(self._apart(s.q, q))[:NEAR]]
@@ -219,7 +139,7 @@ class Singularities(Report):
             led = led[np.array(own, dtype=bool)]
             led = led[[name == s.name for name in names_of(self.system, self.frame, led)]] if s.name else led
         if self.limits:
-            led = led[_inside(self.system, led)]
+            led = led[inside_limits(self.system, led)]
         led = np.concatenate([led, starts])
         far = self._apart(led, q)
         i = int(np.argmin(far))
@@ -298,7 +218,7 @@ def _led(
         if CONSTRAINT in problems and kind != CONSTRAINT:
             q = _sharpened(problems[CONSTRAINT], q[np.isfinite(q).all(axis=1)])
         q = _turned(system, q[np.isfinite(q).all(axis=1)])
-        q = q[_inside(system, q)] if limits else q
+        q = q[inside_limits(system, q)] if limits else q
         names = names_of(system, name, q) if kind == SERIAL and task == "pose" else [""] * len(q)
         for at, word in zip(q, names, strict=True):
             local = questions.local(at, problems)
@@ -388,8 +308,3 @@ def _turned(system: System, q: Array) -> Array:
         x = np.where(outside & fits, moved, x)
     q[:, at_q] = x
     return q
-
-
-def _inside(system: System, q: Array) -> np.ndarray:
-    """Whether configurations (k, nq) are inside the limits and hold the one-sided constraints."""
-    return np.asarray((one_sided_rows(system).beyond(q) <= SAME).all(axis=1))
