@@ -39,7 +39,7 @@ def test_samples_and_pictures_are_written(tmp_path):
     (["two_link", "--frame", "nowhere"], "nowhere"),
     (["two_link", "--sample", "0"], "n is 0"),
     (["slider", "--sample", "5"], "not bounded"),
-    (["puma560", "--frame", "tool", "--plot", "p.png"], "two coordinates"),
+    (["puma560", "--frame", "tool", "--plot", "p.png"], "two freedoms"),
     (["two_link", "--frame", "e", "--plot", "p.gif"], ".png"),
     (["nothing_here"], "nothing_here"),
 ])  # fmt: skip

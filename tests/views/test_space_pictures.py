@@ -10,11 +10,15 @@ import kempe
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 
 pytest.importorskip("matplotlib")
+from kempe.analysis.spaces.configuration.two_freedoms import covered, two_freedoms
 from kempe.views.space_pictures import nearest, preimages
 
 ARM = kempe.load("two_link")
 LIMITED = ARM.with_limits({"q1": (-0.5, 2.0), "q2": (-1.0, 2.5)})
 L1, L2 = 0.5, 0.4
+FIVE = kempe.load("five_bar").with_parameters(d=0.3)
+CRANK, ROD, BASE = 0.2, 0.3, 0.3
+"""Its lengths; its pivots are at (0, 0) and (BASE, 0)."""
 
 
 def by_hand(p: np.ndarray, limits: list[tuple[float, float]]) -> int:
@@ -97,10 +101,19 @@ def test_limits_are_a_rectangle_and_its_image():
 
 
 def test_what_cannot_be_drawn_is_said():
-    with pytest.raises(UnsupportedError, match="two coordinates.*puma560 has 6"):
+    with pytest.raises(UnsupportedError, match="two freedoms.*puma560 has 6 coordinates"):
         kempe.load("puma560").plot_spaces("tool")
-    with pytest.raises(UnsupportedError, match="and loops"):
-        kempe.load("four_bar").plot_spaces("coupler_point")
+    for name, frame, words in [
+        ("four_bar", "coupler_point", "four_bar has 1 freedom and loops"),
+        ("three_rrr", "tool", "has 3 freedoms and loops"), ("five_bar", "arm2", "'arm2' of five_bar moves on"),
+        ("rssr", "coupler", "dyads close them; of rssr: .*not planar"),
+    ]:  # fmt: skip
+        with pytest.raises(UnsupportedError, match=words):
+            kempe.load(name).plot_spaces(frame)
+    with pytest.raises(InputError, match="'ground' of five_bar does not move"):
+        FIVE.plot_spaces("ground")
+    with pytest.raises(UnsupportedError, match="close nowhere inside the limits"):
+        FIVE.with_limits({"A": (3.1, 3.13), "D": (0.0, 0.02), "P": (1.0, 1.1)}).plot_spaces("tip")
     with pytest.raises(UnknownNameError):
         ARM.plot_spaces("nowhere")
     for points in ([1.0, 2.0, 3.0], [[np.nan, 0.0]]):
@@ -115,3 +128,179 @@ def test_what_cannot_be_drawn_is_said():
     m.prismatic("s", "a", m.body("b"), axis=(1, 0))
     with pytest.raises(InputError, match=r"'s' has no limits.*with_limits"):
         m.build().plot_spaces("b")
+
+
+# ---- with closed loops
+
+
+@pytest.fixture(scope="module")
+def five():
+    return FIVE.plot_spaces("tip", points=[(0.1, 0.35), (0.6, 0.3)], resolution=60)
+
+
+def shades(ax):
+    """Middles (n, n, 2) of the cells of a picture, and the numbers (n, n) shown there."""
+    mesh = artists(ax)["preimages"][0]
+    x, y = (np.asarray(mesh.get_coordinates())[..., i] for i in range(2))
+    middles = np.stack([0.25 * (z[1:, 1:] + z[:-1, 1:] + z[1:, :-1] + z[:-1, :-1]) for z in (x, y)], axis=-1)
+    return middles, np.asarray(mesh.get_array()).reshape(middles.shape[:2])
+
+
+def test_ways_of_a_five_bar_are_those_of_its_legs(five):
+    """Each leg reaches a place in two ways where the distance from its pivot is between b - a and a + b."""
+    p, shown = shades(five[1])
+    legs = [np.linalg.norm(p - x, axis=-1) for x in ([0.0, 0.0], [BASE, 0.0])]
+    ways = [2 * ((r < CRANK + ROD) & (r > ROD - CRANK)) for r in legs]
+    assert np.array_equal(shown, ways[0] * ways[1]) and set(shown.ravel()) == {0, 4}
+
+
+def test_modes_of_a_five_bar_are_two_where_the_rods_are_long_enough(five):
+    q, shown = shades(five[0])
+    ends = [x + CRANK * np.stack([np.cos(a), np.sin(a)], axis=-1)
+            for x, a in zip(([0.0, 0.0], [BASE, 0.0]), np.moveaxis(q, -1, 0), strict=True)]  # fmt: skip
+    far = np.linalg.norm(ends[1] - ends[0], axis=-1)
+    assert np.array_equal(shown, 2 * (far < 2.0 * ROD)) and set(shown.ravel()) == {0, 2}
+
+
+def test_modes_and_ways_of_five_bars_are_those_of_triangles(hunt):
+    """Each leg closes a triangle in two ways or in none, and so do the rods."""
+    rng = hunt.rng()
+    for _ in range(hunt.cases(40)):
+        a1, b1, b2, a2, d = rng.uniform(0.1, 1.0, 5)
+        m = kempe.Mechanism("five bars", dim=2)
+        for name, parent, child, at, of in [
+            ("A", "ground", "crank1", 0.0, 0.0), ("B", "crank1", "rod1", a1, 0.0), ("P", "rod1", "rod2", b1, b2),
+            ("C", "crank2", "rod2", a2, 0.0), ("D", "ground", "crank2", d, 0.0),
+        ]:  # fmt: skip
+            for body in (parent, child):
+                body in m.bodies or m.body(body)
+            m.revolute(name, parent, child, at=(at, 0), child_at=(of, 0), actuated=name in "AD")
+        m.frame("tip", "rod1", at=(b1, 0))
+        space = two_freedoms(m.build(), "tip")
+        values, p = rng.uniform(-np.pi, np.pi, (500, 2)), rng.uniform(-1.5, 1.5, (500, 2))
+        ends = [x + a * np.stack([np.cos(q), np.sin(q)], axis=1) for x, a, q in (
+            ([0.0, 0.0], a1, values[:, 0]), ([d, 0.0], a2, values[:, 1]))]  # fmt: skip
+        far, legs = np.linalg.norm(ends[1] - ends[0], axis=1), [np.linalg.norm(p - [x, 0.0], axis=1) for x in (0.0, d)]
+        modes, ways = space.over(values)[1].sum(axis=1), space.reaching(p)[1].sum(axis=1)
+        assert space.names == ("A", "D")
+        assert np.array_equal(modes, 2 * _closes(far, b1, b2))
+        assert np.array_equal(ways, 4 * (_closes(legs[0], a1, b1) & _closes(legs[1], a2, b2)))
+
+
+def _closes(far, a, b):
+    assert np.abs(far - abs(a - b)).min() > 1e-9 and np.abs(far - a - b).min() > 1e-9
+    return (far < a + b) & (far > abs(a - b))
+
+
+def test_singular_lines_are_where_modes_and_ways_meet(five):
+    """Of type 1 circles about the pivots; of type 2, on the left, where the rods are in line or fold."""
+    lines = {k: v[0] for k, v in artists(five[1]).items() if k.startswith("singular")}
+    radii = {k: [np.hypot(x.get_xdata() - b, x.get_ydata()) for b in (0.0, BASE)] for k, x in lines.items()}
+    kind = {k: any(min(abs(r - ROD - CRANK).max(), abs(r - ROD + CRANK).max()) < 1e-6 for r in v)
+            for k, v in radii.items()}  # fmt: skip
+    assert {lines[k].get_linestyle() for k in lines if kind[k]} == {"-"} and 4 <= sum(kind.values()) < len(kind)
+    assert {lines[k].get_linestyle() for k in lines if not kind[k]} == {"--"}
+    for k in (k for k in lines if not kind[k]):
+        a, d = np.array(artists(five[0])[k][0].get_data())
+        far = np.hypot(BASE + CRANK * (np.cos(d) - np.cos(a)), CRANK * (np.sin(d) - np.sin(a)))
+        far = far[np.isfinite(far)]
+        assert min(np.abs(far - 2.0 * ROD).max(), far.max()) < 1e-6
+    words = [t.get_text() for t in five[1].get_legend().get_texts()]
+    assert words == ["none", "2 modes, or 2 ways", "4 modes, or 4 ways", "singular, type 1", "singular, type 2"]
+
+
+def test_points_of_a_five_bar_have_four_solutions_or_a_distance(five):
+    solutions = [k for k in artists(five[0]) if k.startswith("solution:0")]
+    bars = {k: np.array(v[0].get_data()) for k, v in artists(five[1]).items() if k.startswith("arm:0")}
+    assert len(solutions) == 4 and len(bars) == 16
+    assert all(
+        np.linalg.norm(x[:, 1] - x[:, 0]) == pytest.approx(CRANK if "crank" in k else ROD) for k, x in bars.items()
+    )
+    (text,) = artists(five[1])["distance:1:text"]
+    assert text.get_text() == f"{np.hypot(0.6, 0.3) - CRANK - ROD:.3g} m away"
+
+
+def test_limits_of_other_coordinates_are_lines():
+    system = FIVE.with_limits({"A": (0.0, 2.8), "P": (0.3, 2.5)})
+    left, right = system.plot_spaces("tip", resolution=80, grid=True)
+    drawn = artists(left)
+    assert {k.split(":")[1] for k in drawn if k.startswith("limit")} == {"A", "D", "P"}
+    for k, lines in drawn.items():
+        for line in lines if k.startswith("limit:P") else ():
+            values = np.transpose(line.get_data())
+            values = values[np.isfinite(values).all(axis=1)]
+            P = FIVE.loops.closed_form(["A", "D"]).all(values)[0][..., 2]
+            assert np.abs(P[..., None] - [0.3, 2.5]).min(axis=(1, 2)).max() < 0.01
+    assert "limits" in [t.get_text() for t in right.get_legend().get_texts()]
+    count = shades(left)[1]
+    assert set(count.ravel()) == {0, 1}  # one of two modes has P > 0
+
+
+@pytest.mark.parametrize("limits", [{}, {"A": (0.0, 2.8), "P": (0.3, 2.5)}])
+def test_places_with_a_configuration_are_the_image_of_a_grid(limits):
+    space = two_freedoms(FIVE.with_limits(limits), "tip")
+    p = space.places(*space.over(space.grid(300)))
+    x, y = np.linspace(-0.31, 0.61, 47), np.linspace(-0.51, 0.52, 53)
+    exact, found = space.preimages(x, y, p) > 0, covered(x, y, p)
+    assert (exact == found).mean() > 0.98 and 0.1 < exact.mean() < 0.9  # but beside the borders
+
+
+def linkage() -> kempe.System:
+    """A mechanism with seven bars and two freedoms, whose actuated joints leave no dyads."""
+    m = kempe.Mechanism("seven", dim=2)
+    for b in ("c1", "l1", "c2", "tern", "l2", "l3"):
+        m.body(b)
+    m.revolute("A", m.ground, "c1", actuated=True)
+    m.revolute("B", "c1", "l1", at=(0.2, 0))
+    m.revolute("P", "l1", "tern", at=(0.35, 0))
+    m.revolute("C", "tern", "c2", at=(0.3, 0), child_at=(0.25, 0))
+    m.revolute("D", m.ground, "c2", at=(0.4, 0))
+    m.revolute("E", "tern", "l2", at=(0.15, 0.1))
+    m.revolute("F", "l2", "l3", at=(0.35, 0))
+    m.revolute("G", m.ground, "l3", at=(0.7, 0), child_at=(0.2, 0), actuated=True)
+    m.frame("tip", "tern", at=(0.15, 0.2))
+    m.frame("mid", "l1", at=(0.1, 0.05))
+    return m.build()
+
+
+def test_another_pair_of_coordinates_takes_over_where_actuated_ones_leave_no_dyads():
+    space = two_freedoms(linkage(), "tip")
+    assert space.names != ("A", "G") and space.counted
+    rng = np.random.default_rng(1)
+    q, mask = space.over(rng.uniform(-3.0, 3.0, (200, 2)))
+    assert np.abs(space.system.loops.closure_error(q[mask])).max() < 1e-9
+    p = space.places(q, mask)[mask]
+    back, ok = space.reaching(p)
+    assert ok.any(axis=1).all() and space.places(back, ok)[ok] == pytest.approx(np.repeat(p, ok.sum(axis=1), axis=0))
+    off = np.abs(np.sin(0.5 * (back - q[mask][:, None]))).max(axis=-1)
+    assert np.where(ok, off, 1.0).min(axis=1).max() < 1e-6  # the one that it came from is among them
+
+
+@pytest.mark.slow
+def test_places_without_a_closed_form_are_not_counted(monkeypatch):
+    monkeypatch.setattr("kempe.analysis.spaces.configuration.two_freedoms._placed", lambda *_: None)
+    left, right = FIVE.plot_spaces("tip", points=[(0.1, 0.35)], resolution=40)
+    assert set(shades(right)[1].ravel()) == {0, 1} and set(shades(left)[1].ravel()) == {0, 2}
+    words = [t.get_text() for t in right.get_legend().get_texts()]
+    assert "1 mode, or reached" in words and not any("ways" in w for w in words)
+    assert len([k for k in artists(left) if k.startswith("solution:0")]) == 4
+
+
+def test_slides_as_drives_are_the_axes():
+    m = kempe.Mechanism("RPRPR", dim=2)
+    for k, x in ((1, 0.0), (2, 0.8)):
+        m.revolute(f"A{k}", m.ground, m.body(f"leg{k}"), at=(x, 0))
+        m.prismatic(f"s{k}", f"leg{k}", m.body(f"rod{k}"), axis=(1, 0), limits=(0.3, 1.0), actuated=True)
+    m.revolute("P", "rod1", "rod2")
+    left, right = m.build().plot_spaces("rod1", points=[(0.4, 1.2)], resolution=50)
+    assert left.get_xlabel() == "s1 [m]" and left.get_ylabel() == "s2 [m]"
+    s, modes = shades(left)
+    clear = np.abs(s.sum(axis=-1) - 0.8) > 1e-9
+    assert np.array_equal(modes[clear], 2 * (s.sum(axis=-1) > 0.8)[clear])  # the triangle with the base of 0.8 m closes
+    p, ways = shades(right)
+    legs = np.stack([np.linalg.norm(p - x, axis=-1) for x in ([0.0, 0.0], [0.8, 0.0])])
+    assert np.array_equal(ways, ((legs > 0.3) & (legs < 1.0)).all(axis=0))
+    assert artists(right)["distance:0:text"][0].get_text() == f"{1.2 - np.sqrt(1.0 - 0.16):.3g} m away"
+    m.joints["s2"].limits.clear()
+    with pytest.raises(InputError, match=r"'s2' has no limits.*with_limits"):
+        m.build().plot_spaces("rod1")

@@ -48,7 +48,7 @@ def spaces(
 ) -> None:  # fmt: skip
     """Say what the configuration space is: dimension, components, samples; and the task space of a frame.
 
-    With --plot both spaces of a system with two coordinates are drawn beside one another (--frame says of what).
+    With --plot both spaces of a system with two freedoms are drawn beside one another (--frame says of what).
 
     Example: kempe spaces two_link --frame e --sample 1000 -o q.csv --plot spaces.png
     """

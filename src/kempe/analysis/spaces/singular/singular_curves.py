@@ -67,7 +67,8 @@ class SingularCurve(InWords):
         return len(self.q)
 
     def __str__(self) -> str:
-        return f"{self.name or ' and '.join(self.kinds)}: {len(self)} points{', closed' if self.closed else ''}"
+        closed = ", closed" if self.closed else ""
+        return f"{self.name or ' and '.join(self.kinds)}: {counted(len(self), 'point')}{closed}"
 
     def data(self) -> dict[str, Any]:
         """Its numbers and names."""
