@@ -187,7 +187,7 @@ def path(
     """
     _one_way(tasks, {"--frame": frame, "--targets": target}, {"--position-only": position_only})
     system = load(file, base, root, package_dir, xacro, lenient_limits)
-    from kempe.views import facts, follow_report, rows, slices
+    from kempe.views import facts, ik_report, rows, slices
 
     results(out)
     picture(plot)
@@ -217,7 +217,7 @@ def path(
         written = ([] if out is None else [out]) + pictures
         print_json({**facts.answer_facts(answer, deg), "written": [str(path) for path in written]})
     else:
-        show(follow_report.path(answer, deg))
+        show(ik_report.path(answer, deg))
         _say_all(out, pictures)
     leave(answer)
 

@@ -62,11 +62,13 @@ NoLimits = Annotated[bool, option("--no-limits", "Leave joint limits out.")]
 @guarded
 def singularities(
     file: File, frame: Frame = None, task: FrameTask = None, inputs: Inputs = None, at: From = None,
-    starts: Starts = None, rng: Rng = None, time_limit: TimeLimit = None, no_limits: NoLimits = False, deg: Deg = False,
-    json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
-    lenient_limits: Lenient = False,
+    starts: Starts = None, rng: Rng = None, time_limit: TimeLimit = None, no_limits: NoLimits = False,
+    plot: Picture = None, deg: Deg = False, json: Json = False, base: Base = None, root: Root = None,
+    package_dir: Dirs = None, xacro: Xacro = False, lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Find the singular configurations of a frame, or of closed loops, and how far the nearest is.
+
+    With --plot some are drawn, with the directions that the frame loses and gains there, and planar curves of them.
 
     Example: kempe singularities puma560 --frame tool --at q5=0.2
     """
@@ -76,12 +78,16 @@ def singularities(
     driving = None if inputs is None else [name.strip() for name in inputs.split(",") if name.strip()]
     if driving == []:
         raise InputError(f"--inputs names no joint; there are: {', '.join(system.joint_names)}")
+    picture(plot)
     q, closing = given.configuration(system, ",".join(at), None, deg) if at else (None, None)
     if closing is not None and not closing:
         raise InputError(f"--at cannot be closed: {closing.status}")
     with _paced(starts, rng, time_limit, "starts") as budget:
         answer = system.singularities(frame, task, inputs=driving, limits=not no_limits, budget=budget)
     nearest = None if q is None else answer.nearest(q)
+    if plot is not None and answer.sets:
+        save_picture(answer.plot()[0], plot)
+        remark(f"written to {plot}")
     if json:
         print_json(answer.data() | ({} if nearest is None else {"nearest": nearest.data()}))
     else:

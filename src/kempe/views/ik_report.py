@@ -1,4 +1,4 @@
-"""All solutions of inverse models, and how they are found, for people and for programs: as tables and data."""
+"""All solutions of inverse models, how they are found, and paths that follow targets: as tables and data."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from kempe.model.system import System
     from kempe.solvers.analytic.answers.solutions import Solutions
     from kempe.solvers.analytic.describe.describe import Recognised
+    from kempe.solvers.paths.following import IkPath
 
 NARROW = 7
 """Coordinates up to which solutions are lines of a table; of more of them, each solution is a column."""
@@ -235,3 +236,20 @@ def plan(answer: Recognised) -> RenderableType:
         for k, text in enumerate(texts):
             grid.add_row(title if k == 0 else "", Text(report.clean(text)))
     return Group(Text(report.clean(head), style="bold green"), "", grid)
+
+
+def path(answer: IkPath, degrees: bool = False) -> RenderableType:
+    """The sentence of a path, and the range of each coordinate on it, with the largest step between two targets."""
+    system = answer.system
+    style = "bold green" if answer else "bold yellow" if answer.success.all() else "bold red"
+    shown: list[RenderableType] = [Text(report.clean(answer.status), style=style)]
+    if answer.success.any():
+        q = facts.in_degrees(answer.q, system.coordinate_names, units(system), degrees)
+        steps = np.abs(np.diff(q, axis=0))
+        lines: list[tuple[Any, ...]] = []
+        for i, c in enumerate(facts.coordinates(system, degrees)):
+            most = np.nanmax(steps[:, i]) if np.isfinite(steps[:, i]).any() else 0.0
+            values = (np.nanmin(q[:, i]), np.nanmax(q[:, i]), most)
+            lines.append((c["name"], *(report.number(x, 4 if c["unit"] == "deg" else 6) for x in values), c["unit"]))
+        shown += ["", report.table(("coordinate", ">least", ">largest", ">largest step", "=unit"), lines)]
+    return Group(*shown)

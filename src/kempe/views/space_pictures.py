@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.analysis.spaces.configuration.two_freedoms import NEEDED, TwoFreedoms, two_freedoms
-from kempe.analysis.spaces.singular.rank_questions import TYPE_1, TYPE_2
 from kempe.calls import explained, flag, numbers
 from kempe.errors import InputError, UnsupportedError, shown
 from kempe.model.tree.coordinates import units
@@ -20,6 +19,7 @@ from kempe.reals import is_whole
 from kempe.spatial import Array
 from kempe.views.drawing import page, style
 from kempe.views.drawing.scene import look
+from kempe.views.singular_plot import LINES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 SHADES = ("#ffffff", "#d3e3f2", "#8db8dc", "#4c7fb0", "#2f5d8a", "#1b3d63")
 """Colours of places with no, one, two, three, four and more configurations: from light to dark, to read in grey."""
-LINES = {(TYPE_1,): "-", (TYPE_2,): (0, (4, 1.6)), (TYPE_1, TYPE_2): "-."}
-"""How curves of the kinds of singular configurations are drawn; others are dotted."""
 FINEST, COARSEST = 1000, 8
 FINE, STEP = 145, 12
 """Points of a line of the grid, and how many lie between two lines: those are 1/12 of a side apart."""

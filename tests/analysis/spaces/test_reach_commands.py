@@ -18,6 +18,14 @@ def test_singularities_as_text_and_json():
     assert text.code == 0 and "q2 = 0 or 3.142" in text.out and "0.1745 away" in text.out
 
 
+def test_singularities_are_drawn(tmp_path):
+    file = tmp_path / "singular.png"
+    run = Result("singularities", "two_link", "--frame", "e", "--starts", "8", "--plot", str(file))
+    assert run.code == 0 and file.read_bytes()[:4] == b"\x89PNG" and "serial" in run.out
+    refused = Result("singularities", "two_link", "--frame", "e", "--plot", str(tmp_path / "singular.xyz"))
+    assert refused.code and ".xyz" in refused.err
+
+
 def test_singularities_of_loops():
     data = Result("singularities", "four_bar", "--frame", "rocker", "--inputs", "A", "--json").json()
     assert [(s["kinds"], len(s["q"])) for s in data["sets"]] == [(["type 1"], 4)]

@@ -30,6 +30,8 @@ from kempe.status import Status
 from kempe.words import InWords, counted
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from kempe.analysis.spaces.singular.singularities import Singularities
     from kempe.model.system import System
 
@@ -110,6 +112,15 @@ class SingularCurves(Report):
 
     def __iter__(self) -> Iterator[SingularCurve]:
         return iter(self.curves)
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Matplotlib axes with the places of the frame along the curves, a style of line for each kind.
+
+        Errors: `InputError` where there are no curves, or no frame.
+        """
+        from kempe.views.singular_plot import plot_curves
+
+        return plot_curves(self, ax)
 
     def _lines(self) -> list[str]:
         return [str(c) for c in self.curves]

@@ -42,6 +42,8 @@ class SingularSet(InWords):
     q: Array
     local: tuple[LostAndGained, ...] = field(repr=False)
     """What is lost and gained at each of `q`."""
+    places: tuple[int, ...] = field(default=(), repr=False)
+    """Where the `coordinates` are in q."""
 
     @property
     def lost(self) -> tuple[Array, ...]:

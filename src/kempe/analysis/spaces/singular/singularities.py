@@ -26,6 +26,8 @@ from kempe.status import Status
 from kempe.words import counted
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from kempe.model.system import FrameLike, System
 
 USUAL = Usual("singularities", starts=64, rng=0, time_limit=None, progress=None)
@@ -106,6 +108,18 @@ class Singularities(Report):
         local, s = self.questions.local(there, self.problems), self.sets[i]
         return NearestSingular(there, distance, local.kinds or s.kinds, s.name, local.lost, local.gained,
                                local.self_motion, distances)  # fmt: skip
+
+    def plot(self, *, ax: Any = None, **options: Any) -> tuple[Axes, ...]:
+        """Matplotlib axes with configurations of the sets beside one another, and what is lost and gained there.
+
+        Arrows show directions of the frame: of turns in the plane there is the centre with an arc, in space the axis
+        (dotted). Of a planar system whose sets are curves the last axes have these. At most four configurations are
+        drawn. `ax` are as many axes to draw on; `options` are those of `System.plot`. Errors: `InputError` where no
+        set was found.
+        """
+        from kempe.views.singular_plot import plot_singularities
+
+        return plot_singularities(self, ax=ax, **options)
 
     def curves(
         self, *, hold: Mapping[str, float] | None = None, orientation: Any = None, budget: Budget | None = None
@@ -268,7 +282,7 @@ def _set(system: System, key: Key, rows: list[Row], problems: list[RankLoss]) ->
         keep = _distinct_rows(q)
         rows, q = [rows[i] for i in keep], q[keep]
     return SingularSet(kinds, name, tuple(names[int(i)] for i in deciding), values, dimension, q,
-                       tuple(local for _, local in rows))  # fmt: skip
+                       tuple(local for _, local in rows), tuple(at.tolist()))  # fmt: skip
 
 
 def _distinct_rows(x: Array) -> list[int]:

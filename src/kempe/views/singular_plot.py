@@ -1,0 +1,126 @@
+"""Pictures of singular configurations, with the directions lost and gained there, and of their curves.
+
+Importing this module needs the extra [view].
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.analysis.spaces.singular.rank_questions import TYPE_1, TYPE_2, LostAndGained
+from kempe.analysis.spaces.singular.singular_sets import SingularSet, changes
+from kempe.errors import InputError
+from kempe.spatial import Array
+from kempe.views.drawing import page, style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from kempe.analysis.spaces.singular.singular_curves import SingularCurves
+    from kempe.analysis.spaces.singular.singularities import Singularities
+
+LINES: dict[tuple[str, ...], Any] = {(TYPE_1,): "-", (TYPE_2,): (0, (4, 1.6)), (TYPE_1, TYPE_2): "-.", ("serial",): "-"}
+"""How curves of the kinds of singular configurations are drawn; others are dotted."""
+MOST, EACH = 4, 2
+"""Configurations that a picture shows at most, in all and of each set."""
+ARROW, NEAR = 0.2, 0.6
+"""Length of an arrow, and how far from the frame a centre of rotation is still drawn, as parts of the drawing."""
+COLOURS = {"lost": style.OPEN, "gained": style.MOTION}
+STILL = 1e-7
+"""Part of a twist that counts as none."""
+
+
+def plot_singularities(found: Singularities, *, ax: Any = None, **options: Any) -> tuple[Axes, ...]:
+    """Axes with singular configurations beside one another, and with the singular curves; see `Singularities.plot`."""
+    picks = [row for s in found.sets for row in _picks(s)][:MOST]
+    if not picks:
+        raise InputError(f"{found.status}: there is nothing to draw")
+    system, q = found.system, np.array([row[1] for row in picks])
+    flat = system.dim == 2
+    curves = found.curves() if flat and found.frame and max(s.dimension for s in found.sets) <= 1 else None
+    count = len(q) + bool(curves)
+    own: Any = None if ax is None else page.axes_given(ax, count)
+    if own is None and flat:
+        own = np.ravel(np.array(page.new_figure(4.2 * count, 4.4).subplots(1, count), dtype=object))
+    titles = [title for title, _, _ in picks]
+    show: dict[str, Any] = {"labels": False, "side_by_side": True, "titles": titles} | options
+    axes = system.plot(q, ax=None if own is None else own[: len(q)], **show)
+    if found.frame is not None:
+        for one, (_, x, local) in zip(axes, picks, strict=True):
+            _draw_directions(one, system.fk(x, found.frame)[:3, 3], local, flat)
+        _legend(axes[-1], picks)
+    if curves and own is not None:
+        axes = (*axes, plot_curves(curves, own[-1]))
+    return tuple(axes)
+
+
+def plot_curves(curves: SingularCurves, ax: Axes | None = None) -> Axes:
+    """Axes with the places of the frame along singular curves, a style of line for each kind."""
+    if not any(len(c.p) for c in curves):
+        raise InputError(f"{curves.status}: there is nothing to draw" + ("" if curves.frame else ", without a frame"))
+    if curves.system.dim != 2 and ax is None:
+        ax = page.new_figure(5.0, 5.0).add_subplot(projection="3d")
+    given: Any = page.new_figure(5.0, 4.4).add_subplot() if ax is None else page.axes_given(ax)[0]
+    d = 3 if hasattr(given, "get_zlim") else 2
+    named = set[str]()
+    for k, c in enumerate(curves):
+        word = c.name or " and ".join(c.kinds)
+        given.plot(*c.p[:, :d].T, color=style.OPEN, lw=1.5, ls=LINES.get(c.kinds, ":"), gid=f"singular:{k}",
+                   label=word if word not in named else None)  # fmt: skip
+        named.add(word)
+    given.set_aspect("equal", adjustable="box" if d == 2 else None)
+    if d == 2:
+        page.light_axes(given)
+    for name in "xyz"[:d]:
+        getattr(given, f"set_{name}label")(f"{name} [m]", size=style.FONT, color=style.INK)
+    given.set_title(f"singular places of {curves.frame!r}", size=style.FONT + 1, color=style.INK)
+    given.legend(fontsize=style.FONT - 1, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2)
+    return given
+
+
+def _picks(s: SingularSet) -> list[tuple[str, Array, LostAndGained]]:
+    """Titles, configurations and what is lost there, of a set: one for each of the first of its values."""
+    head = s.name or " and ".join(s.kinds)
+    if not len(s.values):
+        return [(f"{head}\n{changes(s.local[0].lost, s.local[0].gained)}", s.q[0], s.local[0])]
+    names, rows = list(s.coordinates), list[tuple[str, Array, LostAndGained]]()
+    for value in s.values[:EACH]:
+        off = [np.abs(np.sin(0.5 * (q[list(s.places)] - value))).max() for q in s.q]
+        k = int(np.argmin(off))
+        said = ", ".join(f"{n} = {x + 0.0:.3g}" for n, x in zip(names, value, strict=True))
+        rows.append((f"{head}, {said}\n{changes(s.local[k].lost, s.local[k].gained)}", s.q[k], s.local[k]))
+    return rows
+
+
+def _draw_directions(ax: Any, p: Array, local: LostAndGained, flat: bool) -> None:
+    """Draw twists at a frame's place (3,): arrows along slides, centres with an arc, or axes in space, of turns."""
+    length = ARROW * float(np.ptp(ax.get_xlim()))
+    for word, colour in COLOURS.items():
+        for k, twist in enumerate(getattr(local, word)):
+            gid, (v, w) = f"{word}:{k}", (twist[:3], twist[3:])
+            if not flat:
+                for x, line in ((v, "-"), (w, ":")):
+                    if np.linalg.norm(x) > STILL * max(np.linalg.norm(twist), STILL):
+                        ax.quiver(*p, *(length * x / np.linalg.norm(x)), color=colour, lw=1.8, ls=line, gid=gid)
+                continue
+            centre = p[:2] + np.array([-v[1], v[0]]) / w[2] if abs(w[2]) > STILL else np.full(2, np.inf)
+            how: dict[str, Any] = {"arrowstyle": "<|-|>", "color": colour, "lw": 1.6, "shrinkA": 0, "shrinkB": 0}
+            ends = p[:2] + length * np.outer([-1.0, 1.0], v[:2] / max(float(np.linalg.norm(v[:2])), 1e-300))
+            if np.linalg.norm(centre - p[:2]) < NEAR * length / ARROW:
+                ax.plot(*np.stack([centre, p[:2]]).T, ls=":", lw=1.0, color=colour, zorder=style.ARROWS)
+                ax.plot(*centre, "o", ms=5, color=colour, gid=f"{gid}:centre", zorder=style.TEXT)
+                ends = centre + 0.5 * length * np.array([[0.8, -0.6], [0.8, 0.6]])
+                how["connectionstyle"] = "arc3,rad=0.45"
+            ax.annotate("", ends[1], xytext=ends[0], arrowprops=how, gid=gid, zorder=style.TEXT, annotation_clip=False)
+
+
+def _legend(ax: Any, picks: list[tuple[str, Array, LostAndGained]]) -> None:
+    from matplotlib.lines import Line2D
+
+    words = [w for w in COLOURS if any(len(getattr(local, w)) for _, _, local in picks)]
+    entries = [Line2D([], [], color=COLOURS[w], lw=1.8, label=f"direction {w}") for w in words]
+    if entries:
+        ax.legend(handles=entries, fontsize=style.FONT - 1, frameon=False, loc="upper center", ncols=2,
+                  bbox_to_anchor=(0.5, -0.1))  # fmt: skip
