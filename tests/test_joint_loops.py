@@ -90,7 +90,7 @@ def partners(dim: int) -> list[JointType]:
 
 
 @pytest.mark.parametrize("backwards", some([False, True], 3), ids=["forward", "backwards"])
-@pytest.mark.parametrize(("kind", "dim"), CASES, ids=str)
+@pytest.mark.parametrize(("kind", "dim"), some(CASES, 4), ids=str)
 def test_each_type_as_each_cut(kind, dim, backwards):
     """Rings of three joints in which this type has each place, cut at each joint."""
     rng = np.random.default_rng(5)
@@ -345,14 +345,17 @@ def test_files_hold_registered_types():
 
 @pytest.mark.parametrize(
     ("kind", "dim"),
-    [
-        (PinSlot(), 2),
-        (Geared(), 2),
-        (Crooked(), 3),
-        (BallInTube(), 3),
-        (joint_type("P(x) R(z)"), 2),
-        (joint_type("P(x) R(z) R(y)"), 3),
-    ],
+    some(
+        [
+            (PinSlot(), 2),
+            (Geared(), 2),
+            (Crooked(), 3),
+            (BallInTube(), 3),
+            (joint_type("P(x) R(z)"), 2),
+            (joint_type("P(x) R(z) R(y)"), 3),
+        ],
+        3,
+    ),
     ids=str,
 )
 def test_own_types_are_drawn(kind, dim):

@@ -49,6 +49,7 @@ def check_doubt(hunt: Hunt, kind, cases: int) -> None:
     assert 1 in answers  # beyond what can be distinguished: the doubt is needed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [parallel_rods, two_balls_of_hinges])
 def test_a_singular_value_above_rounding_makes_the_answer_probable(kind, hunt):
     check_doubt(hunt, kind, 15)

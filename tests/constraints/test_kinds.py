@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hunts import some
 from kinds_battery import EXAMPLES, run
 
 from kempe import constraints as c
@@ -49,9 +50,9 @@ for other in kinds_battery.EXAMPLES:
 """
 
 
-@pytest.mark.parametrize("name", [
+@pytest.mark.parametrize("name", some([
     "distance", *(pytest.param(n, marks=pytest.mark.slow) for n in EXAMPLES if n != "distance")
-])  # fmt: skip
+], 4))  # fmt: skip
 def test_no_kind_needs_another(name):
     script = WITHOUT.format(here=str(HERE), name=name)
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hunts import some
+from shipped import shipped, with_loops
 
 import kempe
 from kempe.kinematics.closure_rows import evaluate
@@ -14,8 +13,7 @@ from kempe.model.closures.packed_loops import loops_of
 from kempe.solvers.assembly.dimensions import Dimensions
 from kempe.solvers.assembly.relations import Relations
 
-LIBRARY = sorted(p.stem for p in (Path(kempe.__file__).parent / "library").glob("*.toml"))
-LOOPS = [name for name in LIBRARY if kempe.load(name).structure.closures and kempe.load(name).nv <= 20]
+LOOPS = [name for name in with_loops() if shipped()[name].nv <= 20]
 STEP = 1e-5
 
 

@@ -139,6 +139,7 @@ def test_wrist_in_line():
     assert f.distance([q, q]).shape == (2,)
 
 
+@pytest.mark.slow
 def test_a_configuration_of_a_family():
     q = np.array([0.1, 0.2, 0.3, 0.4, 0.0, 0.6])
     a, X, (f,), _ = solved("puma560", q)
@@ -216,6 +217,7 @@ def test_puma_elbow_is_a_double_root():
     assert min(apart(x, q) for x in a) < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("q3", [0.9, 0.0])
 def test_four_parallel_axes(q3):
     """UR5 with q5 = 0: axes 2, 3, 4 and 6 are parallel and move as a four-bar linkage. All its motions are found."""
@@ -304,6 +306,7 @@ def test_geared_wrist():
     assert abs(f.at(motor1=0.7)[s.coordinate_names.index("j3")] + 0.5) < 1e-10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["panda", "iiwa14"])
 def test_redundant_arms(name):
     """Seven joints: each answer lies on a self-motion, the configuration that made the target too."""
@@ -354,6 +357,7 @@ def test_regular_targets_have_no_families(name):
 NEAR = [("puma560", [4]), ("ur5", [4]), ("ur5", [2]), ("ur5", [2, 4]), ("anthropomorphic6", [4])]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name,joints", some(NEAR, 3))
 def test_near_singular_targets_are_covered(name, joints):
     """However near to singular: the configuration that made a target is an answer, or on a family of answers."""

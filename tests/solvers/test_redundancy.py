@@ -279,6 +279,7 @@ def test_out_of_reach():
     assert not sweep and any(sweep.spans) and "outside the limits" in sweep.status
 
 
+@pytest.mark.slow
 def test_best():
     system = iiwa()
     T = system.fk(system.random(21), "tool")
@@ -298,6 +299,7 @@ def test_best():
 # ---- joints
 
 
+@pytest.mark.slow
 def test_panda_over_its_last_joint():
     system = kempe.load("panda")
     rng = np.random.default_rng(0)
@@ -317,6 +319,7 @@ def test_panda_over_its_last_joint():
             assert a != b or shared > 1, x
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("k", "joint"), [(0, "panda_joint1"), (6, "panda_joint7")])
 def test_few_samples_find_the_curves_that_they_meet(k, joint):
     """Six values of the parameter: most pieces of the curves lie between two of them, some have folds at both ends."""
@@ -329,6 +332,7 @@ def test_few_samples_find_the_curves_that_they_meet(k, joint):
     assert np.array_equal(requested.inside.sum(axis=1), sweep.inside.sum(axis=1))
 
 
+@pytest.mark.slow
 def test_folds_close_to_each_other():
     """Three folds within two hundredths of a radian, between two samples."""
     system = kempe.load("panda")

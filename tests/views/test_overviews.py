@@ -151,6 +151,7 @@ NOTEBOOK = {
 """Cells, and how many pictures each shows."""
 
 
+@pytest.mark.slow
 def test_cells_of_a_notebook_show_pictures():
     """Run by Jupyter's own client; texts are a screen at most."""
     nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")

@@ -13,6 +13,7 @@ import time
 
 import numpy as np
 import pytest
+from hunts import some
 
 import kempe
 from kempe import Budget, Status, spatial
@@ -310,7 +311,7 @@ def flip(file):
     file.write_bytes(data)
 
 
-@pytest.mark.parametrize("how", ["changed", "gone", "cut"])
+@pytest.mark.parametrize("how", some(["changed", "gone", "cut"], 3))
 @pytest.mark.parametrize("finished", [True, False])
 def test_damaged_chunks_are_found_and_made_again(tmp_path, whole, how, finished):
     path = tmp_path / "out.zarr"
@@ -417,10 +418,10 @@ def test_a_process_that_is_ended_at_any_moment(tmp_path, ending):
 # ---- something else, and what is wrong
 
 
-@pytest.mark.parametrize(("words", "more"), [
+@pytest.mark.parametrize(("words", "more"), some([
     ("system", {"system": kempe.load("panda")}), ("verb", {"verb": "ik_all"}), ("frame", {"frame": "wrist_3"}),
     ("options", {"options": {"task": "position"}}), ("degrees", {"degrees": True}), ("rng", {"budget": Budget(rng=3)}),
-], ids=lambda x: x if isinstance(x, str) else "")  # fmt: skip
+], 3), ids=lambda x: x if isinstance(x, str) else "")  # fmt: skip
 @pytest.mark.parametrize("finished", [True, False])
 def test_maps_of_something_else_are_refused(tmp_path, whole, words, more, finished):
     path = tmp_path / "out.zarr"
@@ -567,6 +568,7 @@ def test_blocks_that_are_too_large_are_refused(tmp_path, q, monkeypatch):
 # ---- on a cluster
 
 
+@pytest.mark.slow
 def test_workers_of_a_cluster_answer_the_same(tmp_path, whole):
     distributed = pytest.importorskip("distributed", reason="distributed is not installed (extra scale)")
     path = tmp_path / "out.zarr"
