@@ -199,7 +199,7 @@ def sets(plain: System, s: System, n: int) -> None:
     assert np.array_equal(got.freedoms, want.freedoms) and np.abs(residual(s, got.q)).max(initial=0.0) < 1e-6
 
 
-@pytest.mark.parametrize("name", CLOSED)
+@pytest.mark.parametrize("name", some(CLOSED, 3))
 def test_sets_of_solutions(name):
     sets(cuts(name)[0], cuts(name)[-1], 16)
 
@@ -217,7 +217,7 @@ def test_sets_of_solutions_at_every_cut(name):
 LONG = pytest.param("scissor", marks=pytest.mark.slow)
 
 
-@pytest.mark.parametrize("name", ["four_bar", "slider_crank", "bennett", LONG])
+@pytest.mark.parametrize("name", some(["four_bar", "slider_crank", "bennett", LONG], 3))
 def test_motions(name):
     plain, *others = cuts(name)
     home, driver = plain.q("closed"), driven(plain)[0]

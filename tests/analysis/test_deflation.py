@@ -53,7 +53,7 @@ def test_a_pendulum_on_bars_in_line_turns_all_round():
     np.testing.assert_allclose(motion.q[:, :3], 0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("driver", ["A", "D"])
+@pytest.mark.parametrize("driver", some(["A", "D"], 3))
 def test_a_four_bar_on_bars_in_line_moves_as_on_the_ground(driver):
     alone, hanging = four_bar(False), four_bar(True)
     a = alone.trace(driver, alone.assemble({"A": 0.3}).q)
@@ -71,6 +71,7 @@ def test_paths_are_pickled():
     np.testing.assert_array_equal(again.at(1.0), path.at(1.0))
 
 
+@pytest.mark.slow
 def test_hunt_four_bars_on_bars_in_line(hunt):
     rng = hunt.rng()
     for _ in range(hunt.cases(3)):
@@ -85,6 +86,7 @@ def test_hunt_four_bars_on_bars_in_line(hunt):
         assert a.closed == b.closed and b.s[-1] == pytest.approx(a.s[-1], abs=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("A", some([0.4, 0.7, 1.3, 2.2, 2.7], 4))
 def test_a_parallelogram_on_bars_in_line_goes_straight_on(A):
     """It passes its change points, as on the ground; the other branch may be unseen there, which is said."""

@@ -82,7 +82,7 @@ ENDLESS = {"rprp": lambda: rprp(0.3), "three slides": three_slides, "screws": sc
            "library screw": lambda: kempe.load("joint_helical")}  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ENDLESS)
+@pytest.mark.parametrize("name", some(ENDLESS, 3))
 def test_what_runs_away_is_said_to(name):
     s = ENDLESS[name]()
     path = s.trace()
@@ -99,6 +99,7 @@ def test_a_limit_ends_what_would_run_away():
     assert "upper limit 90" in path.ends[1] and path.ends[0].startswith("infinity") and path.q[-1, 0] == 90.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bars", [False, True], ids=["wheels", "bars"])
 @pytest.mark.parametrize("ratio", some([math.sqrt(2.0), -math.pi, 1.0 / 1009.0], 3))
 def test_gears_without_a_ratio_of_whole_numbers_do_not_come_back(ratio, bars):

@@ -50,6 +50,7 @@ for other in kinds_battery.EXAMPLES:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", some([
     "distance", *(pytest.param(n, marks=pytest.mark.slow) for n in EXAMPLES if n != "distance")
 ], 4))  # fmt: skip

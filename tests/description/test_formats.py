@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command import Result
+from hunts import some
 from own_format import ROWS
 from shipped import shipped
 
@@ -70,7 +71,7 @@ def test_other_models_of_the_library_are_refused_by_name(name: str, model: str, 
     assert all(any(repr(part) in p.subject for part in parts) for p in caught.value.problems)
 
 
-@pytest.mark.parametrize(("name", "model"), [(name, model) for name, model, fits in MODELS if fits])
+@pytest.mark.parametrize(("name", "model"), some([(name, model) for name, model, fits in MODELS if fits], 3))
 def test_models_of_the_library_come_back(name: str, model: str, tmp_path: Path):
     row, m = FORMATS[name], read(model)
     path = tmp_path / f"m{row.endings[0]}"

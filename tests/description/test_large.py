@@ -80,7 +80,7 @@ WAYS = {
 }
 
 
-@pytest.mark.parametrize("shape", some(SHAPES, 3))
+@pytest.mark.parametrize("shape", some(SHAPES, 6))
 @pytest.mark.parametrize("way", WAYS)
 def test_work_grows_as_the_number_of_bodies(way, shape):
     """Twice the bodies, twice the calls: counted, not timed. Calls in C that take longer show as none, see below."""

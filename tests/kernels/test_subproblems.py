@@ -227,6 +227,7 @@ def test_quartic(roots):
         assert np.sort(out[:4]) == pytest.approx(np.sort(roots), abs=1e-7)
 
 
+@pytest.mark.slow
 def test_double_roots_of_a_quartic_are_two():
     out = np.empty(5)
     assert quartic_roots(np.polynomial.polynomial.polyfromroots([1.0, 1.0, -2.0, 3.0]), out) == 4

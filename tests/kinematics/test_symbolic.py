@@ -205,6 +205,7 @@ def chains(draw) -> System:
     return m.build()
 
 
+@pytest.mark.slow
 @given(s=chains(), seed=st.integers(0, 10**6))
 @settings(max_examples=examples(20))
 def test_chains_with_parameters(s: System, seed):

@@ -174,6 +174,7 @@ def shoulder_singular(q5: float) -> np.ndarray:
     return np.array([0.3, 0.9, low, 0.4, q5, 0.6])
 
 
+@pytest.mark.slow
 def test_shoulder_on_its_axis():
     """Wrist centre on axis 1: the arm turns about it, and the wrist keeps the orientation."""
     s, q = system("anthropomorphic6"), shoulder_singular(0.5)

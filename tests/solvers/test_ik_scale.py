@@ -92,6 +92,7 @@ def test_hunt_one_length_far_from_the_others(power, name, row, column, hunt):
     assert_solved_or_said(name, row, column, power, hunt.cases(2), rng)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("power", some([30, 100, 200, 300, -300], 3))
 @pytest.mark.parametrize(("row", "column"), [(0, 2), (1, 0), (5, 2)])
 def test_no_foreign_exception(row, column, power):

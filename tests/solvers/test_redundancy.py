@@ -206,7 +206,7 @@ def test_odd_angles_and_offsets(seed):
                 assert good == lies_in(rows, x, 2 * PI), (k, x)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", some(range(3), 3))
 def test_the_arm_angle_and_the_joint_agree(seed):
     """The same chain over its third joint: every solution inside the limits has an arm angle inside the intervals."""
     system = iiwa()

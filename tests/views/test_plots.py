@@ -81,7 +81,7 @@ def parallelogram(n: int = 40) -> tuple[kempe.System, np.ndarray]:
 # ---- the plane
 
 
-@pytest.mark.parametrize("name", PLANAR)
+@pytest.mark.parametrize("name", some(PLANAR, 3))
 def test_a_circle_at_every_revolute_joint(name):
     system = kempe.load(name)
     found = artists(plots.plot(system))
@@ -101,7 +101,7 @@ def test_the_four_bar_stands_where_its_file_says():
     assert np.allclose(middle(found["frame:coupler_point"][0]), X[:2, 3], atol=1e-12)
 
 
-@pytest.mark.parametrize("name", PLANAR)
+@pytest.mark.parametrize("name", some(PLANAR, 3))
 def test_ground_symbols_at_ground_pivots_only(name):
     system = kempe.load(name)
     found = artists(plots.plot(system))
@@ -114,7 +114,7 @@ def test_ground_symbols_at_ground_pivots_only(name):
     assert len([g for g in found if g.startswith("hatch:")]) == len(drawn)
 
 
-@pytest.mark.parametrize("name", PLANAR)
+@pytest.mark.parametrize("name", some(PLANAR, 3))
 def test_links_cover_their_joints_and_frames(name):
     """The outline of a link is its convex hull widened by the half-width of a bar: it holds every point of it."""
     system = kempe.load(name)
@@ -618,6 +618,7 @@ def run(code: str) -> str:
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
 
 
+@pytest.mark.slow
 def test_no_global_state_is_touched():
     code = (
         "import sys, matplotlib\nbefore = matplotlib.rcParams.copy()\nimport kempe\n"

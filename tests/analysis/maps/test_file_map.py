@@ -86,7 +86,7 @@ def same(a, b):
 FILES = ["rows.npy", "rows.csv", "rows.zarr", "named.csv", "named.parquet", "named.zarr"]
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", some(FILES, 3))
 def test_configurations_in_all_formats(tmp_path, q, name):
     columns = list(PUMA.coordinate_names) if name.startswith("named") else None
     answer = kempe.map_file(PUMA, "fk", written(tmp_path, name, q, columns), tmp_path / "out.zarr", "tool")
@@ -95,9 +95,9 @@ def test_configurations_in_all_formats(tmp_path, q, name):
     assert answer.outcomes == {"SOLVED": N - 2, "BAD_INPUT": 2} and answer.code is Status.PARTLY
 
 
-@pytest.mark.parametrize(("form", "name"), [
+@pytest.mark.parametrize(("form", "name"), some([
     ("matrix", "pose"), ("3x4", "pose"), ("position", "position"), ("position_quat_wxyz", "position_quat_wxyz"),
-])  # fmt: skip
+], 3))  # fmt: skip
 @pytest.mark.parametrize("frame", ["tool", None])
 def test_forms(tmp_path, q, form, name, frame):
     options = {"form": form, "dtype": "float32"}
@@ -161,7 +161,7 @@ def test_ik_is_the_plain_verb(tmp_path):
     assert np.array_equal(found["position_error"], plain.position_error, equal_nan=True)
 
 
-@pytest.mark.parametrize("options", [{}, {"limits": True}])
+@pytest.mark.parametrize("options", some([{}, {"limits": True}], 2))
 @pytest.mark.parametrize("name", ["puma560", "panda"])
 def test_ik_all_is_the_plain_verb(tmp_path, name, options):
     system = kempe.load(name)
@@ -394,7 +394,8 @@ kempe.map_file(kempe.load("puma560"), "ik", {file!r}, {path!r}, "tool", budget=k
 """
 
 
-@pytest.mark.parametrize("ending", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGINT])
 def test_a_process_that_is_ended_at_any_moment(tmp_path, ending):
     X = PUMA.fk(PUMA.random(0, 20_000), "tool")
     file, path = written(tmp_path, "x.npy", X), tmp_path / "out.zarr"

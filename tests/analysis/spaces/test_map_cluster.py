@@ -124,6 +124,7 @@ def test_a_task_that_fails_once(cluster):
     )
 
 
+@pytest.mark.slow
 def test_a_task_that_always_fails_says_why_and_loses_nothing(cluster, tmp_path, monkeypatch):
     said = recipe.Recipe.__reduce__
     path = tmp_path / "map.zarr"

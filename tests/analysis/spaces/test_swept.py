@@ -114,6 +114,7 @@ def test_branches_that_touch_are_one_component(name):
     assert (answer.count, answer.complete, len(answer.singular)) == (1, True, 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "count"),
     some([

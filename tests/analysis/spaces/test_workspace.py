@@ -39,16 +39,14 @@ def covered(kind, seeds):
     return sum(abs(value - truth) <= error for value, error in values), np.array(values)
 
 
-@pytest.mark.parametrize("kind", ["annulus", pytest.param("annulus with limits", marks=pytest.mark.slow),
-                                  pytest.param("three bars", marks=pytest.mark.slow),
-                                  pytest.param("scara", marks=pytest.mark.slow),
-                                  pytest.param("shell", marks=pytest.mark.slow),
-                                  pytest.param("torus", marks=pytest.mark.slow)])  # fmt: skip
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["annulus", "annulus with limits", "three bars", "scara", "shell", "torus"])
 def test_the_error_covers_the_truth_in_90_of_100_seeds(kind):
     hits, values = covered(kind, 100)
     assert hits >= 90 and values[:, 1].max() < 0.05 * SYSTEMS[kind][2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", some(SYSTEMS, 3))
 def test_measures_are_those_of_closed_forms(kind):
     """The estimate within its error, the measure of planar arms to rounding, and the bounds on either side of both."""
