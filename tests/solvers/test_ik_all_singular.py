@@ -10,6 +10,7 @@ import arms
 import numpy as np
 import pytest
 from hunts import some
+from linkages import planar_arm
 
 import kempe
 from kempe.errors import InputError, UnknownNameError
@@ -42,16 +43,6 @@ def solved(name: str, q, task: str | None = None, frame: str = "tool", **options
 def reaches(s: kempe.System, q, X, task: str = "pose", frame: str = "tool") -> float:
     """The largest error [m, rad] of configurations by the forward model."""
     return float(np.max(oracle.error(s.fk(q, frame), X, task)))
-
-
-@cache
-def two_links(l1: float = 0.5, l2: float = 0.5) -> kempe.System:
-    m = kempe.Mechanism("two", dim=2)
-    upper, lower = m.body("upper"), m.body("lower")
-    m.revolute("A", m.ground, upper)
-    m.revolute("B", upper, lower, at=(l1, 0.0))
-    m.frame("tip", lower, at=(l2, 0.0))
-    return m.build()
 
 
 # ---- families
@@ -258,14 +249,14 @@ def test_several_configurations_of_a_curve():
 
 def test_two_equal_links_at_their_base():
     """A closed arm points anywhere: a circle."""
-    s = two_links()
+    s = planar_arm(0.5, 0.5)
     a = s.ik_all([0.0, 0.0], "tip")
     (f,), rows = families_of(a, 0)
-    assert f.closed and f.joints == ("A",) and np.ptp(f.q[:, 0]) > 6.0
+    assert f.closed and f.joints == ("q1",) and np.ptp(f.q[:, 0]) > 6.0
     np.testing.assert_allclose(np.abs(f.q[:, 1]), math.pi, atol=1e-12)
-    assert f.describe() in ("A is free while B = 3.14159: one freedom", "A is free while B = -3.14159: one freedom")
+    assert f.describe() in ("q1 is free while q2 = 3.14159: one freedom", "q1 is free while q2 = -3.14159: one freedom")
     assert f.distance([1.234, math.pi]) < 1e-12 and (rows[: len(a)] == 0).all()
-    assert families_of(two_links(0.5, 0.4).ik_all([0.1, 0.0], "tip"), 0)[0] == []
+    assert families_of(planar_arm(0.5, 0.4).ik_all([0.1, 0.0], "tip"), 0)[0] == []
 
 
 def test_target_on_the_first_axis():
@@ -387,7 +378,7 @@ def test_a_family_within_the_tolerance_says_so():
 def test_two_links_out_of_reach(target):
     """The closest of a two-link arm: stretched towards the target, or folded."""
     l1, l2 = 0.5, 0.4
-    s, d = two_links(l1, l2), math.hypot(*target)
+    s, d = planar_arm(l1, l2), math.hypot(*target)
     a = s.ik_all(target, "tip")
     q, position, angle = nearest(a, 0)
     wanted = max(d - l1 - l2, l1 - l2 - d)
@@ -481,4 +472,4 @@ def test_sentence_of_a_chain_with_few_joints():
 
 
 def test_sentence_of_a_planar_system():
-    assert "outside the plane of the system by 0.1 m" in status(two_links().ik_all([0.3, 0.2, 0.1], "tip"), 0)
+    assert "outside the plane of the system by 0.1 m" in status(planar_arm(0.5, 0.5).ik_all([0.3, 0.2, 0.1], "tip"), 0)

@@ -8,7 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 from hunts import some
-from reached_sets import ANNULUS, SHELL, TORUS, bars, scara, shell, torus, two_bars
+from linkages import planar_arm
+from reached_sets import ANNULUS, SHELL, TORUS, scara, shell, torus, two_bars
 
 import kempe
 from kempe import Budget, Mechanism, Status
@@ -20,7 +21,7 @@ LIMITED = 0.3 * math.pi * (math.cos(ELBOW[0]) - math.cos(ELBOW[1]))
 SYSTEMS = {
     "annulus": (two_bars(0.5, 0.3), "area", ANNULUS),
     "annulus with limits": (two_bars(0.5, 0.3, ELBOW), "area", LIMITED),
-    "three bars": (bars(0.5, 0.3, 0.1), "area", math.pi * (0.9**2 - 0.1**2)),
+    "three bars": (planar_arm(0.5, 0.3, 0.1), "area", math.pi * (0.9**2 - 0.1**2)),
     "scara": (scara(0.5, 0.3, 0.4), "volume", 0.4 * ANNULUS),
     "shell": (shell(0.5, 0.3), "volume", SHELL),
     "torus": (torus(0.5, 0.2, True), "volume", TORUS),
