@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from kempe.analysis.spaces.configuration.two_freedoms import NEEDED, TwoFreedoms, two_freedoms
 from kempe.calls import explained, flag, numbers
 from kempe.errors import InputError, UnsupportedError, shown
+from kempe.kinematics import closure_rows
 from kempe.model.tree.coordinates import units
 from kempe.reals import is_whole
 from kempe.spatial import Array
@@ -35,8 +36,8 @@ FEW = 0.005
 """Part of a space from which the legend names its shade."""
 ROOM = 0.06
 """Room around the task space, as a part of its width."""
-ON, CLOSED = 2e-3, 1e-6
-"""How far inside its limit, in radians and metres, a coordinate is drawn to be on it; how far open loops may be."""
+ON, CLOSED = 3.0, 1e-6
+"""How far inside its limit a coordinate is drawn as on it, in squares of a grid's step; how far open loops may be."""
 
 
 @explained
@@ -185,16 +186,17 @@ def _images(space: TwoFreedoms, values: Array) -> list[Array]:
 def _draw_other_limits(space: TwoFreedoms, left: Any, right: Any, grid: Array, q: Array) -> None:
     """Draw where coordinates that are not on the axes are at a limit, and the image of that, mode by mode."""
     system, layout = space.system, space.system.structure.layout
-    turning = system.structure.coordinates.turning
+    turning, scale = system.structure.coordinates.turning, closure_rows.scales(system)
     for v, at in zip(layout.vector_v.tolist(), layout.vector_q.tolist(), strict=True):
-        for end in (system.lower[v] + ON, system.upper[v] - ON):
+        near = ON * (2.0 * np.pi / len(grid)) ** 2 * scale[v]
+        for end in (system.lower[v] + near, system.upper[v] - near):
             if at in space.columns or not np.isfinite(end):
                 continue
             for k in range(q.shape[2]):
                 off = np.sin(q[..., k, at] - end) if turning[v] else q[..., k, at] - end
                 for line in _zeros(left, grid, off):
                     x, ok = space.over(line)
-                    ok &= np.abs(x[..., at] - end) < ON
+                    ok &= np.abs(x[..., at] - end) < near
                     p = space.places(x, ok)[:, k]
                     if not ok[:, k].any():
                         continue
@@ -296,7 +298,8 @@ def _draw_arm(space: TwoFreedoms, ax: Any, q: Array, colour: str, gid: str, line
                     zorder=style.POINTS)  # fmt: skip
         corners = np.concatenate([*bars.values()])[:, :2]
         low, high = np.array([ax.get_xlim(), ax.get_ylim()]).T
-        low, high = np.minimum(low, corners.min(axis=0)), np.maximum(high, corners.max(axis=0))
+        room = 0.02 * (high - low)
+        low, high = np.minimum(low, corners.min(axis=0) - room), np.maximum(high, corners.max(axis=0) + room)
         ax.set_xlim(low[0], high[0])
         ax.set_ylim(low[1], high[1])
         return
