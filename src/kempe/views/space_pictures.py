@@ -136,7 +136,8 @@ def _singular_curves(space: TwoFreedoms) -> Any:
         raise UnsupportedError(
             f"{NEEDED} and of a frame that moves in both: {name!r} of {system.name} moves on a curve"
         )
-    return found.curves()
+    surfaces = min((s.dimension for s in found.sets), default=0) > 1
+    return () if surfaces else found.curves()  # where all is singular there are no lines
 
 
 def _shade_task_space(space: TwoFreedoms, ax: Any, p: Array, targets: Array, n: int) -> None:
