@@ -823,7 +823,7 @@ def test_a_system_that_cannot_move_is_drawn():
     assert rigid.plot(rigid.mid, labels=()).figure is not None
 
 
-def test_curves_of_coordinates_are_told_apart_without_colours():
+def test_curves_of_coordinates_differ_without_colours():
     """Of a path each curve has a mark of its own, at points that are spread, as in the legend."""
     ax = kempe.load("four_bar").trace("A").plot_curve()
     lines = [line for line in ax.get_lines() if str(line.get_gid()).startswith("coordinate:")]

@@ -35,7 +35,7 @@ MOST = 32
 ALONG = {"arc length": "s", "time [s]": "t"}
 """What coordinates are drawn over, and the attribute of a path that has it."""
 MARKERS = "os^Dv<>ph*"
-"""Marks by which curves are told apart without colours."""
+"""Marks by which curves differ without colours."""
 FEW, TURN, SLIDE = 3, 0.35, 0.08
 """Coordinates up to which neighbours are drawn; how far away: in radians, and in parts of the size of the drawing."""
 
