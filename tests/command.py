@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import functools
 import json
 
-from typer.testing import CliRunner
+import typer.testing
 
 from kempe.cli import app
+
+typer.testing._get_command = functools.cache(typer.main.get_command)
+"""The command is made of its functions once: that takes longer than most of what it is tested with."""
 
 
 class Result:
     """What one run of the command printed, and its exit code."""
 
     def __init__(self, *arguments: object):
-        done = CliRunner().invoke(app, [str(a) for a in arguments])
+        done = typer.testing.CliRunner().invoke(app, [str(a) for a in arguments])
         self.code, self.out, self.err = done.exit_code, done.stdout, done.stderr
         assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from kempe import Mechanism, System
@@ -18,4 +19,15 @@ def four_bar(
               "C": (coupler, rocker, (b, 0), (c, 0)), "D": (m.ground, rocker, (at[0] + d, at[1]), (0, 0))}  # fmt: skip
     for name, (parent, child, here, there) in places.items():
         m.revolute(name, parent, child, at=here, child_at=there, cut=name == cut, **joints.get(name, {}))
+    return m.build()
+
+
+def planar_arm(*lengths: float, limits: Sequence[Any] | None = None) -> System:
+    """Links of these lengths, b1, b2, ..., turning in the plane by q1, q2, ...; frame `tip`; limits of each joint."""
+    m = Mechanism("planar arm", dim=2)
+    before, at = m.ground, 0.0
+    for k, (length, pair) in enumerate(zip(lengths, limits or [None] * len(lengths), strict=True), 1):
+        m.revolute(f"q{k}", before, m.body(f"b{k}"), at=(at, 0.0), limits=pair)
+        before, at = m.bodies[f"b{k}"], length
+    m.frame("tip", before, at=(at, 0.0))
     return m.build()

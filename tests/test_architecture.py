@@ -94,7 +94,7 @@ def imports(path: Path) -> tuple[tuple[str, str, int], ...]:
     return tuple(walk(sources.tree(path), ""))
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(SOURCE)))
+@sources.each(MODULES, SOURCE)
 def test_imports_go_to_the_left(path):
     own = name_of(path)
     of_layers = tuple(f"kempe.{name}" for name in set().union(*LAYERS))
@@ -218,7 +218,7 @@ def test_forward_needs_numpy_only():
     assert not {"numba", "llvmlite", "scipy", "sympy", "matplotlib", "typer", "rich"} & loaded
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: p.relative_to(SOURCE).as_posix())
+@sources.each(MODULES, SOURCE)
 def test_errors_are_caught_by_name(path):
     for node in sources.nodes(path):
         if isinstance(node, ast.ExceptHandler):
@@ -227,7 +227,7 @@ def test_errors_are_caught_by_name(path):
             assert names and not names & {"Exception", "BaseException"}, f"{path.name}:{node.lineno}"
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: p.relative_to(SOURCE).as_posix())
+@sources.each(MODULES, SOURCE)
 def test_nothing_is_evaluated_or_unpickled(path):
     """Files are data. The one page whose code runs is the lecture's, which is shipped with the package."""
     allowed = {"exec", "eval", "compile"} if path == SOURCE / "library" / "lecture.py" else set()

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command import Result
+from hunts import some
 
 import kempe
 from kempe.description.read import check, read
@@ -80,8 +81,8 @@ def test_a_path_of_targets(tmp_path):
     assert done.returncode == 130 and "interrupted" in done.stdout and out.exists(), done.stderr
 
 
-@pytest.mark.parametrize("where", ["kempe.analysis.motion.motion.home", "kempe.analysis.motion.motion.extreme",
-                                   "kempe.analysis.continuation.path.gauss_newton_of_many"])  # fmt: skip
+@pytest.mark.parametrize("where", some(["kempe.analysis.motion.motion.home", "kempe.analysis.motion.motion.extreme",
+                                   "kempe.analysis.continuation.path.gauss_newton_of_many"], 3))  # fmt: skip
 def test_a_traced_motion(tmp_path, where):
     """While it is followed, while special points are looked for, and while points at equal distances are made."""
     out = tmp_path / "path.csv"
@@ -119,6 +120,7 @@ def test_a_signal_from_outside(tmp_path):
 # ---- time
 
 
+@pytest.mark.slow
 def test_a_time_limit_leaves_what_was_done(tmp_path):
     out = tmp_path / "path.csv"
     done = run(command("trace", "four_bar", "--points", 10_000_000, "--time-limit", 1, "-o", out))

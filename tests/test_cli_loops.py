@@ -511,6 +511,7 @@ def test_trace_with_a_held_coordinate():
     assert still.code == 0 and still.out.startswith("it cannot move")
 
 
+@pytest.mark.slow
 def test_trace_other_branches(tmp_path):
     """A kite has the branch on which two of its bodies turn as one: A stays at a multiple of pi."""
     pytest.importorskip("matplotlib")

@@ -16,6 +16,8 @@ from typing import NamedTuple
 
 import pytest
 import sources
+from command import Result
+from hunts import some
 from reviewed_sentences import REVIEWED
 from tables import restored
 from test_lecture import SAID
@@ -98,7 +100,13 @@ def test_the_readme_shows_nothing_that_depends_on_the_processor():
     assert not re.findall(r"\d[eE][-+]\d+|\d+ (?:steps?|points?)\b", shown)
 
 
-PRINTED = [p for p in PAGES if any(map(is_code, blocks(p))) and p.stem not in SAID]
+LONG = ("pictures", "spaces", "singularities", "workspace", "reach", "howto_loops", "ik_all", "viewer")
+"""Pages whose code takes seconds."""
+PRINTED = [
+    pytest.param(p, marks=pytest.mark.slow if p.stem in LONG else ())
+    for p in PAGES
+    if any(map(is_code, blocks(p))) and p.stem not in SAID
+]
 """Pages whose code runs; that of the lecture's pages runs in test_lecture, where what it prints is read, too."""
 
 
@@ -128,18 +136,14 @@ def test_output_in_the_readme(tmp_path, monkeypatch):
 
 def test_first_command_of_the_readme(tmp_path, monkeypatch):
     """The command that does the main job prints what the README shows beneath it."""
-    from typer.testing import CliRunner
-
-    from kempe.cli import app
-
     found = blocks(ROOT / "README.md")
     at = next(i for i, b in enumerate(found) if README_COMMAND.search(b.text))
     command = README_COMMAND.search(found[at].text)
     assert command is not None
     monkeypatch.chdir(tmp_path)
-    result = CliRunner().invoke(app, shlex.split(command[1]), catch_exceptions=False)
-    assert result.exit_code == 0
-    assert same_output(result.stdout, found[at + 1].text), result.stdout
+    result = Result(*shlex.split(command[1]))
+    assert result.code == 0
+    assert same_output(result.out, found[at + 1].text), result.out
 
 
 def test_figures_of_the_readme_are_those_of_the_benchmark():
@@ -191,7 +195,7 @@ def written_by(script: str) -> ModuleType:
     return module
 
 
-@pytest.mark.parametrize("name", ["formats", "gallery", "joints", "trust"])
+@pytest.mark.parametrize("name", some(["formats", "gallery", "joints", "trust"], 4))
 def test_written_pages_are_up_to_date(name):
     shown = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
     assert shown == written_by(f"{name}_page").page(), f"run  python docs/{name}_page.py"

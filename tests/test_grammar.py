@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import sources
 from closed_graphs import random_closed
+from hunts import some
 
 import kempe
 from kempe.errors import KempeError
@@ -77,7 +78,7 @@ LONG = {"double_watt", "wunderlich", "delta_uu", "three_upu_snu"}
 MODELS = [pytest.param(n, marks=pytest.mark.slow) if n in LONG else n for n in library_models()]
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", some(MODELS, 3))
 def test_sentences_of_shipped_models_agree(name):
     system = kempe.load(name)
     names, tip, q = system.coordinate_names, system.frame_names[-1], system.random(0)

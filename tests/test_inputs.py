@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hunts import some
 
 import kempe
 from kempe import spatial, tasks
@@ -270,7 +271,7 @@ def test_a_dict_of_a_loop_is_closed(robots):
     assert system.q_dict({"A": 0.7}) == system.q_dict(system.assemble({"A": 0.7}).q)
 
 
-@pytest.mark.parametrize(("name", "place"), places(LOOP_ONLY))
+@pytest.mark.parametrize(("name", "place"), some(places(LOOP_ONLY), 4))
 def test_tables_are_read_by_name(name, place, robots):
     function, short = OF_SYSTEMS[name], name.rpartition(".")[2]
     if short.startswith("plot"):
@@ -395,7 +396,7 @@ def answers(function: Callable[..., Any], system: kempe.System, given: dict[str,
 NUMERIC = [n for n in OF_SYSTEMS if n not in NOT_REQUIRED]
 
 
-@pytest.mark.parametrize("name", NUMERIC)
+@pytest.mark.parametrize("name", some(NUMERIC, 4))
 def test_what_is_no_number_is_refused(name, robots):
     """By every parameter that takes numbers, in all verbs: an `InputError`, never an answer."""
     function, short = OF_SYSTEMS[name], name.rpartition(".")[2]

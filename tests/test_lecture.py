@@ -11,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command import Result
+from hunts import some
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -313,12 +315,7 @@ def test_connectivity(name, joints):
 
 
 def test_connectivity_prints():
-    from typer.testing import CliRunner
-
-    from kempe.cli import app
-
-    printed = CliRunner().invoke(app, ["info", "seven_bodies"], catch_exceptions=False).stdout
-    assert "C = {0, 1, 2, 1, 4, 4, 2}" in printed
+    assert "C = {0, 1, 2, 1, 4, 4, 2}" in Result("info", "seven_bodies").out
 
 
 def test_joint_i_is_the_parent_joint_of_body_i():
@@ -531,7 +528,7 @@ SAID = {
 """What the cells of these pages print, in this order: what their text says."""
 
 
-@pytest.mark.parametrize("page", SAID)
+@pytest.mark.parametrize("page", some(SAID, 4))
 def test_the_page_prints_what_it_says(page, tmp_path, monkeypatch):
     pytest.importorskip("sympy")
     pytest.importorskip("matplotlib")

@@ -8,6 +8,7 @@ from math import atan2, pi
 
 import numpy as np
 import pytest
+from hunts import some
 from mechanisms import PLANAR, SINGULAR, Case, Motion, antiparallelogram_rocker, branches
 from scipy.optimize import least_squares
 
@@ -191,7 +192,7 @@ def from_motion(system: System, q: np.ndarray, dim: int, motion: Motion) -> floa
     return float(np.abs(answer.fun).max())
 
 
-@pytest.mark.parametrize("case", [*MOVING, *STILL], ids=str)
+@pytest.mark.parametrize("case", some([*MOVING, *STILL], 3), ids=str)
 def test_nothing_else_moves_through_singular_postures(case: Case):
     """What random steps find is on one of the motions, and each motion is found; a structure does not move."""
     motions = branches(case.name) or [(1, lambda x: {})]

@@ -14,7 +14,7 @@ import sources
 ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "src" / "kempe"
 MODULES = sorted(SOURCE.rglob("*.py"))
-every_module = pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(SOURCE)))
+every_module = sources.each(MODULES, SOURCE)
 
 MODULE_LINES, FUNCTION_LINES = 400, 60
 
@@ -81,7 +81,7 @@ def test_all_that_is_public_is_documented(path):
         assert first.strip() and first.rstrip()[-1] in ".:;,?)`…" or len(first) > 60, f"{node.name}: {first!r}"
 
 
-@pytest.mark.parametrize("path", [p for p in MODULES if not file(p).startswith("kernels/")], ids=file)
+@sources.each([p for p in MODULES if not file(p).startswith("kernels/")], SOURCE)
 def test_arguments_are_typed(path):
     """But those of kernels, which are compiled for explicit signatures."""
     for function in (n for n in public(sources.tree(path)) if isinstance(n, Function)):
@@ -122,7 +122,7 @@ WRITTEN = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("path", [*WRITTEN, *ROOT.glob("*.md")], ids=lambda p: str(p.relative_to(ROOT)))
+@sources.each([*WRITTEN, *ROOT.glob("*.md")], ROOT)
 def test_words_are_those_of_the_field(path):
     """Names, comments, messages and pages have none of the words that once meant something in this code only."""
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):

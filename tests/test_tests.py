@@ -7,22 +7,15 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-import pytest
+import sources
 
 HERE = Path(__file__).parent
 FILES = [p for folder in (HERE, HERE.parent / "benchmarks" / "tests") for p in sorted(folder.rglob("*.py"))]
-every_file = pytest.mark.parametrize(
-    "path", [p for p in FILES if p.stem.startswith("test_")], ids=lambda p: p.relative_to(HERE.parent).as_posix()
-)
-
-
-@cache
-def tree_of(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
+every_file = sources.each([p for p in FILES if p.stem.startswith("test_")], HERE.parent)
 
 
 def functions_of(path: Path) -> list[ast.FunctionDef]:
-    return [n for n in tree_of(path).body if isinstance(n, ast.FunctionDef) and n.name.startswith("test_")]
+    return [n for n in sources.tree(path).body if isinstance(n, ast.FunctionDef) and n.name.startswith("test_")]
 
 
 def own(node: ast.AST) -> Iterator[ast.AST]:
@@ -51,7 +44,7 @@ def is_assertion(node: ast.AST) -> bool:
 @cache
 def helpers() -> set[str]:
     """Names of functions of the tests that assert something, by themselves or by what they call."""
-    functions = [n for path in FILES for n in ast.walk(tree_of(path)) if isinstance(n, ast.FunctionDef)]
+    functions = [n for path in FILES for n in ast.walk(sources.tree(path)) if isinstance(n, ast.FunctionDef)]
     found = {f.name for f in functions if any(map(is_assertion, ast.walk(f)))}
     calls = {f: called(f) for f in functions}
     while more := {f.name for f, names in calls.items() if f.name not in found and names & found}:
@@ -92,7 +85,8 @@ def uses_error(handler: ast.ExceptHandler) -> bool:
 
 @every_file
 def test_only_what_is_not_installed_is_skipped(path):
-    skips = [n for n in ast.walk(tree_of(path)) if isinstance(n, ast.Call) and ast.unparse(n.func) == "pytest.skip"]
+    calls = (n for n in sources.nodes(path) if isinstance(n, ast.Call))
+    skips = [n for n in calls if ast.unparse(n.func) == "pytest.skip"]
     assert not [ast.unparse(n) for n in skips if not ast.unparse(n.args[0]).rstrip("'\"").endswith("is not installed")]
 
 

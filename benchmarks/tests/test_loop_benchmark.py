@@ -229,6 +229,7 @@ def test_grid():
     assert grid.best("Kempe", "a") == 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("everybody", [True, False])
 def test_sections_run(monkeypatch, everybody):
     for module, name, value in (

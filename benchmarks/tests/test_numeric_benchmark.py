@@ -169,6 +169,7 @@ def test_a_single_failure_is_seen():
 # ---- processes
 
 
+@pytest.mark.slow
 def test_a_library_answers_in_a_process(arm_of, tmp_path):
     bad, good = arm_of("iiwa 14"), arm_of("SO-101")
     cases, targets = zip(*(case_of(tmp_path / str(i), arm, 30) for i, arm in enumerate((bad, good))), strict=True)
@@ -237,6 +238,7 @@ def test_tables(quick, monkeypatch):
     assert any(line.startswith("| planar 10R: median, us | 5 |") and line.endswith("| - |") for line in lines)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("section", [numeric.random, numeric.limits, numeric.warm])
 def test_sections_run(quick, section):
     bench = Bench([], targets=25)

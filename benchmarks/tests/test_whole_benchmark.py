@@ -184,6 +184,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(whole, "HUMANOIDS", [BY_TITLE["G1"]])
 
 
+@pytest.mark.slow
 def test_a_section_runs(quick, body_of):
     body_of("G1")
     table = whole.standing(Bench([]))

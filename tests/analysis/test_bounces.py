@@ -22,6 +22,7 @@ def flown(planes, gravity, e, y, v, duration) -> Flight:
     return flight
 
 
+@pytest.mark.slow
 def test_times_and_speeds_of_bounces_are_a_geometric_series(hunt):
     rng = hunt.rng()
     for _ in range(hunt.cases(100)):

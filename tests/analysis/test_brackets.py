@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import sympy
-from hunts import Hunt
+from hunts import Hunt, some
 from pfaffian import SYSTEMS, Pfaffian, at_point, bracket, fields, growth_by_symbols, trailers
 
 from kempe.analysis.mobility.growth_vectors import Words, distribution, growth
@@ -36,7 +36,7 @@ def words_by_symbols(system: Pfaffian, q: np.ndarray, free: list[int], letters: 
     return out
 
 
-@pytest.mark.parametrize("name", CHEAP)
+@pytest.mark.parametrize("name", some(CHEAP, 4))
 def test_words_are_those_of_sympy(name: str, hunt: Hunt) -> None:
     """Brackets of up to four random letters, three with five coordinates, at a random point, to their rounding."""
     system, rng = SYSTEMS[name], hunt.rng()
@@ -98,7 +98,9 @@ def test_growth_of_the_literature(name: str, q: tuple, here: tuple, around: tupl
     assert found.degree == here.index(here[-1]) + 1
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n == "two trailers" else n for n in CHEAP])
+@pytest.mark.parametrize(
+    "name", some([pytest.param(n, marks=pytest.mark.slow) if n == "two trailers" else n for n in CHEAP], 4)
+)
 def test_growth_is_that_of_all_brackets_of_sympy(name: str) -> None:
     """All words of the fields, symbolically, at the point of the literature and at the singular one."""
     system = SYSTEMS[name]

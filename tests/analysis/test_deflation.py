@@ -6,6 +6,7 @@ import pickle
 
 import numpy as np
 import pytest
+from hunts import some
 from world_mechanisms import World, axes_with
 
 import kempe
@@ -52,7 +53,7 @@ def test_a_pendulum_on_bars_in_line_turns_all_round():
     np.testing.assert_allclose(motion.q[:, :3], 0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("driver", ["A", "D"])
+@pytest.mark.parametrize("driver", some(["A", "D"], 3))
 def test_a_four_bar_on_bars_in_line_moves_as_on_the_ground(driver):
     alone, hanging = four_bar(False), four_bar(True)
     a = alone.trace(driver, alone.assemble({"A": 0.3}).q)
@@ -70,6 +71,7 @@ def test_paths_are_pickled():
     np.testing.assert_array_equal(again.at(1.0), path.at(1.0))
 
 
+@pytest.mark.slow
 def test_hunt_four_bars_on_bars_in_line(hunt):
     rng = hunt.rng()
     for _ in range(hunt.cases(3)):
@@ -84,7 +86,8 @@ def test_hunt_four_bars_on_bars_in_line(hunt):
         assert a.closed == b.closed and b.s[-1] == pytest.approx(a.s[-1], abs=1e-7)
 
 
-@pytest.mark.parametrize("A", [0.4, 0.7, 1.3, 2.2, 2.7])
+@pytest.mark.slow
+@pytest.mark.parametrize("A", some([0.4, 0.7, 1.3, 2.2, 2.7], 4))
 def test_a_parallelogram_on_bars_in_line_goes_straight_on(A):
     """It passes its change points, as on the ground; the other branch may be unseen there, which is said."""
     alone, hanging = (four_bar(on, (1.0, 3.0, 1.0), 3.0) for on in (False, True))
@@ -94,6 +97,7 @@ def test_a_parallelogram_on_bars_in_line_goes_straight_on(A):
     assert len(a.singular_points) == 2 and "may be passed unseen" in b.status
 
 
+@pytest.mark.slow
 def test_two_freedoms_on_bars_in_line_are_refused():
     m = Mechanism("two pendulums", dim=2)
     on = bars_in_line(m)
@@ -139,6 +143,7 @@ def assert_moves_as_on_the_ground(seed: int, form: str) -> None:
     assert hanging.independent().dim == (2 if form == "SS" else 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["SS", "SU"])
 def test_a_rod_on_bars_in_line_moves_as_on_the_ground(form):
     """Both at once: the rod spins, and the rank is low along the motion."""

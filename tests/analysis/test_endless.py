@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from hunts import some
 
 import kempe
 from kempe import Mechanism
@@ -81,7 +82,7 @@ ENDLESS = {"rprp": lambda: rprp(0.3), "three slides": three_slides, "screws": sc
            "library screw": lambda: kempe.load("joint_helical")}  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ENDLESS)
+@pytest.mark.parametrize("name", some(ENDLESS, 3))
 def test_what_runs_away_is_said_to(name):
     s = ENDLESS[name]()
     path = s.trace()
@@ -98,8 +99,9 @@ def test_a_limit_ends_what_would_run_away():
     assert "upper limit 90" in path.ends[1] and path.ends[0].startswith("infinity") and path.q[-1, 0] == 90.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bars", [False, True], ids=["wheels", "bars"])
-@pytest.mark.parametrize("ratio", [math.sqrt(2.0), -math.pi, 1.0 / 1009.0])
+@pytest.mark.parametrize("ratio", some([math.sqrt(2.0), -math.pi, 1.0 / 1009.0], 3))
 def test_gears_without_a_ratio_of_whole_numbers_do_not_come_back(ratio, bars):
     path = gears(ratio, bars).trace()
     assert path and not path.closed and len(path) < 3000
@@ -109,6 +111,7 @@ def test_gears_without_a_ratio_of_whole_numbers_do_not_come_back(ratio, bars):
 # ---- an end, though far away
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilt", [0.3, 0.03])
 def test_nearly_parallel_slides_come_back(tilt):
     """The ellipse of the slides' places has the half axis 1 / (2 sin(tilt/2)): far beyond where one looks ahead."""
@@ -243,7 +246,9 @@ def test_an_interrupt_keeps_the_path(monkeypatch, phase):
 # ---- many points at once
 
 
-@pytest.mark.parametrize("name", ["four_bar", "jansen", "bennett", "double_parallelogram", "schatz", "peaucellier"])
+@pytest.mark.parametrize(
+    "name", some(["four_bar", "jansen", "bennett", "double_parallelogram", "schatz", "peaucellier"], 4)
+)
 def test_points_at_equal_distances_are_those_of_newtons_method_point_by_point(name):
     path = kempe.load(name).trace()
     found, e, T = path.resample(137), path.track.equations, path.track

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hunts import Hunt
+from hunts import Hunt, some
 from known_truths import dead_centres
 from literature import look, trammel
 from world_mechanisms import World
@@ -49,6 +49,7 @@ def check_doubt(hunt: Hunt, kind, cases: int) -> None:
     assert 1 in answers  # beyond what can be distinguished: the doubt is needed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [parallel_rods, two_balls_of_hinges])
 def test_a_singular_value_above_rounding_makes_the_answer_probable(kind, hunt):
     check_doubt(hunt, kind, 15)
@@ -93,7 +94,7 @@ def test_velocities_without_a_motion_are_no_redundant_constraints_of_the_sentenc
     )
 
 
-@pytest.mark.parametrize("name", LIBRARY)
+@pytest.mark.parametrize("name", some(LIBRARY, 3))
 def test_the_numbers_of_a_sentence_add_up(name):
     """The count and the redundant constraints are the rank's; less velocities without a motion they are the truth."""
     m = mobility(kempe.load(name))

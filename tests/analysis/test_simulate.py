@@ -268,6 +268,7 @@ def test_a_ball_rolls_on_a_plane():
     assert np.abs(np.linalg.norm(r.q[:, 3:], axis=1) - 1).max() < 1e-14
 
 
+@pytest.mark.slow
 def test_loops_stay_closed():
     m = Mechanism("four-bar", dim=2)
     crank, coupler, rocker = m.body("crank"), m.body("coupler"), m.body("rocker")

@@ -67,6 +67,7 @@ def pair(seed, form: str, **options) -> tuple[kempe.System, kempe.System]:
     return spins, rests
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("planar", [False, True])
 @pytest.mark.parametrize("cut", some(["", "B", "C"], 3))
 @pytest.mark.parametrize("form", ["SS", pytest.param("SA", marks=pytest.mark.slow)])
@@ -91,6 +92,7 @@ def _hunt_rods(hunt, cases: int) -> None:
         assert_same(spins.trace("A", start), rests.trace("A", rests.neutral.copy()))
 
 
+@pytest.mark.slow
 def test_hunt_rods_that_spin(hunt):
     """Random linkages, a random spin of the rod at the start, cut anywhere."""
     _hunt_rods(hunt, 4)

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from hunts import some
 from known_truths import bipartite
+from shipped import with_loops
 
 import kempe
-from kempe import Mechanism, System, library
+from kempe import Mechanism, System
 from kempe import constraints as c
 from kempe.analysis.first_order.wrenches import Wrenches
 from kempe.errors import InputError, UnknownNameError
@@ -158,7 +159,7 @@ def test_a_contact_pushes_along_the_normal_and_a_wheel_across():
 # ---- self-stress
 
 
-@pytest.mark.parametrize("name", some([n for n in library.names() if kempe.load(n).structure.closures], 3))
+@pytest.mark.parametrize("name", some(with_loops(), 3))
 def test_as_many_states_as_redundant_constraints(name):
     """The multipliers of maximal coordinates against the rank of screws; bodies and axes are in balance."""
     system = kempe.load(name)

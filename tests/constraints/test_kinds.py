@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import sources
+from hunts import some
 from kinds_battery import EXAMPLES, run
 
 from kempe import constraints as c
@@ -49,28 +51,31 @@ for other in kinds_battery.EXAMPLES:
 """
 
 
-@pytest.mark.parametrize("name", [
+@pytest.mark.slow
+@pytest.mark.parametrize("name", some([
     "distance", *(pytest.param(n, marks=pytest.mark.slow) for n in EXAMPLES if n != "distance")
-])  # fmt: skip
+], 4))  # fmt: skip
 def test_no_kind_needs_another(name):
     script = WITHOUT.format(here=str(HERE), name=name)
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
 
 
-@pytest.mark.parametrize("where", sorted({p.relative_to(SOURCE).as_posix() for p in SOURCE.rglob("*.py")} - ALLOWED))
-def test_kinds_are_named_in_their_table_only(where):
+@sources.each([p for p in SOURCE.rglob("*.py") if p.relative_to(SOURCE).as_posix() not in ALLOWED], SOURCE)
+def test_kinds_are_named_in_their_table_only(path):
     """Everywhere else what is to be done follows from their rows."""
     classes = {kind.__name__ for kind in KINDS.values()} - {"Function"}
-    for node in ast.walk(ast.parse((SOURCE / where).read_text())):
+    for node in sources.nodes(path):
         if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("kempe.constraints"):
-            assert not classes & {alias.name for alias in node.names}, f"{where}:{node.lineno}"
+            assert not classes & {alias.name for alias in node.names}, f"line {node.lineno}"
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
-            assert not (node.value.id in ("constraints", "tasks") and node.attr in classes), f"{where}:{node.lineno}"
+            assert not (node.value.id in ("constraints", "tasks") and node.attr in classes), f"line {node.lineno}"
         if isinstance(node, ast.Compare):
             names = {x.value for x in ast.walk(node) if isinstance(x, ast.Constant) and isinstance(x.value, str)}
             kinds = any(isinstance(x, ast.Attribute) and x.attr == "kind" for x in ast.walk(node))
-            assert not (kinds and names & (set(KINDS) - {"joint"}) and "constraint" in ast.unparse(node)), where
+            assert not (kinds and names & (set(KINDS) - {"joint"}) and "constraint" in ast.unparse(node)), (
+                f"line {node.lineno}"
+            )
 
 
 SWITCHES = [(name, f.name) for name in EXAMPLES for f in fields(KINDS[name]) if f.type == "bool"]

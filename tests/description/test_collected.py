@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from hunts import some
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
@@ -240,7 +241,7 @@ def judge(path: Path, rng: np.random.Generator) -> Answer:
     return Answer("equal", "numpy" if isinstance(model, str) else "Pinocchio")
 
 
-@pytest.mark.parametrize("path", files().values(), ids=list(files()))
+@pytest.mark.parametrize("path", some(files().values(), 4), ids=list(files()))
 def test_files_are_read_as_their_owners_read_them(path, hunt):
     answer = judge(path, hunt.rng())
     if answer.kind == "refused":

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from copies import BLOCKED, ROOT, copied, printed, run
-from hunts import examples
+from hunts import examples, some
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -112,7 +112,7 @@ def test_an_edited_helper_is_an_error_where_it_cannot_be_compiled(edited):
 
 
 @native
-@pytest.mark.parametrize("change", ["new file", "renamed", "removed"])
+@pytest.mark.parametrize("change", some(["new file", "renamed", "removed"], 3))
 def test_each_change_of_the_sources_is_seen(tmp_path, change):
     package = copied(tmp_path)
     assert printed(BLOCKED + SLIDER, package) == "0.5"
@@ -135,6 +135,7 @@ def test_what_editors_leave_behind_does_no_harm(tmp_path):
     assert printed(BLOCKED + SLIDER, package) == "0.5"
 
 
+@pytest.mark.slow
 @native
 def test_a_package_without_sources_runs_what_it_has(tmp_path):
     package = copied(tmp_path)
@@ -401,6 +402,7 @@ def test_eight_threads_give_what_one_gives():
     assert len(found) == 8 and all(np.array_equal(f, expected) for f in found)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
 def test_a_fork_while_other_threads_work():
     code = """
@@ -418,7 +420,7 @@ busy.join(); print("done")
     assert done.stdout.strip() == "done", done.stderr
 
 
-@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("threads", some([1, 2], 3))
 def test_an_interrupt_ends_a_long_call(threads):
     """A call that takes a quarter of a minute, of the slowest kernel; the process says how far it was."""
     code = f"""

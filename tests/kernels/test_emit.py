@@ -9,6 +9,7 @@ import sys
 
 import pytest
 from copies import ROOT, copied
+from hunts import some
 
 from kempe.kernels import compiled
 
@@ -46,7 +47,7 @@ def emitted(folder, source: str) -> subprocess.CompletedProcess:
     return subprocess.run(command, env=env, capture_output=True, text=True)
 
 
-@pytest.mark.parametrize("what", BAD)
+@pytest.mark.parametrize("what", some(BAD, 3))
 def test_what_cannot_be_carried_is_refused(tmp_path, what):
     source, said = BAD[what]
     done = emitted(tmp_path, source)
@@ -60,6 +61,7 @@ def test_a_good_kernel_is_emitted_with_its_declaration(tmp_path):
     assert (tmp_path / "bad.o").stat().st_size > 0 and '"bad__bad"' in (tmp_path / "bad.json").read_text()
 
 
+@pytest.mark.slow
 def test_the_processes_share_all_modules_with_kernels_about_evenly():
     shares = library.shares()
     modules = [path.stem for path in library.KERNELS.rglob("*.py") if "@kernel(" in path.read_text()]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hunts import some
 from primitive_tables import pose, random_pose, random_table
 from scipy.linalg import expm
 
@@ -111,7 +112,7 @@ def along(v, t):
     return sum(v[k] * t**k for k in range(1, len(v)))
 
 
-@pytest.mark.parametrize("particles", [False, True])
+@pytest.mark.parametrize("particles", some([False, True], 2))
 @pytest.mark.parametrize("kinds", [(TURN,), (SLIDE, TURN), (BALL,), (TURN, SLIDE, BALL)])
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2))])
 def test_series_of_poses_and_equations(seed, kinds, particles):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from chain_problems import DIRECTION, ORIENTATION, POSE, POSITION, POSITION_AXIS, distance, floating_arm, limited
@@ -16,14 +19,11 @@ from kempe.kernels.one_frame.descent import fill_hessian
 from kempe.kernels.one_frame.ik_problem import aim, count_columns, problem_floats, problem_ints, problem_of
 from kempe.kernels.one_frame.residual import JACOBIAN_STRIDE, error, fill_jacobian, trace
 
+pytestmark = pytest.mark.slow  # a kernel is compiled
 LENGTH = 0.7
 
 
-@kernel(
-    I("_"), F("_"), F(2, "nv"), I("_"), F(1, 4, 4), F(1, 1, "nq"), OUT("_", "_"), OUT(6), OUT(6, "nv"), OUT("nv", "nv"),
-    returns=False,
-)  # fmt: skip
-def probe(ints, floats, limits, task, targets, q, out, e, J, H):
+def look(ints, floats, limits, task, targets, q, out, e, J, H):
     """Error (6,), Jacobian (6, nv) and Hessian (nv, nv) at one configuration q (1, 1, nq)."""
     columns, nq, nv = count_columns(raw(ints)), ints[2], ints[3]
     notes, block = np.empty(problem_ints(columns, nv), np.int64), np.empty(problem_floats(columns, nq, nv))
@@ -46,11 +46,18 @@ def probe(ints, floats, limits, task, targets, q, out, e, J, H):
     keep(block)
 
 
+@functools.cache
+def probe() -> Callable[..., None]:
+    """`look` as a kernel, compiled when a test first needs it: that takes seconds."""
+    takes = I("_"), F("_"), F(2, "nv"), I("_"), F(1, 4, 4), F(1, 1, "nq"), OUT("_", "_"), OUT(6)
+    return kernel(*takes, OUT(6, "nv"), OUT("nv", "nv"), returns=False)(look)
+
+
 def looked_at(chain, q, target, mask):
     nq, nv = chain.table.nq, chain.table.nv
     e, J, H, out = np.zeros(6), np.zeros((6, nv)), np.zeros((nv, nv)), np.zeros((1, nq + 5))
     task, limits = np.r_[np.array((*mask, 0)[:7]), chain.circular], np.array([chain.lower, chain.upper])
-    probe(*chain.table.pack(), limits, task, target[None], q[None, None], out, e, J, H)
+    probe()(*chain.table.pack(), limits, task, target[None], q[None, None], out, e, J, H)
     return e, J, H
 
 

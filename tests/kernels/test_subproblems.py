@@ -165,6 +165,7 @@ def test_a_rotation_is_three_turns_about_given_axes(seed):
 # ---- planar motions
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(80))
 @given(st.integers(0, 10**6), st.sampled_from(["RRR", "RRP", "RPR", "PRR", "RPP", "PRP", "PPR"]))
 def test_a_planar_motion_is_three_joints_of_the_plane(seed, letters):
@@ -214,6 +215,7 @@ def test_a_parabola_without_its_square_is_a_line():
     assert parabola_roots(0.0, 2.0, -3.0)[:2] == (1.5, 1.5)
 
 
+@pytest.mark.slow
 @given(st.lists(st.floats(-4, 4), min_size=4, max_size=4, unique=True))
 def test_quartic(roots):
     p = np.polynomial.polynomial.polyfromroots(roots)
@@ -225,6 +227,7 @@ def test_quartic(roots):
         assert np.sort(out[:4]) == pytest.approx(np.sort(roots), abs=1e-7)
 
 
+@pytest.mark.slow
 def test_double_roots_of_a_quartic_are_two():
     out = np.empty(5)
     assert quartic_roots(np.polynomial.polynomial.polyfromroots([1.0, 1.0, -2.0, 3.0]), out) == 4
@@ -232,6 +235,7 @@ def test_double_roots_of_a_quartic_are_two():
     assert quartic_roots(np.array([1.0, 0.0, 0.0, 0.0, 1.0]), out) == 0
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(80))
 @given(st.integers(0, 10**6), st.booleans(), st.booleans())
 def test_coupled_equations_have_the_pair_that_they_were_made_of(seed, x_slides, z_slides):

@@ -4,6 +4,7 @@ import mpmath
 import numba
 import numpy as np
 import pytest
+from hunts import some
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -71,7 +72,7 @@ def nasty_angles():
 
 
 @pytest.mark.parametrize("function", [sincos_vectors, sincos_floats])
-@pytest.mark.parametrize("scale", ["nasty", 1.0, 10.0, 1e3, 1e8])
+@pytest.mark.parametrize("scale", some(["nasty", 1.0, 10.0, 1e3, 1e8], 3))
 def test_sincos_is_right_to_one_ulp(function, scale):
     x = nasty_angles() if scale == "nasty" else np.random.default_rng(0).uniform(-scale, scale, 3000)
     s, c = both(function, x, n_results=2)

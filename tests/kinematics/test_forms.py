@@ -4,6 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
+from hunts import some
 from scipy.spatial.transform import Rotation
 
 import kempe
@@ -30,7 +31,7 @@ def same(form, given, X):
 @pytest.mark.parametrize("dtype", [None, "float32"])
 @pytest.mark.parametrize("shape", [(), (0,), (1,), (5, 3), (21000,)])
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize("name", some(ARMS, 3))
 def test_forms_are_parts_of_the_pose(name, form, shape, dtype):
     system, frame = arm(name)
     q = system.random(0, shape)
@@ -79,9 +80,9 @@ def test_wrong_forms_are_named():
 def test_queries_have_forms(form, dtype):
     system, frame = arm("panda")
     query, q = system.query(frame, form, dtype), system.random(1, 30)
-    for some in (q, q[0], q[:0]):
-        assert np.array_equal(query(some), system.fk(some, frame, form=form, dtype=dtype))
-        assert np.array_equal(pickle.loads(pickle.dumps(query))(some), query(some))
+    for part in (q, q[0], q[:0]):
+        assert np.array_equal(query(part), system.fk(part, frame, form=form, dtype=dtype))
+        assert np.array_equal(pickle.loads(pickle.dumps(query))(part), query(part))
     out = np.empty((30, *query(q[0]).shape), dtype=dtype)
     assert query(q, out) is out and np.array_equal(out, query(q))
     assert np.array_equal(query.jacobian(q), system.jacobian(q, frame))

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from graphs import KINDS, PLANAR_KINDS, SLIDES, graphs
-from hunts import examples
+from hunts import examples, some
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from linkages import four_bar
@@ -128,7 +128,7 @@ every_loop = pytest.mark.parametrize(
 """Each joint from the first chain to the second, and the other way round, but that nothing hangs on a particle."""
 
 
-@pytest.mark.parametrize("own", [False, True])
+@pytest.mark.parametrize("own", some([False, True], 3))
 @every_loop
 def test_closures(kind, options, dim, particle, backwards, own):
     s = loop(kind, options, dim, particle, backwards)

@@ -168,6 +168,7 @@ def compare(s: System, q: np.ndarray) -> None:
     assert convert.maximal(s).nv - ranks[0] == s.nv - ranks[1]
 
 
+@pytest.mark.slow
 @given(graphs(most=6, loops=3), st.integers(0, 2**32))
 @settings(max_examples=examples(60))
 def test_same_motions(graph, seed):

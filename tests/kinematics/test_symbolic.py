@@ -144,6 +144,7 @@ def test_a_quaternion_is_a_polynomial():
 # ------------------------------------------------------------------ numbers
 
 
+@pytest.mark.slow
 @given(graph=graphs(most=5), seed=st.integers(0, 10**6))
 @settings(max_examples=examples(60))
 def test_random_systems(graph: Graph, seed):
@@ -204,6 +205,7 @@ def chains(draw) -> System:
     return m.build()
 
 
+@pytest.mark.slow
 @given(s=chains(), seed=st.integers(0, 10**6))
 @settings(max_examples=examples(20))
 def test_chains_with_parameters(s: System, seed):

@@ -85,6 +85,7 @@ def check(task: tasks.Task, s: System, q: np.ndarray) -> None:
         assert math.hypot(meters, radians) == pytest.approx(np.linalg.norm(e - np.clip(e, low, high)), abs=1e-9)
 
 
+@pytest.mark.slow
 @given(graphs(most=6, loops=2), st.integers(0, 2**32))
 @settings(deadline=None, max_examples=examples(25))
 def test_the_zoo_on_random_graphs(graph, seed):

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from hunts import some
 
 import kempe
 from kempe.errors import UnsupportedError
@@ -25,7 +26,7 @@ def same(system, q, r):
     return np.abs(np.where(turning, (q - r + np.pi) % (2 * np.pi) - np.pi, q - r)).max(axis=-1)
 
 
-@pytest.mark.parametrize(("name", "known"), CASES, ids=lambda x: x if isinstance(x, str) else "-".join(x))
+@pytest.mark.parametrize(("name", "known"), some(CASES, 4), ids=lambda x: x if isinstance(x, str) else "-".join(x))
 def test_formulas_are_the_closed_form(name, known, hunt):
     system = kempe.load(name)
     plan = system.loops.closed_form(known)

@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 from hunts import some
+from linkages import planar_arm
 from scipy.integrate import solve_ivp
 
 import kempe
@@ -16,17 +17,6 @@ from kempe.analysis.local.local import local_dimension
 from kempe.errors import InputError
 
 RANK_LOST = "to first order only (the Jacobian loses rank here)"
-
-
-def planar(lengths, limits=None) -> kempe.System:
-    m = Mechanism("planar arm", dim=2)
-    last, at = m.ground, (0.0, 0.0)
-    for i, length in enumerate(lengths):
-        body = m.body(f"b{i}")
-        m.revolute(f"q{i + 1}", last, body, at=at, limits=limits)
-        last, at = body, (length, 0.0)
-    m.frame("tip", last, at=at)
-    return m.build()
 
 
 def spatial_arm(rng: np.random.Generator, n: int) -> kempe.System:
@@ -74,11 +64,11 @@ def test_beside_the_edge_no_freedom_is_left(bend):
 
 def test_a_short_link_is_no_singular_one():
     """A link a millionth as long as the others moves the tip by as little, and yet it moves it."""
-    s = planar((1.0, 1.0, 1e-6))
+    s = planar_arm(1.0, 1.0, 1e-6)
     q = np.array([0.3, 0.8, 1.1])
     answer = s.ik(tasks.Pose("tip", s.fk(q, "tip")), start=q)
     assert answer.success and answer.redundancy == 0
-    plain = planar((1.0, 1e-6))
+    plain = planar_arm(1.0, 1e-6)
     q = np.array([0.3, 0.8])
     assert plain.ik(tasks.Position("tip", plain.fk(q, "tip")[:2, 3]), start=q, tolerance=1e-12).redundancy == 0
 
@@ -112,7 +102,7 @@ def lines(hunt, count: int) -> tuple[int, int]:
             continue
         definite = (curvatures > 0.0).all() or (curvatures < 0.0).all()
         q[0] = rng.uniform(-3.0, 3.0)
-        s = planar(lengths)
+        s = planar_arm(*lengths)
         task = tasks.Position("tip", tips(lengths, q))
         answer = s.ik(task, start=q + rng.normal(size=n) * rng.choice([0.0, 1e-9, 1e-7]))
         assert answer.success and (answer.n, answer.rank) == (n, 1), (lengths, q)
@@ -249,7 +239,7 @@ def check_walk(s: kempe.System, q, task, jacobian, steps: int, hidden) -> bool |
 def test_a_closed_curve_is_recognised_from_both_sides(steps):
     """349 configurations: with 174 steps each way the two ends meet, with fewer they do not."""
     lengths, q = np.array([1.0, 0.8, 0.6]), np.array([0.4, 1.9, 1.2])
-    s = planar(lengths)
+    s = planar_arm(*lengths)
     m = s.inverse.self_motion(q, "tip", task="position", budget=kempe.Budget(points=steps))
     assert m.closed == (steps > 174)
     assert len(m) <= 349 and (not m.closed or len(m) >= 348)
@@ -265,7 +255,7 @@ def walks(hunt, count: int) -> tuple[int, int]:
     for _ in range(hunt.cases(count)):
         if rng.random() < 0.6:
             lengths = rng.uniform(0.3, 1.0, 3)
-            s, rows = planar(lengths), 2
+            s, rows = planar_arm(*lengths), 2
         else:
             s, rows = spatial_arm(rng, 4), 3
         q = rng.uniform(-3.0, 3.0, s.nq)
@@ -300,7 +290,7 @@ def test_a_direction_says_which_way_is_forth(sense):
 
 def test_where_self_motions_branch_the_direction_chooses():
     """Three equal links, folded: the tip stays with the elbow folded, or as the links open to a parallelogram."""
-    s = planar((1.0, 1.0, 1.0))
+    s = planar_arm(1.0, 1.0, 1.0)
     q = np.array([0.0, math.pi, 0.0])
     with pytest.raises(InputError, match="branch here: say by `direction`"):
         s.inverse.self_motion(q, "tip", task="position")

@@ -172,6 +172,7 @@ def test_a_tolerance_out_of_its_bounds_is_refused_with_both(verb, tolerance):
         getattr(kempe.load("bennett"), verb)(tolerance=tolerance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "verb", some(["assemble", "mobility", "trace", "drive", "assembly_modes", "classify", "independent"], 3)
 )
@@ -192,6 +193,7 @@ def test_what_is_open_by_more_says_where_and_at_which_tolerance_it_closes(verb, 
     assert given.mobility(tolerance=1.5 * float(least)).dof == 1
 
 
+@pytest.mark.slow
 def test_what_is_open_by_more_has_no_freedoms(hunt):
     _, given, _ = of("bennett", 3, hunt)
     assert given.mobility().dof is None and given.mobility(tolerance=2e-3).dof == 1

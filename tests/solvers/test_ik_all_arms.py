@@ -314,6 +314,7 @@ def test_held_joints_stay(name):
         np.testing.assert_allclose(answer.q[..., i][answer.mask], held, rtol=0, atol=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", some(arms.names("seven"), 3))
 def test_redundant_arms_have_families(name):
     """One freedom too many: curves of configurations, one of them through what gave the target."""
@@ -360,6 +361,7 @@ def test_a_straight_wrist_has_a_family(name):
                 assert oracle.error(arm.model.fk(y), X)[1] < 1e-12 and on_a_family(answer, 0, y)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", some(["anthropomorphic3", "orthogonal3_cuspidal", "irb6640", "ur10e", "puma560", "jaco2"], 3)
 )

@@ -46,6 +46,7 @@ def test_inside_the_limits_first():
     assert (everything.q[everything.inside][:, legs] > 0).all() and (few.q[:, legs] > 0).all()
 
 
+@pytest.mark.slow
 def test_what_cannot_be_reached_is_empty():
     system = kempe.load("five_bar")
     with pytest.raises(NoSolutionError, match="none found, which proves nothing") as error:

@@ -7,6 +7,7 @@ import arms
 import continuation
 import numpy as np
 import pytest
+from hunts import some
 from ik_all_checks import allowed, ask, assert_found, assert_true, near_singular
 
 PI, H = np.pi, np.pi / 2
@@ -26,7 +27,7 @@ def assert_all_found_near_singular(arm: arms.Arm, seed: int, number: int) -> Non
 
 
 @pytest.mark.parametrize(
-    ("name", "seed", "number"), [("rail_xarm5", 3, 17), ("concurrent234", 3, 22), ("puma_1e-7", 12, 7)]
+    ("name", "seed", "number"), some([("rail_xarm5", 3, 17), ("concurrent234", 3, 22), ("puma_1e-7", 12, 7)], 3)
 )
 def test_next_to_self_motions_what_is_missed_is_said(name, seed, number):
     """A slide that is nearly free, 17 lengths away; a fold whose roots are 3e-5 apart; an odd number, and no fold."""
@@ -77,7 +78,7 @@ FEW = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("kinds", "task"), FEW)
+@pytest.mark.parametrize(("kinds", "task"), some(FEW, 4))
 def test_structured_arms_of_few_joints(kinds, task, hunt):
     """Judged by what gave the target, and by solutions of targets aside that Newton's method follows to it."""
     rng = hunt.rng()

@@ -10,6 +10,7 @@ import arms
 import numpy as np
 import pytest
 from hunts import some
+from linkages import planar_arm
 
 import kempe
 from kempe.errors import InputError, UnknownNameError
@@ -42,16 +43,6 @@ def solved(name: str, q, task: str | None = None, frame: str = "tool", **options
 def reaches(s: kempe.System, q, X, task: str = "pose", frame: str = "tool") -> float:
     """The largest error [m, rad] of configurations by the forward model."""
     return float(np.max(oracle.error(s.fk(q, frame), X, task)))
-
-
-@cache
-def two_links(l1: float = 0.5, l2: float = 0.5) -> kempe.System:
-    m = kempe.Mechanism("two", dim=2)
-    upper, lower = m.body("upper"), m.body("lower")
-    m.revolute("A", m.ground, upper)
-    m.revolute("B", upper, lower, at=(l1, 0.0))
-    m.frame("tip", lower, at=(l2, 0.0))
-    return m.build()
 
 
 # ---- families
@@ -139,6 +130,7 @@ def test_wrist_in_line():
     assert f.distance([q, q]).shape == (2,)
 
 
+@pytest.mark.slow
 def test_a_configuration_of_a_family():
     q = np.array([0.1, 0.2, 0.3, 0.4, 0.0, 0.6])
     a, X, (f,), _ = solved("puma560", q)
@@ -173,6 +165,7 @@ def shoulder_singular(q5: float) -> np.ndarray:
     return np.array([0.3, 0.9, low, 0.4, q5, 0.6])
 
 
+@pytest.mark.slow
 def test_shoulder_on_its_axis():
     """Wrist centre on axis 1: the arm turns about it, and the wrist keeps the orientation."""
     s, q = system("anthropomorphic6"), shoulder_singular(0.5)
@@ -216,6 +209,7 @@ def test_puma_elbow_is_a_double_root():
     assert min(apart(x, q) for x in a) < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("q3", [0.9, 0.0])
 def test_four_parallel_axes(q3):
     """UR5 with q5 = 0: axes 2, 3, 4 and 6 are parallel and move as a four-bar linkage. All its motions are found."""
@@ -255,14 +249,14 @@ def test_several_configurations_of_a_curve():
 
 def test_two_equal_links_at_their_base():
     """A closed arm points anywhere: a circle."""
-    s = two_links()
+    s = planar_arm(0.5, 0.5)
     a = s.ik_all([0.0, 0.0], "tip")
     (f,), rows = families_of(a, 0)
-    assert f.closed and f.joints == ("A",) and np.ptp(f.q[:, 0]) > 6.0
+    assert f.closed and f.joints == ("q1",) and np.ptp(f.q[:, 0]) > 6.0
     np.testing.assert_allclose(np.abs(f.q[:, 1]), math.pi, atol=1e-12)
-    assert f.describe() in ("A is free while B = 3.14159: one freedom", "A is free while B = -3.14159: one freedom")
+    assert f.describe() in ("q1 is free while q2 = 3.14159: one freedom", "q1 is free while q2 = -3.14159: one freedom")
     assert f.distance([1.234, math.pi]) < 1e-12 and (rows[: len(a)] == 0).all()
-    assert families_of(two_links(0.5, 0.4).ik_all([0.1, 0.0], "tip"), 0)[0] == []
+    assert families_of(planar_arm(0.5, 0.4).ik_all([0.1, 0.0], "tip"), 0)[0] == []
 
 
 def test_target_on_the_first_axis():
@@ -304,6 +298,7 @@ def test_geared_wrist():
     assert abs(f.at(motor1=0.7)[s.coordinate_names.index("j3")] + 0.5) < 1e-10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["panda", "iiwa14"])
 def test_redundant_arms(name):
     """Seven joints: each answer lies on a self-motion, the configuration that made the target too."""
@@ -354,6 +349,7 @@ def test_regular_targets_have_no_families(name):
 NEAR = [("puma560", [4]), ("ur5", [4]), ("ur5", [2]), ("ur5", [2, 4]), ("anthropomorphic6", [4])]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name,joints", some(NEAR, 3))
 def test_near_singular_targets_are_covered(name, joints):
     """However near to singular: the configuration that made a target is an answer, or on a family of answers."""
@@ -382,7 +378,7 @@ def test_a_family_within_the_tolerance_says_so():
 def test_two_links_out_of_reach(target):
     """The closest of a two-link arm: stretched towards the target, or folded."""
     l1, l2 = 0.5, 0.4
-    s, d = two_links(l1, l2), math.hypot(*target)
+    s, d = planar_arm(l1, l2), math.hypot(*target)
     a = s.ik_all(target, "tip")
     q, position, angle = nearest(a, 0)
     wanted = max(d - l1 - l2, l1 - l2 - d)
@@ -476,4 +472,4 @@ def test_sentence_of_a_chain_with_few_joints():
 
 
 def test_sentence_of_a_planar_system():
-    assert "outside the plane of the system by 0.1 m" in status(two_links().ik_all([0.3, 0.2, 0.1], "tip"), 0)
+    assert "outside the plane of the system by 0.1 m" in status(planar_arm(0.5, 0.5).ik_all([0.3, 0.2, 0.1], "tip"), 0)

@@ -4,23 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from linkages import planar_arm
 
 import kempe
 from kempe import Mechanism, spatial
 from kempe.errors import InputError
 from kempe.status import Status
-
-
-def arm(limits, lengths=(1.0, 0.7)):
-    m = Mechanism("arm", dim=2)
-    last, at = m.ground, 0.0
-    for i, (length, bounds) in enumerate(zip(lengths, limits, strict=True)):
-        link = m.body(f"link{i}")
-        m.revolute(f"q{i}", last, link, at=(at, 0.0), limits=bounds)
-        last, at = link, length
-    m.frame("tip", last, at=(at, 0.0))
-    return m.build()
-
 
 # ---- tolerance
 
@@ -121,7 +110,7 @@ def test_a_joint_with_whole_turns_is_never_blamed():
 
 
 def test_a_pose_off_the_plane_is_said_to_be():
-    robot = arm([(-3.0, 3.0)] * 3, (1.0, 0.7, 0.2))
+    robot = planar_arm(1.0, 0.7, 0.2, limits=[(-3.0, 3.0)] * 3)
     X = robot.fk([0.3, 0.4, -0.2], "tip")
     X[:3, :3] = X[:3, :3] @ spatial.rot_x(0.1)
     s = robot.ik(X, "tip")
@@ -147,7 +136,7 @@ def test_columns_do_not_weaken_the_proof(height, out):
 
 
 def test_wrong_input_blames_what_is_wrong():
-    flat, robot = arm([(-3.0, 3.0)] * 2), kempe.load("puma560")
+    flat, robot = planar_arm(1.0, 0.7, limits=[(-3.0, 3.0)] * 2), kempe.load("puma560")
     X = robot.fk(robot.random(0), "tool")
     with pytest.raises(InputError, match="direction of the target must be finite and not zero"):
         flat.ik([0.0, 0.0], "tip", task=("direction", (1, 0, 0)))
@@ -186,7 +175,7 @@ def test_a_path_names_the_target_that_is_no_pose_and_a_seed_that_is_none():
 
 
 def test_a_path_with_restarts_begins_where_it_can():
-    robot = arm([(-3.0, 3.0)] * 2)
+    robot = planar_arm(1.0, 0.7, limits=[(-3.0, 3.0)] * 2)
     p = np.stack([np.linspace(2.2, 1.2, 11), np.full(11, 0.1)], axis=1)
     path = robot.ik_path(p, "tip", restart=True)
     reachable = np.linalg.norm(p, axis=1) < 1.7
@@ -196,14 +185,14 @@ def test_a_path_with_restarts_begins_where_it_can():
 
 @pytest.mark.parametrize("size", [1.0, 0.1, 0.03, 1e-3])
 def test_a_step_of_a_small_robot_is_that_of_a_large_one(size):
-    robot = arm([(-3.0, 3.0)] * 2, (size, size))
+    robot = planar_arm(size, size, limits=[(-3.0, 3.0)] * 2)
     wanted = np.array([0.5 * size, 0.2 * size, 0.0, 0.0, 0.0, 0.0])
     step = robot.ik_step([0.3, 1.4], wanted, "tip", 0.01, weights=[1, 1, 0, 0, 0, 0])
     np.testing.assert_allclose(step.twist[:2], wanted[:2], rtol=1e-9)
 
 
 def test_joints_without_room_have_no_derivative():
-    robot = arm([(0.3, 0.3)] * 2)
+    robot = planar_arm(1.0, 0.7, limits=[(0.3, 0.3)] * 2)
     s = robot.ik(robot.fk([0.3, 0.3], "tip")[:2, 3], "tip")
     assert s.success and not s.derivative.any()
 
@@ -220,7 +209,7 @@ def test_freedoms_that_a_target_leaves_are_counted(task, m):
     assert s.self_motion.shape == (7, 7 - m) and np.abs(J @ s.self_motion).max() < 1e-9
     with pytest.raises(InputError, match="one answer"):
         _ = robot.ik(robot.fk(robot.random(2, 3), frame), frame).redundancy
-    flat = arm([(-3.0, 3.0)] * 4, (1.0, 0.7, 0.2, 0.3))
+    flat = planar_arm(1.0, 0.7, 0.2, 0.3, limits=[(-3.0, 3.0)] * 4)
     t = flat.ik(flat.fk([0.3, 0.4, -0.2, 0.1], "tip"), "tip")
     assert (t.m, t.n, t.redundancy) == (3, 4, 1)
 

@@ -6,23 +6,12 @@ import math
 
 import numpy as np
 import pytest
+from linkages import planar_arm
 from robots import urdf_files
 
 import kempe
-from kempe import Mechanism, System, spatial, tasks
+from kempe import Mechanism, spatial, tasks
 from kempe.errors import InputError
-
-FREE = (-math.inf, math.inf)
-
-
-def arm(first=FREE, second=FREE) -> System:
-    """Two links of length 1 in the plane, turning by 'a' and 'b', with the frame 'tip'."""
-    m = Mechanism("arm", dim=2)
-    limits = [{"limits": x} if math.isfinite(x[0]) else {} for x in (first, second)]
-    m.revolute("a", "ground", m.body("u"), at=(0, 0), **limits[0])
-    m.revolute("b", "u", m.body("v"), at=(1, 0), **limits[1])
-    m.frame("tip", "v", at=(1, 0))
-    return m.build()
 
 
 def circle(radius: float, angles: np.ndarray) -> np.ndarray:
@@ -30,7 +19,7 @@ def circle(radius: float, angles: np.ndarray) -> np.ndarray:
 
 
 def elbow(radius: float) -> float:
-    """Angle 'b' at which the tip is at this distance from the base (law of cosines)."""
+    """Angle 'q2' at which the tip is at this distance from the base (law of cosines)."""
     return math.acos(radius**2 / 2.0 - 1.0)
 
 
@@ -61,7 +50,7 @@ def test_a_straight_line_with_a_turn_is_followed_on_target():
 def test_free_joints_turn_on_and_on():
     angles = np.linspace(0.0, 4.0 * math.pi, 60)
     beta = elbow(1.2)
-    p = arm().ik_path(circle(1.2, angles), "tip", [-beta / 2, beta])
+    p = planar_arm(1.0, 1.0).ik_path(circle(1.2, angles), "tip", [-beta / 2, beta])
     assert p
     np.testing.assert_allclose(p.q, np.stack([angles - beta / 2, np.full(60, beta)], axis=1), atol=1e-9)
 
@@ -71,7 +60,7 @@ def test_a_circle_that_leaves_the_range_of_a_joint_jumps_where_it_does(limit):
     """a = angle - elbow / 2 meets its limit at a known target; the other elbow goes on from there."""
     beta, angles = elbow(1.2), np.linspace(0.0, 3.0 * math.pi, 200)
     last = int(np.flatnonzero(angles - beta / 2 <= limit)[-1])
-    s = arm((-limit, limit), (-3.0, 3.0))
+    s = planar_arm(1.0, 1.0, limits=[(-limit, limit), (-3.0, 3.0)])
     p = s.ik_path(circle(1.2, angles), "tip", [-beta / 2, beta])
     assert not p and p.jumps == (last + 1,)
     assert p.success[: last + 1].all() and not p.success[last + 1 :].any()
@@ -79,7 +68,7 @@ def test_a_circle_that_leaves_the_range_of_a_joint_jumps_where_it_does(limit):
     np.testing.assert_allclose(p.q[: last + 1, 0], angles[: last + 1] - beta / 2, atol=1e-9)
     part = (limit + beta / 2 - angles[last]) / (angles[1] - angles[0])
     said = float(p.status.split("stops ")[1].split("%")[0]) / 100
-    assert abs(said - part) < 0.01 and "at the limit of 'a'" in p.status and "by a jump of" in p.status
+    assert abs(said - part) < 0.01 and "at the limit of 'q1'" in p.status and "by a jump of" in p.status
     again = s.ik_path(circle(1.2, angles), "tip", [-beta / 2, beta], restart=True)
     assert again.success[last + 1] and again.jumps[0] == last + 1 and not again
     good = again.success
@@ -92,7 +81,7 @@ def test_a_circle_that_leaves_the_range_of_a_joint_jumps_where_it_does(limit):
 def test_the_edge_of_the_workspace_is_a_singularity(restart):
     line = np.linspace([1.2, 0.3], [2.3, 0.3], 50)
     last = int(np.flatnonzero(np.linalg.norm(line, axis=1) <= 2.0)[-1])
-    p = arm().ik_path(line, "tip", [-0.9, 1.85], restart=restart)
+    p = planar_arm(1.0, 1.0).ik_path(line, "tip", [-0.9, 1.85], restart=restart)
     assert p.success.sum() == last + 1 and p.jumps == ()
     assert "at a singularity" in p.status and "not reached from" in p.status
 
@@ -100,7 +89,7 @@ def test_the_edge_of_the_workspace_is_a_singularity(restart):
 def test_a_path_begins_at_a_singularity():
     """From the stretched arm inwards joint steps go with the square root of the way: fast, but no jump."""
     line = np.linspace([2.0, 0.0], [1.0, 0.0], 30)
-    p = arm().ik_path(line, "tip", [0.0, 0.0])
+    p = planar_arm(1.0, 1.0).ik_path(line, "tip", [0.0, 0.0])
     assert p, p.status
     np.testing.assert_allclose(np.abs(p.q[:, 1]), [elbow(r) if r < 2.0 else 0.0 for r in line[:, 0]], atol=1e-5)
 
@@ -121,15 +110,17 @@ def test_a_wrist_goes_straight_through_its_singularity():
 def test_a_limited_elbow_cannot_pass_to_the_other_side():
     """Touching the edge of the workspace and coming back changes the elbow only where limits let it."""
     beta = elbow(1.6)
-    p = arm(FREE, (0.3, 3.0)).ik_path(np.linspace([1.6, 0.0], [1.99, 0.0], 40), "tip", [-beta / 2, beta])
+    p = planar_arm(1.0, 1.0, limits=[None, (0.3, 3.0)]).ik_path(
+        np.linspace([1.6, 0.0], [1.99, 0.0], 40), "tip", [-beta / 2, beta]
+    )
     farthest = 2.0 * math.cos(0.15)  # the reach with the elbow at its limit
-    assert p.success.sum() == np.sum(np.linspace(1.6, 1.99, 40) <= farthest) and "the limit of 'b'" in p.status
+    assert p.success.sum() == np.sum(np.linspace(1.6, 1.99, 40) <= farthest) and "the limit of 'q2'" in p.status
 
 
 def test_branches_choose_the_start_that_gets_farthest():
     """With the elbow at the other side, a = angle + elbow / 2 meets its limit earlier."""
     beta, angles = elbow(1.2), np.linspace(0.0, 2.5, 60)
-    s = arm((-2.0, 2.0), (-3.0, 3.0))
+    s = planar_arm(1.0, 1.0, limits=[(-2.0, 2.0), (-3.0, 3.0)])
     seed = [beta / 2, -beta]
     alone = s.ik_path(circle(1.2, angles), "tip", seed)
     assert alone.success.sum() == np.sum(angles + beta / 2 <= 2.0)
@@ -161,7 +152,7 @@ def test_closed_loops_stay_closed():
 
 
 def test_bad_input_is_refused_and_no_start_is_said():
-    s = arm()
+    s = planar_arm(1.0, 1.0)
     p = s.ik_path([[3.0, 0.0], [1.0, 0.0]], "tip")
     assert not p.success.any() and "target 0" in p.status
     refused = [

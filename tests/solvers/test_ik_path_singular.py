@@ -31,6 +31,7 @@ def line(system: System, rng: np.random.Generator, count: int, middle: float = 0
     return middle_q + part * (np.linspace(a, b, count) - middle_q)
 
 
+@pytest.mark.slow
 def test_a_puma_is_followed_through_its_wrist_singularity():
     s, followed = kempe.load("puma560"), 0
     for k in range(40):
@@ -134,6 +135,7 @@ def two_arms() -> System:
     return m.build()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("branches", [False, True])
 def test_a_new_start_leaves_the_other_arm_alone(branches):
     s, jumps = two_arms(), 0

@@ -85,6 +85,7 @@ def test_limits_are_those_of_a_bounded_least_squares_problem(six):
     assert met > 10
 
 
+@pytest.mark.slow
 def test_other_joints_take_over_where_the_arm_is_redundant(panda):
     rng, met = np.random.default_rng(3), 0
     for q in 0.5 * (panda.random(rng, 120) + panda.mid):

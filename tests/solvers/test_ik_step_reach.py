@@ -235,6 +235,7 @@ def demands_of(name: str, s: System, frame: str, q: np.ndarray) -> list[list]:
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k", some(range(6), 3), ids=["pose", "posture far", "posture", "conflict", "soft", "wall"])
 @pytest.mark.parametrize("name", ["panda", pytest.param("iiwa14", marks=pytest.mark.slow)])
 def test_tasks_that_cannot_be_held_settle(name, k):

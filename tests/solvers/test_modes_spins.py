@@ -71,6 +71,7 @@ def assert_all_found(system: System, known: dict[str, float], q: np.ndarray, cou
     assert len(few) == count
 
 
+@pytest.mark.slow
 def test_dietmaiers_platform_on_balls_has_forty_poses():
     """Dietmaier, 1998: 40, not 40 times infinitely many, as its legs spin."""
     shipped = kempe.load("stewart_dietmaier")
@@ -80,6 +81,7 @@ def test_dietmaiers_platform_on_balls_has_forty_poses():
     assert_all_found(system, known, at, 40)
 
 
+@pytest.mark.slow
 def test_a_delta_robot_on_balls_has_twelve_poses_for_its_arms():
     """Six distances: of the 12 two are translations, those of the same robot on universal joints."""
     system, other = kempe.load("delta_ss"), kempe.load("delta_uu")
@@ -103,6 +105,7 @@ def _hunt_platforms(hunt, cases: int) -> None:
             assert_all_found(system, known, start.q, count)
 
 
+@pytest.mark.slow
 def test_hunt_platforms_on_balls(hunt):
     """Other legs for the shipped platform: the modes are the poses that Newton's method finds."""
     _hunt_platforms(hunt, 3)

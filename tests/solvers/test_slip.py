@@ -173,6 +173,7 @@ def test_a_towed_axle_follows_a_tractrix():
     assert np.abs(system.fk(path.q, "nose")[:, :2, 3] - np.column_stack([2 + 0 * s, s])).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_a_motion_that_rolls_along():
     system, t = wheels.coin(0.5), np.linspace(0, math.pi, 80)
     motion = system.drive({"roll": 2 * t, "pose.rz": 2 * t}, t, np.zeros(4))

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from linkages import planar_arm
 from robots import urdf_files
 from scipy.optimize import minimize
 
@@ -20,19 +21,6 @@ from kempe.solvers.one_frame.solution import Solution
 from kempe.solvers.tasks.reached import Reached
 
 HAND = "panda_link7"
-
-
-def planar_arm(lengths=(1.0, 1.0), limits=(), name="arm") -> System:
-    """An arm in the plane with turning joints j1, j2, ... and the frame 'tip'."""
-    m = Mechanism(name, dim=2)
-    before, at = "ground", 0.0
-    for k, length in enumerate(lengths):
-        low, high = limits[k] if k < len(limits) else (-math.inf, math.inf)
-        limit = {"limits": (low, high)} if math.isfinite(low) else {}
-        m.revolute(f"j{k + 1}", before, m.body(f"b{k + 1}"), at=(at, 0), **limit)
-        before, at = f"b{k + 1}", length
-    m.frame("tip", before, at=(at, 0))
-    return m.build()
 
 
 def two_arms() -> System:
@@ -110,10 +98,10 @@ def test_a_leg_with_a_four_bar_and_a_coupling():
 
 
 def test_a_relation_of_several_coordinates_holds():
-    m = planar_arm((1.0, 1.0, 1.0)).mechanism
-    m.couple("j3", {"j1": 0.5, "j2": -1.0}, 0.3)
+    m = planar_arm(1.0, 1.0, 1.0).mechanism
+    m.couple("q3", {"q1": 0.5, "q2": -1.0}, 0.3)
     s = m.build()
-    q = s.q({"j1": 0.4, "j2": 1.0, "j3": 0.5 * 0.4 - 1.0 + 0.3})
+    q = s.q({"q1": 0.4, "q2": 1.0, "q3": 0.5 * 0.4 - 1.0 + 0.3})
     answer = s.ik(tasks.Position("tip", s.fk(q, "tip")[:2, 3]))
     j1, j2, j3 = answer.q
     assert answer.success and j3 == pytest.approx(0.5 * j1 - j2 + 0.3, abs=1e-9) and answer.n == 2
@@ -243,7 +231,7 @@ def test_a_lower_level_disturbs_no_higher_one():
 
 
 def test_contradictory_hard_levels_keep_the_first():
-    s = planar_arm()
+    s = planar_arm(1.0, 1.0)
     near = tasks.Position("tip", [1.0, 0.5])
     far = tasks.Position("tip", [1.5, 0.5], priority=1, name="far")
     answer = s.ik([far, near])
@@ -253,7 +241,7 @@ def test_contradictory_hard_levels_keep_the_first():
 
 def test_inequalities_bind_only_where_they_must():
     """The tip goes to a point as far as a wall lets it: the closest point of the wall."""
-    s = planar_arm((1.0, 1.0, 1.0))
+    s = planar_arm(1.0, 1.0, 1.0)
     goal = tasks.Position("tip", [2.0, 1.0], weight=1.0)
     wall = tasks.HalfSpace("tip", [1.5, 0.0], [-1.0, 0.0], name="wall")
     answer = s.ik([goal, wall], start=[0.3, 0.3, 0.3])
@@ -347,23 +335,23 @@ def test_contradictory_tasks_are_named():
 
 
 def test_blocked_by_limits_is_said_with_the_joint():
-    s = planar_arm((1.0, 1.0), [(-3.0, 3.0), (-0.5, 0.5)])
+    s = planar_arm(1.0, 1.0, limits=[(-3.0, 3.0), (-0.5, 0.5)])
     answer = s.ik(tasks.Position("tip", [1.0, 0.2]))
     assert not answer.success and not answer.proven
-    assert "without the limit of 'j2' it is reached, so that may be what blocks it" in answer.status
+    assert "without the limit of 'q2' it is reached, so that may be what blocks it" in answer.status
 
 
 def test_too_many_equations_are_said():
-    s = planar_arm((1.0, 1.0))
+    s = planar_arm(1.0, 1.0)
     answer = s.ik(tasks.Pose("tip", spatial.pose(spatial.rot_z(2.0), [1.0, 1.0, 0.0])))
     assert not answer.success and "(3 equations, but 2 freedoms)" in answer.status
-    q = s.q({"j1": 0.3, "j2": 0.9})
+    q = s.q({"q1": 0.3, "q2": 0.9})
     fits = s.ik(tasks.Pose("tip", s.fk(q, "tip")))
     assert fits.success and "no freedom is left, though 3 equations meet 2 freedoms" in fits.status
 
 
 def test_out_of_reach_is_missed_by_as_much_as_must_be():
-    s = planar_arm((1.0, 1.0))
+    s = planar_arm(1.0, 1.0)
     answer = s.ik(tasks.Position("tip", [3.0, 0.0]))
     assert not answer.success and answer.errors["Position of 'tip'"][0] == pytest.approx(1.0, abs=1e-6)
     assert "is missed by 1 m" in answer.status and f"{answer.starts} starts" in answer.status
@@ -467,7 +455,7 @@ def test_functions_do_what_the_tasks_they_stand_for_do():
 
 def test_the_self_motion_of_three_links_closes():
     """The tip of a planar 3R near its base: its fibre is a closed curve, on which the tip stays."""
-    s = planar_arm((1.0, 0.8, 0.6))
+    s = planar_arm(1.0, 0.8, 0.6)
     q = np.array([0.4, 1.9, 1.2])
     p = s.fk(q, "tip")
     m = s.inverse.self_motion(q, tasks.Position("tip", p[:2, 3]), budget=kempe.Budget(points=400))

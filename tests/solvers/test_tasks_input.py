@@ -206,6 +206,7 @@ def test_every_task_has_a_key_of_its_own(panda):
     assert list(answer.errors) == ["x", "x (2)", "x (3)", "x (4)"]
 
 
+@pytest.mark.slow
 def test_caches_are_bounded():
     s = flat_arm()
     for k in range(200):

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from linkages import planar_arm
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -14,17 +15,6 @@ from kempe import Mechanism, System, spatial, tasks
 from kempe.solvers.tasks.reached import Reached
 
 HAND = "panda_hand_tcp"
-
-
-def planar_arm(count: int) -> System:
-    """An arm of turning links one metre long in the plane, without limits, and the frame 'tip'."""
-    m = Mechanism("arm", dim=2)
-    before = "ground"
-    for k in range(count):
-        m.revolute(f"j{k + 1}", before, m.body(f"b{k + 1}"), at=(1.0 if k else 0.0, 0.0))
-        before = f"b{k + 1}"
-    m.frame("tip", before, at=(1.0, 0.0))
-    return m.build()
 
 
 def screw_table(pitch: float, limits: tuple[float, float] | None = None) -> System:
@@ -56,10 +46,10 @@ def test_a_soft_task_before_a_hard_one_is_met_with_it_where_both_can_be():
 
 
 def test_a_soft_task_between_two_hard_ones_is_met_with_them():
-    s = planar_arm(4)
+    s = planar_arm(*[1.0] * 4)
     first = tasks.OnPlane("tip", [1.5, 0.0], [1.0, 0.0], name="first")
     between = tasks.OnPlane("tip", [0.0, 1.0], [0.0, 1.0], weight=1.0, name="between")
-    last = tasks.Posture({"j1": 0.1}, weight=None, priority=1, name="last")
+    last = tasks.Posture({"q1": 0.1}, weight=None, priority=1, name="last")
     answer = solve(s, first, between, last, start=[0.3, 0.4, 0.5, 0.2])
     assert answer.success
     np.testing.assert_allclose(s.fk(answer.q, "tip")[:2, 3], [1.5, 1.0], atol=1e-9)
@@ -68,9 +58,9 @@ def test_a_soft_task_between_two_hard_ones_is_met_with_them():
 
 def test_a_soft_task_does_not_suffer_for_a_hard_one_behind_it():
     """A target 2 m beyond a stretched arm wants it stretched; the first link shall turn away, behind that."""
-    s = planar_arm(3)
+    s = planar_arm(*[1.0] * 3)
     soft = tasks.Position("tip", [5.0, 0.0], weight=1.0, name="soft")
-    hard = tasks.Posture({"j1": 0.5}, weight=None, priority=1, name="hard")
+    hard = tasks.Posture({"q1": 0.5}, weight=None, priority=1, name="hard")
     answer = solve(s, soft, hard, start=[0.4, 0.2, -0.3])
     assert not answer.success
     assert answer.errors["soft"][0] == pytest.approx(2.0, abs=1e-6)
@@ -79,9 +69,9 @@ def test_a_soft_task_does_not_suffer_for_a_hard_one_behind_it():
 
 def test_a_hard_task_behind_a_soft_one_that_stays_off_holds_in_what_that_leaves():
     """Four links come within 6 m of the line x = 10 where they are stretched along x: the first angle is then 0."""
-    s = planar_arm(4)
+    s = planar_arm(*[1.0] * 4)
     soft = tasks.OnPlane("tip", [10.0, 0.0], [1.0, 0.0], weight=1.0, name="soft")
-    answer = solve(s, soft, tasks.Posture({"j1": 0.0}, weight=None, priority=1), start=[0.3, 0.4, 0.5, 0.2])
+    answer = solve(s, soft, tasks.Posture({"q1": 0.0}, weight=None, priority=1), start=[0.3, 0.4, 0.5, 0.2])
     assert answer.success and answer.errors["soft"][0] == pytest.approx(6.0, abs=1e-9)
 
 
@@ -112,7 +102,7 @@ def test_soft_mixes_are_as_low_as_scipy_brings_them():
 @pytest.mark.parametrize("count, away", [(2, 3.0), (3, 4.0)])
 def test_an_arm_stretches_towards_what_is_out_of_reach(count, away):
     """The least distance is what the target is farther away than the arm is long."""
-    s = planar_arm(count)
+    s = planar_arm(*[1.0] * count)
     answer = solve(s, tasks.Position("tip", [away, 0.0], weight=1.0), start=np.ones(count), starts=1)
     assert answer.position_error == 0.0 and answer.iterations <= 120
     assert next(iter(answer.errors.values()))[0] == pytest.approx(1.0, abs=1e-6)
@@ -142,14 +132,14 @@ def test_a_soft_position_is_as_near_as_scipy_comes():
 @pytest.mark.parametrize("count, at", [(2, 1.0), (3, 0.3)])
 def test_a_stretched_arm_folds_for_a_soft_target_inside(count, at):
     """The gradient vanishes there; the least distance is zero, for the target is within reach."""
-    s = planar_arm(count)
+    s = planar_arm(*[1.0] * count)
     for more in ({}, {"start": np.zeros(count)}, {"starts": 1}):
         answer = solve(s, tasks.Position("tip", [at, 0.0], weight=1.0), **more)
         np.testing.assert_allclose(s.fk(answer.q, "tip")[:2, 3], [at, 0.0], atol=1e-6)
 
 
 def test_a_stretched_arm_folds_within_a_hard_task():
-    s = planar_arm(3)
+    s = planar_arm(*[1.0] * 3)
     line = tasks.OnPlane("tip", [0.0, 0.0], [0.0, 1.0])
     answer = solve(s, line, tasks.Position("tip", [0.3, 0.0], weight=1.0), start=np.zeros(3))
     assert answer.success
@@ -224,7 +214,7 @@ def test_rows_that_need_more_starts_are_the_calls_alone():
 
 def test_what_cannot_be_reached_is_missed_by_as_little_as_must_be_after_few_steps():
     """A target beyond the arm: the closed form of the miss, from one start."""
-    s = planar_arm(3)
+    s = planar_arm(*[1.0] * 3)
     answer = solve(s, tasks.Position("tip", [0.0, 4.0]), start=[0.3, 0.4, 0.5], starts=1)
     assert not answer.success and answer.iterations <= 60
     assert answer.position_error == pytest.approx(1.0, abs=1e-4)

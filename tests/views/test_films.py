@@ -32,6 +32,7 @@ def images(path: Path) -> list[np.ndarray]:
     return out
 
 
+@pytest.mark.slow
 def test_a_gif_shows_the_motion_on_one_scale(tmp_path, turn):
     """Frames differ, and their common part, ground and curve, stays where it is."""
     path = turn.animate(tmp_path / "turn.gif", frames=["coupler_point"], seconds=1.0, fps=8)

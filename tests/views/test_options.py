@@ -74,6 +74,7 @@ def sentences() -> list[tuple[str, str]]:
     return [(n, t) for n, t in out if " " in t.strip() and not t.strip().startswith(("<", "import", "\nimport"))]
 
 
+@pytest.mark.slow
 def test_sentences_of_the_library_are_in_words_of_the_command_line():
     found = [(n, t) for n, t in sentences() if PYTHON.search(in_options(t)) and n not in NOT_OF_COMMANDS]
     assert not found, "add these to WORDS of views/options.py, or say that no command can meet them"

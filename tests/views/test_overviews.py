@@ -9,6 +9,7 @@ import re
 import numpy as np
 import pytest
 from drawn import artists
+from hunts import some
 
 import kempe
 from kempe import library
@@ -102,7 +103,7 @@ def test_a_row_for_each_joint_type():
 # ---- notebooks
 
 
-@pytest.mark.parametrize("name", ["two_link", "four_bar", "bennett", "seven_bodies_loop", "ball", "panda"])
+@pytest.mark.parametrize("name", some(["two_link", "four_bar", "bennett", "seven_bodies_loop", "ball", "panda"], 3))
 def test_a_system_in_a_notebook(name):
     system = kempe.load(name)
     page = system._repr_html_()
@@ -151,6 +152,7 @@ NOTEBOOK = {
 """Cells, and how many pictures each shows."""
 
 
+@pytest.mark.slow
 def test_cells_of_a_notebook_show_pictures():
     """Run by Jupyter's own client; texts are a screen at most."""
     nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")

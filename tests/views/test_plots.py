@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from drawn import artists
+from hunts import some
 
 import kempe
 from kempe import Mechanism, constraints, library
@@ -80,7 +81,7 @@ def parallelogram(n: int = 40) -> tuple[kempe.System, np.ndarray]:
 # ---- the plane
 
 
-@pytest.mark.parametrize("name", PLANAR)
+@pytest.mark.parametrize("name", some(PLANAR, 3))
 def test_a_circle_at_every_revolute_joint(name):
     system = kempe.load(name)
     found = artists(plots.plot(system))
@@ -100,7 +101,7 @@ def test_the_four_bar_stands_where_its_file_says():
     assert np.allclose(middle(found["frame:coupler_point"][0]), X[:2, 3], atol=1e-12)
 
 
-@pytest.mark.parametrize("name", PLANAR)
+@pytest.mark.parametrize("name", some(PLANAR, 3))
 def test_ground_symbols_at_ground_pivots_only(name):
     system = kempe.load(name)
     found = artists(plots.plot(system))
@@ -113,7 +114,7 @@ def test_ground_symbols_at_ground_pivots_only(name):
     assert len([g for g in found if g.startswith("hatch:")]) == len(drawn)
 
 
-@pytest.mark.parametrize("name", PLANAR)
+@pytest.mark.parametrize("name", some(PLANAR, 3))
 def test_links_cover_their_joints_and_frames(name):
     """The outline of a link is its convex hull widened by the half-width of a bar: it holds every point of it."""
     system = kempe.load(name)
@@ -264,7 +265,7 @@ def test_curves_are_fk_over_the_path():
     assert "curve:rocker" in named and "curve:P" not in named
 
 
-@pytest.mark.parametrize("name", [*PLANAR, *SPATIAL])
+@pytest.mark.parametrize("name", some([*PLANAR, *SPATIAL], 4))
 def test_marked_frames_show_their_axes(name):
     """The axes of every body and frame, in the plane and in space, lie where `fk` says; others are not marked."""
     system = kempe.load(name)
@@ -399,7 +400,7 @@ def test_a_symbol_at_every_joint_along_its_axis(name):
             assert along.max() == pytest.approx(1.7 * r) and across.max() <= 1.03 * r
 
 
-@pytest.mark.parametrize("name", SPATIAL)
+@pytest.mark.parametrize("name", some(SPATIAL, 3))
 def test_all_solids_are_in_the_picture_with_equal_scales(name):
     system = kempe.load(name)
     q = start(system)
@@ -617,6 +618,7 @@ def run(code: str) -> str:
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
 
 
+@pytest.mark.slow
 def test_no_global_state_is_touched():
     code = (
         "import sys, matplotlib\nbefore = matplotlib.rcParams.copy()\nimport kempe\n"

@@ -6,6 +6,7 @@ mechanisms with closed loops from the literature.
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 
 from kempe.errors import UnknownNameError
@@ -13,6 +14,7 @@ from kempe.errors import UnknownNameError
 FOLDER = Path(__file__).parent
 
 
+@functools.cache
 def names() -> tuple[str, ...]:
     """Names of the models, in the order of the alphabet."""
     return tuple(sorted(path.stem for path in FOLDER.glob("*.toml")))

@@ -13,6 +13,7 @@ import time
 
 import numpy as np
 import pytest
+from hunts import some
 
 import kempe
 from kempe import Budget, Status, spatial
@@ -85,7 +86,7 @@ def same(a, b):
 FILES = ["rows.npy", "rows.csv", "rows.zarr", "named.csv", "named.parquet", "named.zarr"]
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", some(FILES, 3))
 def test_configurations_in_all_formats(tmp_path, q, name):
     columns = list(PUMA.coordinate_names) if name.startswith("named") else None
     answer = kempe.map_file(PUMA, "fk", written(tmp_path, name, q, columns), tmp_path / "out.zarr", "tool")
@@ -94,9 +95,9 @@ def test_configurations_in_all_formats(tmp_path, q, name):
     assert answer.outcomes == {"SOLVED": N - 2, "BAD_INPUT": 2} and answer.code is Status.PARTLY
 
 
-@pytest.mark.parametrize(("form", "name"), [
+@pytest.mark.parametrize(("form", "name"), some([
     ("matrix", "pose"), ("3x4", "pose"), ("position", "position"), ("position_quat_wxyz", "position_quat_wxyz"),
-])  # fmt: skip
+], 3))  # fmt: skip
 @pytest.mark.parametrize("frame", ["tool", None])
 def test_forms(tmp_path, q, form, name, frame):
     options = {"form": form, "dtype": "float32"}
@@ -160,7 +161,7 @@ def test_ik_is_the_plain_verb(tmp_path):
     assert np.array_equal(found["position_error"], plain.position_error, equal_nan=True)
 
 
-@pytest.mark.parametrize("options", [{}, {"limits": True}])
+@pytest.mark.parametrize("options", some([{}, {"limits": True}], 2))
 @pytest.mark.parametrize("name", ["puma560", "panda"])
 def test_ik_all_is_the_plain_verb(tmp_path, name, options):
     system = kempe.load(name)
@@ -310,7 +311,7 @@ def flip(file):
     file.write_bytes(data)
 
 
-@pytest.mark.parametrize("how", ["changed", "gone", "cut"])
+@pytest.mark.parametrize("how", some(["changed", "gone", "cut"], 3))
 @pytest.mark.parametrize("finished", [True, False])
 def test_damaged_chunks_are_found_and_made_again(tmp_path, whole, how, finished):
     path = tmp_path / "out.zarr"
@@ -393,7 +394,8 @@ kempe.map_file(kempe.load("puma560"), "ik", {file!r}, {path!r}, "tool", budget=k
 """
 
 
-@pytest.mark.parametrize("ending", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGINT])
 def test_a_process_that_is_ended_at_any_moment(tmp_path, ending):
     X = PUMA.fk(PUMA.random(0, 20_000), "tool")
     file, path = written(tmp_path, "x.npy", X), tmp_path / "out.zarr"
@@ -417,10 +419,10 @@ def test_a_process_that_is_ended_at_any_moment(tmp_path, ending):
 # ---- something else, and what is wrong
 
 
-@pytest.mark.parametrize(("words", "more"), [
+@pytest.mark.parametrize(("words", "more"), some([
     ("system", {"system": kempe.load("panda")}), ("verb", {"verb": "ik_all"}), ("frame", {"frame": "wrist_3"}),
     ("options", {"options": {"task": "position"}}), ("degrees", {"degrees": True}), ("rng", {"budget": Budget(rng=3)}),
-], ids=lambda x: x if isinstance(x, str) else "")  # fmt: skip
+], 3), ids=lambda x: x if isinstance(x, str) else "")  # fmt: skip
 @pytest.mark.parametrize("finished", [True, False])
 def test_maps_of_something_else_are_refused(tmp_path, whole, words, more, finished):
     path = tmp_path / "out.zarr"
@@ -567,6 +569,7 @@ def test_blocks_that_are_too_large_are_refused(tmp_path, q, monkeypatch):
 # ---- on a cluster
 
 
+@pytest.mark.slow
 def test_workers_of_a_cluster_answer_the_same(tmp_path, whole):
     distributed = pytest.importorskip("distributed", reason="distributed is not installed (extra scale)")
     path = tmp_path / "out.zarr"

@@ -17,18 +17,6 @@ def two_bars(a, b, limits=None):
     return m.build()
 
 
-def bars(*lengths):
-    """A planar arm of bars of these lengths, without limits."""
-    m = Mechanism("bars", dim=2)
-    parent, at = m.ground, 0.0
-    for k, length in enumerate(lengths):
-        body = m.body(f"b{k}")
-        m.revolute(f"q{k}", parent, body, at=(at, 0))
-        parent, at = body, length
-    m.frame("tip", parent, (at, 0))
-    return m.build()
-
-
 def scara(a, b, height):
     """Two bars that turn about z, and a slide along it: the tip covers an annulus times the stroke."""
     m = Mechanism("scara")

@@ -93,6 +93,7 @@ def test_limits_turn_trees_aside_or_exclude():
     assert beyond.code is Status.OUTSIDE_LIMITS and "q0 is outside the limits of 'A'" in beyond.status
 
 
+@pytest.mark.slow
 def test_cranks_and_rods_with_the_spin_left_out():
     system = kempe.load("rssr")
     found = system.configuration_space.components()

@@ -62,12 +62,14 @@ def kill(cluster, rng):
     return None
 
 
+@pytest.mark.slow
 def test_a_cluster_makes_the_same_map(cluster):
     n = 40 * 500_000 + 17
     workspace = made(n, client=cluster[1])
     assert workspace.samples == n and sample_parts.checksum_of(workspace.map.counts) == checksum(n)
 
 
+@pytest.mark.slow
 def test_with_loops_too(cluster, monkeypatch):
     monkeypatch.setattr(recipe, "SLOW_PART", 1500)
     bar = kempe.load("five_bar")
@@ -75,6 +77,7 @@ def test_with_loops_too(cluster, monkeypatch):
     assert np.array_equal(one.map.counts, many.map.counts) and one.left_out == many.left_out
 
 
+@pytest.mark.slow
 def test_a_killed_worker_and_a_late_one(cluster, tmp_path):
     n, rng, path = 80 * 500_000, np.random.default_rng(1), tmp_path / "map.zarr"
     local, client = cluster
@@ -94,6 +97,7 @@ def test_a_killed_worker_and_a_late_one(cluster, tmp_path):
     assert sample_parts.checksum_of(kempe.open_workspace(path).map.counts) == checksum(n)
 
 
+@pytest.mark.slow
 def test_a_task_that_fails_once(cluster):
     local, client = cluster
 
@@ -120,6 +124,7 @@ def test_a_task_that_fails_once(cluster):
     )
 
 
+@pytest.mark.slow
 def test_a_task_that_always_fails_says_why_and_loses_nothing(cluster, tmp_path, monkeypatch):
     said = recipe.Recipe.__reduce__
     path = tmp_path / "map.zarr"
@@ -130,11 +135,13 @@ def test_a_task_that_always_fails_says_why_and_loses_nothing(cluster, tmp_path, 
     assert made(10**6, path=path, budget=Budget(rng=5)).samples == 10**6
 
 
+@pytest.mark.slow
 def test_the_time_limit_gives_tasks_up(cluster):
     workspace = made(3 * 10**8, client=cluster[1], budget=Budget(time_limit=1.5, rng=6))
     assert workspace.late and workspace.map.counts.sum() == workspace.samples < 3 * 10**8
 
 
+@pytest.mark.slow
 def test_schedulers_that_are_not_there(monkeypatch):
     from kempe.analysis.maps import cluster
 

@@ -99,6 +99,7 @@ def grid(system, workspace, n=90):
     return points.reshape(-1, 2), (x[1] - x[0]) ** 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joints", [
     (("R", 0.0, (-2.0, 2.0)), ("R", 0.5, (-1.5, 2.2)), ("R", 0.4, (-0.5, 2.5))),
     (("R", 0.0, (-0.6, 0.6)), ("R", 0.7, (0.5, 2.4)), ("R", 0.5, (-2.0, -1.0))),

@@ -18,6 +18,7 @@ def test_singularities_as_text_and_json():
     assert text.code == 0 and "q2 = 0 or 3.142" in text.out and "0.1745 away" in text.out
 
 
+@pytest.mark.slow
 def test_singularities_of_loops():
     data = Result("singularities", "four_bar", "--frame", "rocker", "--inputs", "A", "--json").json()
     assert [(s["kinds"], len(s["q"])) for s in data["sets"]] == [(["type 1"], 4)]
@@ -71,6 +72,7 @@ def test_what_is_reached_is_drawn(tmp_path):
     assert refused.code == 2 and "pictures are .png, .svg or .pdf files" in refused.err
 
 
+@pytest.mark.slow
 def test_the_time_limit_of_the_commands(tmp_path):
     path = tmp_path / "weld.npy"
     np.save(path, kempe.load("ur5").fk(kempe.load("ur5").random(0, 30_000), "tool"))

@@ -95,6 +95,7 @@ def test_a_walk_on_a_sphere_is_uniform():
         assert fits(sample.q[:, k], np.linspace(-1.0, 1.0, 11), np.ones(10))
 
 
+@pytest.mark.slow
 def test_a_walk_on_a_torus_has_more_outside_than_inside():
     """Its area by the angle v around the tube goes as R + r cos v (Diaconis, Holmes, Shahshahani, 2013)."""
     R, r = 1.0, 0.6
@@ -174,6 +175,7 @@ def test_structures_and_short_times():
     assert calls == [(0, 9)]
 
 
+@pytest.mark.slow
 def test_the_same_number_draws_the_same_sample():
     for name in ("puma560", "four_bar", "five_bar"):
         space = kempe.load(name).configuration_space

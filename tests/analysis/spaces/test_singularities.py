@@ -152,6 +152,7 @@ def lines_of(arm, q):
     return B, C - B
 
 
+@pytest.mark.slow
 def test_legs_of_a_planar_robot_meet_or_are_parallel_where_it_gains_a_motion(three_rrr):
     """Gosselin, Angeles 1990; Bonev, Zlatanov, Gosselin 2003: the lines of the three distal links are dependent."""
     arm, found = three_rrr
@@ -232,6 +233,7 @@ def test_a_hexapod_is_singular_with_its_platform_turned_by_90_degrees():
                                           found.gained[0, 3:]])).max() < 1e-6  # fmt: skip
 
 
+@pytest.mark.slow
 def test_legs_of_a_hexapod_are_dependent_where_it_gains_a_motion():
     """Merlet, "Singular configurations of parallel manipulators and Grassmann geometry", 1989."""
     arm = kempe.load("stewart")

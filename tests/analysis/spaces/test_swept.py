@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from branch_grid import counted_on_a_grid, crank_and_dyads, limited
+from hunts import some
 from polygons import polygon
 
 import kempe
@@ -101,7 +102,7 @@ def test_small_gaps_are_gaps(hunt):
     assert proven > 4
 
 
-@pytest.mark.parametrize("name", ["parallelogram", "antiparallelogram", "kite", "slider_crank_equal"])
+@pytest.mark.parametrize("name", some(["parallelogram", "antiparallelogram", "kite", "slider_crank_equal"], 3))
 def test_branches_that_touch_are_one_component(name):
     """Change points, to rounding: one component, whose crossings are flat."""
     system = kempe.load(name)
@@ -113,12 +114,13 @@ def test_branches_that_touch_are_one_component(name):
     assert (answer.count, answer.complete, len(answer.singular)) == (1, True, 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "count"),
-    [
+    some([
         ("andrews_squeezer", 4), ("klann", 3), ("stephenson_six_bar", 4), ("watt_six_bar", 2), ("slider_crank", 2),
         ("four_bar_spatial", 2),
-    ],
+    ], 4),
 )  # fmt: skip
 def test_all_coordinates_say_the_same(name, count):
     """Counts over different coordinates share no function; those curves that are traced are as many."""

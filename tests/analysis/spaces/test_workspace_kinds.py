@@ -54,6 +54,7 @@ def turn(x):
 # ---- against closed forms
 
 
+@pytest.mark.slow
 def test_a_hexapod_in_one_orientation():
     """Each leg leaves a spherical shell: Gosselin, "Determination of the workspace of 6-DOF parallel manipulators",
     J. Mechanical Design 112 (1990)."""  # fmt: skip
@@ -92,6 +93,7 @@ def dexterous(points):
     return (far + H <= A + B) & (np.abs(far - H) >= A - B)
 
 
+@pytest.mark.slow
 def test_a_planar_arm_in_all_orientations():
     w = three_bars().workspace("tool", kind="dexterous", cells=40)
     ring = math.pi * ((A + B - H) ** 2 - (A - B + H) ** 2)
@@ -103,6 +105,7 @@ def test_a_planar_arm_in_all_orientations():
     assert "in all 180 orientations" in w.status
 
 
+@pytest.mark.slow
 def test_an_arm_with_a_spherical_wrist_turns_everywhere_inside_its_shell():
     """Wrist centres fill a spherical shell; the tool, beside it by H, is dexterous inside a thinner one."""
     m = Mechanism("arm")
