@@ -132,6 +132,11 @@ def test_wrong_usage(arguments):
     assert data.code == 2 and (data.json()["error"] or "").strip() and data.err == ""
 
 
+def test_wrong_options_name_the_help_of_their_command():
+    assert "(see 'kempe joints --help')" in Result("joints", "--plot").err
+    assert "(see 'kempe fk --help')" in Result("fk", "x", "--fly").err
+
+
 def test_no_traceback_and_no_heavy_imports(arm):
     code = (
         "import sys, kempe.cli\n"

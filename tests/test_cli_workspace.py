@@ -70,7 +70,7 @@ def test_the_time_limit_is_an_exit_code(tmp_path):
     (("workspace", "joint_prismatic", "--frame", "body"), "no limits"),
     (("workspace", "two_link", "--frame", "e", "--box", "1,2,3"), "--box"),
     (("workspace", "two_link", "--frame", "e", "--cells", "x"), "--cells"),
-    (("workspace", "two_link", "--frame", "e", "--plot", "map.txt"), "a picture ends with"),
+    (("workspace", "two_link", "--frame", "e", "--plot", "map.txt"), "pictures are .png, .svg or .pdf files"),
     (("query", "nowhere.zarr", "1,2"), "no such map"),
     (("workspace", "two_link", "--frame", "e", "--kind", "some"), "no kind 'some'; there are: 'reachable'"),
     (("workspace", "two_link", "--frame", "e", "--kind", "orientation"), "needs at"),

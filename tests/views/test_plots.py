@@ -823,3 +823,19 @@ def test_options_are_written_out():
 def test_a_system_that_cannot_move_is_drawn():
     rigid = kempe.load("joint_fixed")
     assert rigid.plot(rigid.mid, labels=()).figure is not None
+
+
+def test_curves_of_coordinates_differ_without_colours():
+    """Of a path each curve has a mark of its own, at points that are spread, as in the legend."""
+    ax = kempe.load("four_bar").trace("A").plot_curve()
+    lines = [line for line in ax.get_lines() if str(line.get_gid()).startswith("coordinate:")]
+    assert len({line.get_marker() for line in lines}) == len(lines) == 4
+    assert len({line.get_markevery()[0] for line in lines}) == 4
+
+
+def test_no_pose_lies_under_the_legend():
+    """The legend of reached poses stands beside the axes."""
+    arm = kempe.load("two_link")
+    ax = arm.reach.poses(np.array([[0.5, 0.3], [0.9, 0.9]]), "e", task="position").plot()
+    ax.figure.canvas.draw()
+    assert ax.get_legend().get_window_extent().x0 >= ax.get_window_extent().x1

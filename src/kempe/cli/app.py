@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -105,7 +106,10 @@ Hold = Annotated[
 ]
 PICTURES = (".png", ".svg", ".pdf")
 Picture = Annotated[Path | None, option("--plot", "Draw a .png, .svg or .pdf file (needs matplotlib).", "FILE")]
-Film = Annotated[Path | None, option("--gif,--html,--mp4", "Write the motion as a .gif, .html or .mp4 file.", "FILE")]
+Film = Annotated[Path | None, option("--gif,--mp4", "Write the motion as a .gif or .mp4 file.", "FILE")]
+Page = Annotated[
+    Path | None, option("--html", "Write a page in which it can be turned, and moves, without network.", "FILE")
+]
 
 
 # ---- what all commands share
@@ -191,14 +195,23 @@ def say_written(out: Path, json: bool) -> None:
     print_json({"written": str(out)}) if json else print(f"written to {out}")
 
 
-def picture(path: Path | None) -> None:
-    """Refuse a picture that cannot be written, before any work."""
-    if path is None:
-        return
-    if path.suffix.lower() not in PICTURES:
-        raise InputError(f"{path}: pictures are .png, .svg or .pdf files")
-    writable(path)
-    import kempe.views.drawing  # noqa: F401  it refuses where matplotlib is missing
+def drawable(plot: Path | None, film: Path | None = None, page: Path | None = None) -> None:
+    """Refuse a picture, a moving one, or a page that cannot be written, before any work. Errors: `InputError`, ..."""
+    if plot is not None:
+        if plot.suffix.lower() not in PICTURES:
+            raise InputError(f"{plot}: pictures are .png, .svg or .pdf files")
+        writable(plot)
+        import kempe.views.drawing  # noqa: F401  it refuses where matplotlib is missing
+    if film is not None:
+        from kempe.views.films import film_file
+
+        film_file(film)
+        writable(film)
+    if page is not None:
+        from kempe.views.viewer.pages import page_file
+
+        page_file(page)
+        writable(page)
 
 
 def save_picture(axes: Any, path: Path) -> None:
@@ -206,26 +219,41 @@ def save_picture(axes: Any, path: Path) -> None:
     axes.figure.savefig(path, dpi=200, bbox_inches="tight")
 
 
-def film(path: Path | None) -> None:
-    """Refuse a moving picture that cannot be written, before any work."""
-    if path is None:
-        return
-    from kempe.views.films import film_file
+def drawn(
+    system: System, found: Any, plot: Path | None, film: Path | None = None, page: Path | None = None,
+    *, draw: Callable[[], Any] | None = None, **options: Any,
+) -> list[Path]:  # fmt: skip
+    """Draw configurations, or an answer with them, into the files that are given; those written.
 
-    film_file(path)
-    writable(path)
-
-
-def drawn(answer: Any, plot: Path | None, film: Path | None = None, **options: Any) -> list[Path]:
-    """Draw an answer, and its configurations as a moving picture, where there are files for these; those written."""
-    files = [path for path in (plot, film) if path is not None]
-    if not np.isfinite(answer.q).any():
-        for path in files:
-            remark(f"{path} is not written: there is no configuration to draw")
+    None is the configuration that is drawn by default. A film needs several of them. `draw` gives the axes of a picture
+    that is another one than that of `System.plot`.
+    """
+    files = {path for path in (plot, film, page) if path is not None}
+    if not files:
         return []
-    if plot is not None:
-        axes = answer.plot(**options)
-        save_picture(axes[0] if isinstance(axes, tuple) else axes, plot)
-    if film is not None:
-        answer.animate(film, frames=options.get("frames", ()))
-    return files
+    if found is None:
+        from kempe.views.plots import configuration_of
+
+        found = configuration_of(system, None)
+    rows = np.reshape(getattr(found, "q", found), (-1, system.nq))
+    finite = int(np.isfinite(rows).all(axis=1).sum())
+    left = files if not finite else {path for path in files if path == film and finite < 2}
+    for path in left:
+        why = "one configuration does not move" if finite else "there is no configuration to draw"
+        remark(f"{path} is not written: {why}")
+    files -= left
+    if plot is not None and plot in files:
+        axes = system.plot(found, **options) if draw is None else draw()
+        save_picture(np.ravel(np.array(axes, dtype=object))[0], plot)
+    way = found if np.ndim(getattr(found, "q", found)) == 2 else rows
+    if film is not None and film in files:
+        system.animate(way, film, frames=options.get("frames", ()))
+    if page is not None and page in files:
+        system.save_html(page, path=way)
+    return [path for path in (plot, film, page) if path is not None and path in files]
+
+
+def say_drawn(files: list[Path]) -> None:
+    """Say beside the answer which files were written."""
+    for path in files:
+        remark(f"written to {path}")

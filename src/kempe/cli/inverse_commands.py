@@ -24,6 +24,7 @@ from kempe.cli.app import (
     Json,
     Lenient,
     Out,
+    Page,
     PathTargets,
     PathTolerance,
     Picture,
@@ -39,11 +40,10 @@ from kempe.cli.app import (
     Tolerance,
     Xacro,
     app,
+    drawable,
     drawn,
-    film,
     load,
     option,
-    picture,
     results,
     say_written,
 )
@@ -66,7 +66,7 @@ def ik(
     position_only: PositionOnly = False, seed: Seed = None,
     rng: Rng = None, tolerance: Tolerance = None, all: All = False, task: Task = None, axis: Axis = None,
     hold: Hold = None, prefer: Prefer = None, deg: Deg = False, out: Out = None, plot: Picture = None,
-    json: Json = False,
+    gif: Film = None, html: Page = None, json: Json = False,
     base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
     lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
@@ -88,14 +88,18 @@ def ik(
     from kempe.views import rows
 
     results(out)
-    picture(plot)
+    drawable(plot, gif, html)
+
+    def draw(answer: Any) -> list[Path]:
+        return drawn(system, answer, plot, gif, html)
+
     if frame is None or target is None:
         read = _read_tasks(system, tasks, deg)
         start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
         _answer(system, read.count, TASK_SLICE, lambda i, j: system.ik(
             read.tasks(i, j), start=_part(start, i, j), tolerance=rows.tolerance(tolerance or "1e-6"), prefer=prefer,
             budget=Budget(rng=rng),
-        ), deg, out, plot, json)  # fmt: skip
+        ), deg, out, draw, json)  # fmt: skip
         return
     system.structure.frame_name(frame)  # a wrong name is reported before kernels are compiled
     X, position = rows.target(system, target, deg)
@@ -103,12 +107,12 @@ def ik(
     position = position or position_only
     task = _task(task, position)
     if all:
-        _all(system, X, frame, task, axis, hold, start, tolerance, deg, out, plot, json)
+        _all(system, X, frame, task, axis, hold, start, tolerance, deg, out, draw, json)
         return
     wanted: dict[str, Any] = {"tolerance": rows.tolerance(tolerance or "1e-6"), "budget": Budget(rng=rng),
                               "task": task_argument(task, axis)}  # fmt: skip
     _answer(system, len(X) if X.ndim > 2 else None, SLICE, lambda i, j: system.ik(
-        X[i:j] if X.ndim > 2 else X, frame, start=_part(start, i, j), **wanted), deg, out, plot, json)  # fmt: skip
+        X[i:j] if X.ndim > 2 else X, frame, start=_part(start, i, j), **wanted), deg, out, draw, json)  # fmt: skip
 
 
 def _one_way(tasks: Path | None, single: dict[str, Any], more: dict[str, Any]) -> None:
@@ -137,7 +141,7 @@ def _part(seed: Any, i: int, j: int | None) -> Any:
 
 def _answer(
     system: System, count: int | None, size: int, solve: Callable[[int, int | None], Any], deg: bool, out: Path | None,
-    plot: Path | None, json: bool,
+    draw: Callable[[Any], list[Path]], json: bool,
 ) -> None:  # fmt: skip
     """Solve, for one target or `count` of them, and print or write the answer."""
     from kempe.views import facts, report, rows, slices
@@ -149,7 +153,7 @@ def _answer(
             answer = slices.in_slices(system, count, size, solve, said)
     if out is not None:
         rows.write_configurations(out, system, answer.q, deg)
-    pictures = drawn(answer, plot)
+    pictures = draw(answer)
     if json:
         print_json(facts.answer_facts(answer, deg))
     else:
@@ -175,7 +179,7 @@ def path(
     restart: Annotated[bool, option("--restart", "Where it must jump, go on instead of stopping.")] = False,
     branches: Annotated[bool, option("--branches", "Try several starts; the best path is the answer.")] = False,
     rng: Rng = None, tolerance: PathTolerance = None, time_limit: TimeLimit = None, deg: Deg = False, out: Out = None,
-    plot: Picture = None, gif: Film = None,
+    plot: Picture = None, gif: Film = None, html: Page = None,
     json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
     lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
@@ -190,8 +194,7 @@ def path(
     from kempe.views import facts, ik_report, rows, slices
 
     results(out)
-    picture(plot)
-    film(gif)
+    drawable(plot, gif, html)
     start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
     wanted: Any
     if frame is None or target is None:
@@ -212,7 +215,7 @@ def path(
                                 budget=Budget(rng=rng, time_limit=time_limit, progress=said))  # fmt: skip
     if out is not None:
         rows.write_configurations(out, system, answer.q, deg)
-    pictures = drawn(answer, plot, gif, frames=[] if frame is None else [frame])
+    pictures = drawn(system, answer, plot, gif, html, frames=[] if frame is None else [frame])
     if json:
         written = ([] if out is None else [out]) + pictures
         print_json({**facts.answer_facts(answer, deg), "written": [str(path) for path in written]})
@@ -234,7 +237,7 @@ def _task(task: str | None, position: bool) -> str | None:
 
 def _all(
     system: System, X: Any, frame: str, task: str | None, axis: str | None, hold: list[str] | None, near: Any,
-    tolerance: str | None, deg: bool, out: Path | None, plot: Path | None, json: bool,
+    tolerance: str | None, deg: bool, out: Path | None, draw: Callable[[Any], list[Path]], json: bool,
 ) -> None:  # fmt: skip
     """Print, write or draw all solutions."""
     from kempe.solvers.modes.modes import Modes
@@ -242,7 +245,7 @@ def _all(
 
     answer = system.ik_all(X, frame, near, task=task_argument(task, axis), fixed=_held(system, hold, deg),
                            tolerance=None if tolerance is None else ik_report.tolerance(tolerance))  # fmt: skip
-    pictures = drawn(answer, plot)
+    pictures = draw(answer)
     if isinstance(answer, Modes):
         _modes(answer, deg, out, pictures, json)
         return

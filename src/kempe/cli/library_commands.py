@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from kempe.cli.app import MODELS, Json, Picture, app, option, picture, save_picture, say_written
+from kempe.cli.app import MODELS, Json, Picture, app, drawable, option, save_picture, say_written
 from kempe.views.terminal import guarded, print_json, show
 
 
@@ -44,7 +44,7 @@ def joints(plot: Picture = None, json: Json = False) -> None:
     """
     from kempe.views import overviews, report
 
-    picture(plot)
+    drawable(plot)
     found = overviews.joint_rows()
     if plot is not None:
         save_picture(overviews.plot_joints()[0], plot)
@@ -78,7 +78,7 @@ def tour(
     found = lecture.chosen(number)
     if pictures is not None:
         pictures.mkdir(parents=True, exist_ok=True)
-        picture(pictures / "01.png")
+        drawable(pictures / "01.png")
     if json:
         parts = [
             {"section": x.number, "title": x.title, "parts": [{k: v} for k, v in lecture.walk(x, pictures)]}

@@ -23,20 +23,21 @@ from kempe.cli.app import (
     Json,
     Lenient,
     Out,
+    Page,
     Picture,
     Posture,
     Root,
     TimeLimit,
     Xacro,
     app,
+    drawable,
     drawn,
-    film,
     load,
     option,
-    picture,
     remark,
     results,
     save_picture,
+    say_drawn,
     say_written,
     written_to,
 )
@@ -85,8 +86,8 @@ def dof(
         str | None, option("--actuated", "Driven joints: do they control it? Default: as FILE says.", "A,B,...")
     ] = None,
     fast: Annotated[bool, option("--fast", "Counting and rank only, not the true local dimension.")] = False,
-    deg: Deg = False, json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None,
-    xacro: Xacro = False,
+    plot: Picture = None, html: Page = None, deg: Deg = False, json: Json = False,
+    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
     lenient_limits: Lenient = False, tolerance: Tolerance = None,
 ) -> None:  # fmt: skip
     """Count the degrees of freedom: by formula, by rank and truly.
@@ -100,11 +101,13 @@ def dof(
     driven = None if actuated is None else [a.strip() for a in actuated.split(",") if a.strip()]
     if driven == []:
         raise InputError(f"--actuated names no joint; there are: {', '.join(system.joint_names)}")
+    drawable(plot, None, html)
     at, closing = given.configuration(system, q, posture, deg)
     if closing is not None and not closing:
         _open(closing, deg, json)
     answer = system.mobility(at, driven, local=not fast)
     print_json(loop_report.report_facts(system, answer, deg)) if json else show(loop_report.mobility(answer))
+    say_drawn(drawn(system, answer.q, plot, None, html, motion=True))
     if not answer.closed:
         raise typer.Exit(INCOMPLETE)
 
@@ -139,8 +142,9 @@ def _under(system: System, equations: list[str]) -> System:
 def classify(
     file: File, q: At = None, posture: Posture = None,
     project: Annotated[bool, option("--project", "Where q is not closed, take the nearest that is.")] = False,
-    deg: Deg = False, json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None,
-    xacro: Xacro = False, lenient_limits: Lenient = False, tolerance: Tolerance = None,
+    plot: Picture = None, html: Page = None, deg: Deg = False, json: Json = False,
+    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    lenient_limits: Lenient = False, tolerance: Tolerance = None,
 ) -> None:  # fmt: skip
     """Say which kind each constraint is, and how far motions reach.
 
@@ -150,11 +154,13 @@ def classify(
     from kempe.views import loop_report
     from kempe.views.input import given
 
+    drawable(plot, None, html)
     at, closing = given.configuration(system, q, posture, deg)
     if closing is not None and not closing:
         _open(closing, deg, json)
     answer = system.classify(at, project=project)
     print_json(loop_report.report_facts(system, answer, deg)) if json else show(loop_report.classify(answer))
+    say_drawn(drawn(system, answer.q, plot, None, html, motion=True))
 
 
 @app.command(rich_help_panel=CLOSED)
@@ -167,9 +173,10 @@ def assemble(
     modes: Annotated[bool, option("--modes", "All assembly modes, not only the one near the start.")] = False,
     nearest: Annotated[bool, option("--nearest", "Where freedoms are left: the nearest to the start.")] = False,
     continuous: Annotated[bool, option("--continuous", "Rows of a file: each starts where the last two lead.")] = False,
-    no_limits: NoLimits = False, time_limit: TimeLimit = None, plot: Picture = None, out: Out = None,
-    deg: Deg = False, json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None,
-    xacro: Xacro = False, lenient_limits: Lenient = False, tolerance: Tolerance = None,
+    no_limits: NoLimits = False, time_limit: TimeLimit = None, plot: Picture = None, gif: Film = None,
+    html: Page = None, out: Out = None, deg: Deg = False, json: Json = False,
+    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    lenient_limits: Lenient = False, tolerance: Tolerance = None,
 ) -> None:  # fmt: skip
     """Close all loops: known coordinates in, all others out; with --where, under further equations.
 
@@ -184,7 +191,7 @@ def assemble(
     from kempe.views.input import given
 
     results(out)
-    picture(plot)
+    drawable(plot, gif, html)
     values = given.known(system, known or [], deg)
     start = given.start(system, near, deg)
     answer: Any
@@ -199,7 +206,7 @@ def assemble(
         )  # fmt: skip
         if plot is not None and np.ndim(answer.success):
             raise InputError(f"{plot}: one configuration is drawn, and the file of known values has several")
-    written = drawn(answer, plot, side_by_side=modes and 1 < len(answer) <= BESIDE)
+    written = drawn(system, answer, plot, gif, html, side_by_side=modes and 1 < len(answer) <= BESIDE)
     if out is not None and (answer or np.any(getattr(answer, "success", False))):
         from kempe.views import rows
 
@@ -231,7 +238,7 @@ def trace(
         int | None, option("--points", "Write this many points, at equal distances of arc length.", "N")
     ] = None,
     no_limits: NoLimits = False, time_limit: TimeLimit = None, out: Out = None, plot: Picture = None,
-    gif: Film = None, deg: Deg = False, json: Json = False, base: Base = None, root: Root = None,
+    gif: Film = None, html: Page = None, deg: Deg = False, json: Json = False, base: Base = None, root: Root = None,
     package_dir: Dirs = None, xacro: Xacro = False, lenient_limits: Lenient = False, tolerance: Tolerance = None,
 ) -> None:  # fmt: skip
     """Follow a mechanism with one freedom through its whole motion.
@@ -248,8 +255,7 @@ def trace(
     from kempe.views.input import given
 
     results(out)
-    picture(plot)
-    film(gif)
+    drawable(plot, gif, html)
     names = [system.structure.frame_name(f) for f in frame or ()]
     held = given.known(system, hold or [], deg, frames=False)
     begin, closing = given.first(system, start, held, deg)
@@ -267,10 +273,7 @@ def trace(
     if out is not None and (path or path.interrupted or path.late):
         loop_report.write_path(out, shown, deg, branches)
         written.append(out)
-    if plot is not None:
-        save_picture(_drawing(system, shown, names), plot)
-        written.append(plot)
-    written += drawn(shown, None, gif, frames=names)
+    written += drawn(system, shown, plot, gif, html, draw=lambda: _drawing(system, shown, names), frames=names)
     if json:
         _say(loop_report.path_facts(shown, deg), None, written)
     else:
@@ -309,7 +312,7 @@ def plot(
     from kempe.views.input import given
 
     names = [system.structure.frame_name(f) for f in frame or ()]
-    picture(out)
+    drawable(out)
     at, closing = (None, None) if tree else given.configuration(system, q, posture, deg)
     save_picture(system.plot_tree() if tree else system.plot(
         at, frames=names, labels=True if labels is None else "all" if labels == "all" else labels.split(","),

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 
 from kempe.budget import Budget
@@ -17,8 +18,11 @@ from kempe.cli.app import (
     Deg,
     Dirs,
     File,
+    Film,
     Json,
     Lenient,
+    Out,
+    Page,
     Picture,
     PositionOnly,
     Rng,
@@ -26,11 +30,13 @@ from kempe.cli.app import (
     TimeLimit,
     Xacro,
     app,
+    drawable,
+    drawn,
     load,
     option,
-    picture,
-    remark,
+    results,
     save_picture,
+    say_drawn,
 )
 from kempe.errors import InputError
 from kempe.views.terminal import guarded, leave, print_json, show
@@ -63,31 +69,37 @@ NoLimits = Annotated[bool, option("--no-limits", "Leave joint limits out.")]
 def singularities(
     file: File, frame: Frame = None, task: FrameTask = None, inputs: Inputs = None, at: From = None,
     starts: Starts = None, rng: Rng = None, time_limit: TimeLimit = None, no_limits: NoLimits = False,
-    plot: Picture = None, deg: Deg = False, json: Json = False, base: Base = None, root: Root = None,
-    package_dir: Dirs = None, xacro: Xacro = False, lenient_limits: Lenient = False,
+    out: Out = None, plot: Picture = None, gif: Film = None, html: Page = None, deg: Deg = False, json: Json = False,
+    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
+    lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Find the singular configurations of a frame, or of closed loops, and how far the nearest is.
 
-    With --plot some are drawn, with the directions that the frame loses and gains there, and planar curves of them.
+    --plot draws some, with the directions that the frame loses and gains there, and planar curves of them; --gif and
+    --html show one of each set; -o writes all.
 
     Example: kempe singularities puma560 --frame tool --at q5=0.2
     """
     system = load(file, base, root, package_dir, xacro, lenient_limits)
+    from kempe.views import rows
     from kempe.views.input import given
 
+    results(out)
+    drawable(plot, gif, html)
     driving = None if inputs is None else [name.strip() for name in inputs.split(",") if name.strip()]
     if driving == []:
         raise InputError(f"--inputs names no joint; there are: {', '.join(system.joint_names)}")
-    picture(plot)
     q, closing = given.configuration(system, ",".join(at), None, deg) if at else (None, None)
     if closing is not None and not closing:
         raise InputError(f"--at cannot be closed: {closing.status}")
     with _paced(starts, rng, time_limit, "starts") as budget:
         answer = system.singularities(frame, task, inputs=driving, limits=not no_limits, budget=budget)
     nearest = None if q is None else answer.nearest(q)
-    if plot is not None and answer.sets:
-        save_picture(answer.plot()[0], plot)
-        remark(f"written to {plot}")
+    if out is not None:
+        rows.write_configurations(out, system, np.reshape([q for s in answer.sets for q in s.q], (-1, system.nq)), deg)
+    each = np.reshape([s.q[0] for s in answer.sets], (-1, system.nq))
+    drawing = drawn(system, each, plot, gif, html, draw=answer.plot)
+    say_drawn([out, *drawing] if out is not None else drawing)
     if json:
         print_json(answer.data() | ({} if nearest is None else {"nearest": nearest.data()}))
     else:
@@ -99,9 +111,9 @@ def singularities(
 @guarded
 def reach(
     file: File, poses: Poses, frame: Reaching, position_only: PositionOnly = False, starts: Starts = None,
-    rng: Rng = None, time_limit: TimeLimit = None, plot: Picture = None, deg: Deg = False, json: Json = False,
-    base: Base = None, root: Root = None, package_dir: Dirs = None, xacro: Xacro = False,
-    lenient_limits: Lenient = False,
+    rng: Rng = None, time_limit: TimeLimit = None, out: Out = None, plot: Picture = None, gif: Film = None,
+    html: Page = None, deg: Deg = False, json: Json = False, base: Base = None, root: Root = None,
+    package_dir: Dirs = None, xacro: Xacro = False, lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Say which of a list of poses are reached, how well, and what blocks the others.
 
@@ -110,10 +122,16 @@ def reach(
     system = load(file, base, root, package_dir, xacro, lenient_limits)
     X, position = _poses(system, poses, frame, deg)
     task = "position" if position or position_only else None
-    picture(plot)
+    results(out)
+    drawable(plot, gif, html)
     with _paced(starts, rng, time_limit, "poses") as budget:
         answer = system.reach.poses(X, frame, task=task, budget=budget)
-    _say(answer, plot, json)
+    if out is not None:
+        from kempe.views import rows
+
+        rows.write_configurations(out, system, answer.q, deg)
+    drawing = drawn(system, answer.q[answer.reached], None, gif, html)
+    _say(answer, plot, json, drawing if out is None else [out, *drawing])
 
 
 @app.command(rich_help_panel=OPEN)
@@ -132,18 +150,19 @@ def place(
     X, position = _poses(system, poses, frame, deg)
     task = "position" if position or position_only else None
     ranges = _box(box, deg)
-    picture(plot)
+    drawable(plot)
     with _paced(starts, rng, time_limit, "poses") as budget:
         answer = system.reach.place(X, frame, ranges, cells, task=task, budget=budget)
-    _say(answer, plot, json)
+    _say(answer, plot, json, [])
 
 
-def _say(answer: ReachStudy | BasePlacement, plot: Path | None, json: bool) -> None:
-    """Draw an answer, print it, and leave with its exit code."""
+def _say(answer: ReachStudy | BasePlacement, plot: Path | None, json: bool, written: list[Path]) -> None:
+    """Print an answer, draw it, and leave with its exit code."""
+    print_json(answer.data()) if json else show(str(answer))
+    say_drawn(written)
     if plot is not None:
         save_picture(answer.plot(), plot)
-        remark(f"written to {plot}")
-    print_json(answer.data()) if json else show(str(answer))
+        say_drawn([plot])
     leave(answer)
 
 

@@ -21,9 +21,9 @@ from kempe.cli.app import (
     TimeLimit,
     Xacro,
     app,
+    drawable,
     load,
     option,
-    picture,
     results,
     save_picture,
     say_written,
@@ -60,7 +60,7 @@ def spaces(
         raise InputError("--position-only is about the task space of a frame: --frame names it")
     system = load(file, base, root, package_dir, xacro, lenient_limits)
     results(out)
-    picture(plot)
+    drawable(plot)
     space, budget = system.configuration_space, Budget(time_limit=time_limit)
     found: dict[str, Any] = {"configuration_space": space, "components": space.components(budget=budget)}
     if frame is not None:

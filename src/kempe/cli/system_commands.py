@@ -14,24 +14,27 @@ from kempe.cli.app import (
     Deg,
     Dirs,
     File,
+    Film,
     FrameOrAll,
     InPlace,
     Json,
     Lenient,
     Out,
+    Page,
     Picture,
     Posture,
     Root,
     Values,
     Xacro,
     app,
+    drawable,
+    drawn,
     load,
     option,
-    picture,
     reading,
     remark,
     results,
-    save_picture,
+    say_drawn,
     say_written,
     written_to,
 )
@@ -46,23 +49,25 @@ from kempe.views.terminal import COMPLETE, INCOMPLETE, guarded, print_json, show
 def info(
     file: File,
     tree: Annotated[bool, option("--tree", "Only the tree of bodies and joints, and what closes loops.")] = False,
-    deg: Deg = False, json: Json = False, base: Base = None, root: Root = None,
-    package_dir: Dirs = None, xacro: Xacro = False,
-    lenient_limits: Lenient = False,
+    plot: Picture = None, html: Page = None, deg: Deg = False, json: Json = False, base: Base = None,
+    root: Root = None, package_dir: Dirs = None, xacro: Xacro = False, lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
-    """Say what a system is: bodies, joints, loops, limits, frames.
+    """Say what a system is: bodies, joints, loops, limits, frames; or draw it, or its tree.
 
     Example: kempe info panda.urdf
     """
     system = load(file, base, root, package_dir, xacro, lenient_limits)
     from kempe.views import facts, report
 
+    drawable(plot, None, html)
     if json:
         print_json(facts.system_facts(system, deg))
     elif tree:
         show(report.tree(system))
     else:
         show(report.info(system, deg))
+    if plot is not None or html is not None:
+        say_drawn(drawn(system, None, plot, None, html, draw=system.plot_tree if tree else None))
 
 
 @app.command(rich_help_panel=DESCRIBE)
@@ -136,8 +141,8 @@ def convert(
 def fk(
     file: File,
     frame: FrameOrAll = None, q: Values = None, posture: Posture = None, deg: Deg = False, out: Out = None,
-    plot: Picture = None, json: Json = False, base: Base = None, root: Root = None, package_dir: Dirs = None,
-    xacro: Xacro = False, lenient_limits: Lenient = False,
+    plot: Picture = None, gif: Film = None, html: Page = None, json: Json = False, base: Base = None,
+    root: Root = None, package_dir: Dirs = None, xacro: Xacro = False, lenient_limits: Lenient = False,
 ) -> None:  # fmt: skip
     """Say where a frame is, or all bodies are (forward model).
 
@@ -149,12 +154,10 @@ def fk(
     if frame is not None:
         system.structure.frame_name(frame)  # a wrong name is reported before kernels are compiled
     results(out)
-    picture(plot)
+    drawable(plot, gif, html)
     values = rows.configuration(system, q, posture, deg)
     X = system.fk(values, frame)
-    if plot is not None:
-        save_picture(system.plot(values, frames=[] if frame is None else [frame]), plot)
-        remark(f"written to {plot}")
+    say_drawn(drawn(system, values, plot, gif, html, frames=[] if frame is None else [frame]))
     if out is not None:
         rows.write_poses(out, X, frame is None, deg)
         say_written(out, json)

@@ -65,9 +65,9 @@ def view(
 
 @app.command(rich_help_panel=MODELS)
 @guarded
-def demo(port: Port = None, no_browser: NoBrowser = False, json: Json = False) -> None:
+def demo(html: Html = None, port: Port = None, no_browser: NoBrowser = False, json: Json = False) -> None:
     """Show a shipped arm in the browser.
 
     Example: kempe demo
     """
-    view(DEMO, port=port, no_browser=no_browser, json=json)
+    view(DEMO, html=html, port=port, no_browser=no_browser, json=json)

@@ -17,31 +17,22 @@ from kempe.cli.app import (
     File,
     Json,
     Lenient,
+    Picture,
     Root,
     Scheduler,
     Threads,
     TimeLimit,
     Xacro,
     app,
+    drawable,
     load,
     option,
-    writable,
+    save_picture,
 )
 from kempe.errors import InputError
 from kempe.views.facts import DEGREE
 from kempe.views.terminal import guarded, leave, print_json, show
 from kempe.words import counted
-
-PICTURES = (".png", ".svg", ".pdf")
-
-
-def _picture(path: Path | None) -> None:
-    """Refuse a picture that cannot be written, before any work. Errors: `InputError`, `MissingExtraError`."""
-    if path is not None:
-        if path.suffix.lower() not in PICTURES:
-            raise InputError(f"{path}: a picture ends with {', '.join(PICTURES)}")
-        writable(path)
-        import kempe.views.workspace_plot  # noqa: F401, without matplotlib it ends here
 
 
 def _numbers(text: str, what: str) -> list[float]:
@@ -79,7 +70,7 @@ def workspace(
     ] = None,
     at: Annotated[str | None, option("--at", "The place x,y[,z] at which orientations are wanted.", "POINT")] = None,
     out: Annotated[Path | None, option("-o,--out", "The map to write or to go on with (Zarr).", "MAP")] = None,
-    plot: Annotated[Path | None, option("--plot", "Draw a .png, .svg or .pdf file (needs matplotlib).", "FILE")] = None,
+    plot: Picture = None,
     scheduler: Scheduler = None,
     rng: Annotated[int | None, option("--rng", "Number that fixes the samples (0).", "N")] = None,
     threads: Threads = None, time_limit: TimeLimit = None, deg: Deg = False, json: Json = False,
@@ -96,7 +87,7 @@ def workspace(
     from kempe.budget import Budget
     from kempe.views import slices
 
-    _picture(plot)
+    drawable(plot)
     along: Any = None if cells is None else [int(x) if x == int(x) else x for x in _numbers(cells, "--cells")]
     ends = None if box is None else _numbers(box, "--box")
     if ends is not None and len(ends) % 2:
@@ -110,8 +101,7 @@ def workspace(
             budget=Budget(rng=rng, threads=threads, time_limit=time_limit, progress=said),
         )  # fmt: skip
     if plot is not None:
-        axes = answer.plot()
-        np.ravel(axes)[0].figure.savefig(plot, dpi=150, bbox_inches="tight")
+        save_picture(np.ravel(answer.plot())[0], plot)
     written = [str(p) for p in (out, plot) if p is not None and p.exists()]
     if json:
         print_json({**answer.data(), "written": written})

@@ -34,6 +34,8 @@ MOST = 32
 """Configurations that one picture shows at most."""
 ALONG = {"arc length": "s", "time [s]": "t"}
 """What coordinates are drawn over, and the attribute of a path that has it."""
+MARKERS = "os^Dv<>ph*"
+"""Marks by which curves differ without colours."""
 FEW, TURN, SLIDE = 3, 0.35, 0.08
 """Coordinates up to which neighbours are drawn; how far away: in radians, and in parts of the size of the drawing."""
 
@@ -175,6 +177,7 @@ def plot_path(
     for k, name in enumerate(chosen):
         i = known.index(name)
         how: dict[str, Any] = {"color": style.link_colour(k + 1), "lw": 1.7, "ls": "--" if unit[name] == "m" else "-"}
+        how |= {"marker": MARKERS[k % len(MARKERS)], "ms": 5, "mfc": "white", "markevery": _apart(len(s), k)}
         ax.plot(s, q[:, i], gid=f"coordinate:{name}", label=name, **how)
     index = [known.index(n) for n in chosen]
     for kind, colour, line in (("turning", style.GROUND, ":"), ("singular", style.OPEN, "-")):
@@ -190,6 +193,12 @@ def plot_path(
     ax.set_xlabel(over, size=style.FONT, color=style.INK)
     ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=style.FONT - 1, frameon=False)
     return ax
+
+
+def _apart(count: int, k: int) -> tuple[int, int]:
+    """The first of `count` points that is marked on curve k, and how many lie between two marks."""
+    every = max(1, count // 8)
+    return (k * every // len(MARKERS)) % max(count, 1), every
 
 
 def configuration_of(system: System, q: Any, way: Array | None = None) -> Array:

@@ -31,7 +31,8 @@ class Commands(TyperGroup):
             code = super().main(args, *rest, standalone_mode=False, **extra)
         except UsageError as error:
             context = getattr(error, "ctx", None)
-            path = " ".join(["kempe", *(context.command_path.split()[1:] if context else ())])
+            words = context.command_path.split()[1:] if context else [arg for arg in args[:1] if arg in self.commands]
+            path = " ".join(["kempe", *words])
             message = getattr(error, "format_message", error.__str__)()
             say_error(f"{message} (see '{path} --help')", "--json" in args)
             code = REFUSED

@@ -156,7 +156,7 @@ def plot_reach(study: ReachStudy, ax: Axes | None = None) -> Axes:
             line[0].set_gid(f"poses:{name}")
     _show_all(drawn, points[np.isfinite(points).all(axis=1), :dim])
     if len(points):
-        drawn.legend(loc="upper right")
+        drawn.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0), frameon=False)
     return drawn
 
 

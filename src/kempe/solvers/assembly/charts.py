@@ -136,7 +136,8 @@ class Chart(Report):
     def _rows(self, names: Iterable[str] | None = None) -> list[int]:
         """Velocity indices of the independent coordinates, or of others."""
         names, own = self.independent if names is None else tuple(names), self.system.structure.velocity_names
-        return [own.index(n) if n in own else _numbers(self.system)[n] for n in names]
+        exponential = {} if {*names} <= {*own} else _numbers(self.system)
+        return [own.index(n) if n in own else exponential[n] for n in names]
 
     def _rates(self, q: Array, names: tuple[str, ...]) -> Array:
         """Rates (len(names), nv) of some independent coordinates by the velocities, in units, at q (nq,)."""
@@ -183,7 +184,8 @@ class Chart(Report):
             return _quality(N, self._rows())
         q = as_q(self.system, q)
         way = self.system.structure.layout.difference(self.origin, q)
-        own = {int(i) for i in self.system.structure.layout.quaternion_v if {i, i + 1, i + 2} & {*self._rows()}}
+        rows = {*self._rows()}
+        own = {i for i in self.system.structure.layout.quaternion_v.tolist() if {i, i + 1, i + 2} & rows}
         if any(np.linalg.norm(way[i : i + 3]) > FARTHEST for i in own):
             return 0.0
         rates = self._rates(q, self.independent) * scale / scale[self._rows(), None]

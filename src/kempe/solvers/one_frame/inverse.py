@@ -77,9 +77,11 @@ def ik(
     each 32 starts: an answer that it ended says so, and is the only one that depends on the machine.
 
     The answer says by `success` and `status` whether it was reached and if not, why; ``answer.expect()`` raises
-    `NoSolutionError` then. A NaN in a single target is an `InputError`, in a batch it gives a NaN row. A frame that
-    moves with closed loops, or with relations of several coordinates, is a case for `reach`, which holds these, and so
-    is what one would `prefer` of many configurations, as there: the answer then is `Reached`.
+    `NoSolutionError` then. Not reached, its `q` is the nearest found: least is the square of the miss, of the position
+    in characteristic lengths of the system, of the rotation in radians. A NaN in a single target is an `InputError`, in
+    a batch it gives a NaN row. A frame that moves with closed loops, or with relations of several coordinates, is a
+    case for `reach`, which holds these, and so is what one would `prefer` of many configurations, as there: the answer
+    then is `Reached`.
 
     `method`: "numeric" (the default), damped least squares with an active set of limits and restarts (Sugihara, 2011;
     Chan and Lawrence, 1988); "analytic", of all solutions that `ik_all` finds the one nearest to `start`; "auto", that

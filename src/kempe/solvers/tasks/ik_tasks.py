@@ -211,7 +211,8 @@ def reach(problem: Problem) -> Reached:
     machine.
 
     A success is checked by the forward model: hard tasks, limits and loops. Else the answer says what fails and why,
-    and ``answer.expect()`` raises `NoSolutionError`. Method: damped least squares with an active set of limits and
+    and ``answer.expect()`` raises `NoSolutionError`; its `q` is the nearest found, by the sum of squares of what tasks
+    miss, in characteristic lengths and radians. Method: damped least squares with an active set of limits and
     restarts (Levenberg, 1944; Sugihara, 2011), then the lower levels in the null space of the higher ones (Siciliano
     and Slotine, 1991). Errors: `InputError`, `UnknownNameError`.
     """

@@ -34,6 +34,12 @@ HOST = "127.0.0.1"
 """Pages are for this machine only."""
 PORT = 8080
 """The first port that is tried; of those that follow, the first that is free is taken."""
+PANEL = 324
+"""Pixels that the panel takes beside the picture when a page is opened."""
+SHEET = 576
+"""Pixels below which a page is so narrow that viser lays the panel over the picture, from below, as on phones."""
+COVERED = 0.6
+"""Part of the height that it covers there at most."""
 
 
 def show(
@@ -100,9 +106,11 @@ class Viewer:
     def _connected(self, client: Any) -> None:
         session = self.session if self.share else copy.copy(self.session)
         session.lock = self.session.lock if self.share else threading.RLock()
-        camera = client.camera
-        if camera.image_width < camera.image_height:
-            self.drawn.look_from(camera, camera.image_width / camera.image_height)
+        wide, high = client.camera.image_width, client.camera.image_height
+        below = COVERED if wide < SHEET else 0.0
+        aspect = (wide if below else wide - PANEL) / high
+        if below or aspect < 1.0:
+            self.drawn.look_from(client.camera, aspect, below)
         self.pages[client.client_id] = Page(self, client, session, self.drawn)
 
     def _gone(self, client: Any) -> None:

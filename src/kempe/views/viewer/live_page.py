@@ -219,7 +219,8 @@ class Page:
             disable_rotations=flat or session.task == "position", depth_test=False, wxyz=quat, position=place,
         )  # fmt: skip
         colour = np.round(255 * np.array(rgb(style.OPEN))).astype(np.uint8)
-        self.miss = self.client.scene.add_line_segments("/missed", np.zeros((1, 2, 3)), colour, line_width=3.0)
+        self.miss = self.client.scene.add_line_segments(
+            "/missed", np.zeros((1, 2, 3)), colour, thickness=3.0, thickness_units="screen")  # fmt: skip
 
         @self.gizmo.on_update
         async def _(event: Any) -> None:

@@ -32,6 +32,16 @@ def save_html(system: System, file: Any, q: Any = None, *, path: Any = None, sec
     has them as `.q`, played over and over in `seconds`. Sliders and targets need the live page: `System.show`. Errors:
     `InputError` for shapes, an ending that is not .html, and a folder that does not exist.
     """
+    out = page_file(file)
+    seconds = float(reals(seconds, "seconds"))
+    if not 0.0 < seconds <= 600.0:
+        raise InputError(f"seconds is {seconds:g}; it must be more than 0, and 600 at most")
+    session = Session(system, q, None, path)
+    out.write_text(_page(session, seconds), encoding="utf-8")
+
+
+def page_file(file: Any) -> Path:
+    """The path of a page. Errors: `InputError` for other endings and folders that do not exist."""
     if not isinstance(file, (str, Path)):
         raise InputError(f"file is {shown(file)}; it must be the name of a file")
     out = Path(file)
@@ -39,11 +49,7 @@ def save_html(system: System, file: Any, q: Any = None, *, path: Any = None, sec
         raise InputError(f"{out}: a page ends in .html")
     if not out.parent.is_dir():
         raise InputError(f"{out}: there is no folder {str(out.parent)!r}")
-    seconds = float(reals(seconds, "seconds"))
-    if not 0.0 < seconds <= 600.0:
-        raise InputError(f"seconds is {seconds:g}; it must be more than 0, and 600 at most")
-    session = Session(system, q, None, path)
-    out.write_text(_page(session, seconds), encoding="utf-8")
+    return out
 
 
 def _page(session: Session, seconds: float) -> str:

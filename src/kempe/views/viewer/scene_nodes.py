@@ -30,6 +30,8 @@ OPENING = {2: np.deg2rad(12.0), 3: np.deg2rad(75.0)}
 """Angle of the camera: what is planar is seen nearly without perspective, so that its layers lie on one another."""
 ROOM = {2: 1.15, 3: 1.53}
 """Height of the picture where the camera looks at, in diagonals of the drawing, in the plane and in space."""
+UPWARDS, ASIDE = np.array([0.0, 0.0, 1.0]), np.array([0.6, -0.85, 0.4])
+"""From where planar and spatial systems are looked at."""
 SOFT = np.cos(np.deg2rad(35.0))
 """Cosine of the angle up to which neighbouring triangles are shaded as one round surface."""
 
@@ -87,15 +89,21 @@ class Drawn:
                                                                         process=False))  # fmt: skip
         return tuple((k, trimesh.util.concatenate(meshes)) for k, meshes in by.items())
 
-    def look_from(self, camera: Any, aspect: float = 1.0) -> None:
-        """Place a camera, or the one that pages begin with; `aspect` is the width of the picture by its height."""
-        away = np.array([0.0, 0.0, 1.0]) if self.system.dim == 2 else np.array([0.6, -0.85, 0.4])
+    def look_from(self, camera: Any, aspect: float = 1.0, below: float = 0.0) -> None:
+        """Place a camera, or the one that pages begin with.
+
+        `aspect` is the width of the picture by its height; of the latter the part `below` is covered.
+        """
+        flat = self.system.dim == 2
+        away, upright = (UPWARDS, np.array([0.0, 1.0, 0.0])) if flat else (ASIDE, UPWARDS)
         opening = OPENING[self.system.dim]
-        high = ROOM[self.system.dim] * max(self.rigid.size, 1e-9) / min(max(aspect, 0.1), 1.0)
+        high = ROOM[self.system.dim] * max(self.rigid.size, 1e-9) / min(max(aspect, 0.1), 1.0 - below)
         far = 0.5 * high / np.tan(0.5 * opening)
+        up = upright - away * float(upright @ away) / float(away @ away)
+        at = self.rigid.middle - 0.5 * below * high * float(np.linalg.norm(away) / np.linalg.norm(up)) * up
         camera.fov = opening
-        camera.position = tuple(self.rigid.middle + far * away)
-        camera.look_at = tuple(self.rigid.middle)
+        camera.position = tuple(at + far * away)
+        camera.look_at = tuple(at)
 
 
 def _mesh(part: RigidPart) -> Any:

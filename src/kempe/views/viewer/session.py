@@ -236,8 +236,11 @@ class Session:
             q = self._modes() if kind == "mode" else self._others()
             self.solutions = self._apart(q.reshape(-1, self.system.nq))[:GHOSTS]
             n, where = len(self.solutions), "" if kind == "mode" else f" with {self.frame} here"
-            none = f"no other {KINDS[kind]} was found{where}" + ", but it moves on with it at rest" * self.spare()
-            self.status = f"{n} other {KINDS[kind]}{'s' * (n > 1)}{where}: click on one" if n else none
+            if n:
+                self.status = f"{n} other {KINDS[kind]}{'s' * (n > 1)}{where}: click on one"
+            else:
+                moves = ", but it moves on with it at rest" * self.spare()
+                self.status = f"no other {KINDS[kind]} was found{where}{moves}"
         self.took = time.perf_counter() - begun
         return len(self.solutions)
 
