@@ -14,6 +14,7 @@ from scipy.optimize import minimize
 
 import kempe
 from kempe import Mechanism, System, spatial, tasks
+from kempe.model.tree.characteristic_length import characteristic_length
 from kempe.solvers.common.serial_chain import chain_of
 from kempe.solvers.velocity.servo import SLIDING, TURNING, speeds
 
@@ -105,9 +106,7 @@ def settles_at_a_minimum(s: System, rng: np.random.Generator) -> bool:
     if np.abs(np.diff(Q[-101:], axis=0)).max() > 0.02:
         return False  # on its way: turns of joints with a wide range take longer
     assert turns_back(Q, 0.01) == 0, (s.name, kind, damping)
-    from kempe.solvers.velocity.servo_pose import chain_length
-
-    scale = 1.0 / chain_length(chain_of(s, frame))
+    scale = 1.0 / characteristic_length(s)
 
     def missed(x):
         Y = s.fk(x, frame)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.joints import Fixed
+from kempe.model.kept import kept
 from kempe.model.tree.own_tree import own_tree
 from kempe.model.tree.primitive_table import Table
 from kempe.reals import median
@@ -24,6 +25,7 @@ FAR = 10.0
 """Characteristic lengths from the ground's origin to its joints beyond which loops are measured from there."""
 
 
+@kept
 def characteristic_length(system: System) -> float:
     """A typical length of a link in metres; 1 if all is 0.
 

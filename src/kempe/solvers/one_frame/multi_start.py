@@ -14,7 +14,6 @@ from kempe import spatial
 from kempe.kernels.base.search_layout import ANSWER, LINEAR, NOT_FOUND, SOLVED, STARTS, STATUS, STEPS
 from kempe.kernels.compiled import schedule
 from kempe.kernels.forward.table_layout import HAS_QUATERNION
-from kempe.model.kept import kept
 from kempe.model.tree.characteristic_length import characteristic_length
 from kempe.solvers.common.proofs import by_lengths
 from kempe.solvers.common.serial_chain import Chain
@@ -25,8 +24,6 @@ from kempe.status import Status
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-unit_of = kept(characteristic_length)
-"""In this length of a system lengths count beside angles where what is nearest is searched for, as for tasks."""
 MOST = 1000
 """Starts before a target is given up. Most succeed with the first; one in a hundred thousand needs more than 100."""
 GLANCE = 16
@@ -157,7 +154,7 @@ def go_on(task: FrameProblem, targets: Array, head: tuple[Any, ...], done: int, 
         _end(task, targets, left, out)
     nearest: Callable[..., int] = fallback.approach
     out[out[:, n + STATUS] == NOT_FOUND, n + LINEAR] = np.inf  # energies in another unit: descents begin there
-    missed = nearest(*head, 0, task.starts, task.iterations, *task.tolerance, unit_of(task.system), out)
+    missed = nearest(*head, 0, task.starts, task.iterations, *task.tolerance, characteristic_length(task.system), out)
     if missed and task.chain.span.wide and not task.chain.ints[HAS_QUATERNION]:
         from kempe.solvers.one_frame.sharpen import search_again
 

@@ -17,6 +17,7 @@ from kempe.kinematics.configuration import as_q
 from kempe.kinematics.forward import refuse_bad
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.kept import kept
+from kempe.model.tree.characteristic_length import characteristic_length
 from kempe.model.tree.own_tree import own_tree
 from kempe.reals import reals
 from kempe.rigid import arrays, sound
@@ -24,7 +25,7 @@ from kempe.solvers.common.answer import Answer
 from kempe.solvers.common.serial_chain import chain_of, obstacle
 from kempe.solvers.common.slip import rolls
 from kempe.solvers.velocity.least_squares import NEAR, damped, scaled
-from kempe.solvers.velocity.servo_pose import Approach, chain_length, error
+from kempe.solvers.velocity.servo_pose import Approach, error
 from kempe.spatial import Array
 from kempe.status import Status
 
@@ -103,7 +104,7 @@ class Servo:
         self.plain = len(limited) == len(self.v)
         self.ahead, self.behind = np.arange(2 * len(self.v)).reshape(2, -1)
         self.names = [system.structure.velocity_names[int(i)] for i in self.v]
-        length, slides = chain_length(chain), ~system.structure.coordinates.turning[self.v]
+        length, slides = characteristic_length(system), ~system.structure.coordinates.turning[self.v]
         slides[~np.isin(self.v, system.structure.layout.vector_v)] = False
         self.metric = np.array([1.0 / length] * 3 + [1.0] * 3)
         """What weighs the error of a pose as `ik` does."""

@@ -16,12 +16,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe import spatial
-from kempe.kernels.forward.table_layout import placements_of
 from kempe.solvers.velocity.least_squares import INWARD, scaled, wish
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.solvers.common.serial_chain import Chain
     from kempe.solvers.velocity.servo import Servo
 
 ENOUGH = 1e-26
@@ -46,12 +44,6 @@ NOISE = 1e-9
 """Part of the largest velocity up to which one is rounding."""
 TRIALS, HALVINGS = 16, 6
 """Steps tried in one cycle, each shorter than the one before; halvings of a step in a direction that is kept."""
-
-
-def chain_length(chain: Chain) -> float:
-    """Characteristic length of a chain, by which `ik` divides position errors: a third of the sum of link lengths."""
-    length = float(np.linalg.norm(placements_of(chain.ints, chain.floats)[1:, :, 3], axis=1).sum())
-    return length / 3.0 if length > 0.0 else 1.0
 
 
 def error(goal: Array, pose: Array) -> Array:
