@@ -165,7 +165,7 @@ def test_motions_through_singular_postures(case: Case):
 def projected(system: System, q: np.ndarray) -> np.ndarray:
     """A closed configuration next to an open one, by shortest Newton steps; many, since at shaky postures each step
     only halves the way, and does less at a cusp."""
-    for _ in range(50):
+    for _ in range(100):
         error = closure_rows.residual(system, q)
         if np.abs(error).max() < 1e-16:
             break

@@ -43,8 +43,8 @@ def test_links_of_four_bars_turn_about_known_points():
     motion = bar.loops.relative_motion(q, "coupler", "ground")
     v, w = motion.twists[:2, 0], motion.twists[5, 0]
     pole = pins["B"] + np.array([-v[1], v[0]]) / w
-    along = pins["B"] - pins["A"]
-    assert abs(np.cross(along, pole - pins["A"])) < 1e-9  # on the line of the crank
+    along, off = pins["B"] - pins["A"], pole - pins["A"]
+    assert abs(along[0] * off[1] - along[1] * off[0]) < 1e-9  # on the line of the crank
 
 
 def test_the_coupler_of_a_parallelogram_slides():
