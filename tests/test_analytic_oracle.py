@@ -80,6 +80,7 @@ def test_two_links_have_the_solutions_of_the_closed_form(name):
         assert max(m.apart(found, e).min() for e in expected) < 1e-9
 
 
+@pytest.mark.slow
 def test_three_links_have_the_solutions_of_the_closed_form():
     m = ARMS["planar3"].model
     for q in ARMS["planar3"].random(5, 5):

@@ -69,6 +69,7 @@ def test_targets_of_a_file(tmp_path, targets):
     assert len(out.read_text(encoding="utf-8").splitlines()) == 1 + 4096 and "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_a_path_of_targets(tmp_path):
     robot = kempe.load("panda")
     q = robot.q("ready") + 0.2 * np.linspace(0.0, 1.0, 40)[:, None]
@@ -81,6 +82,7 @@ def test_a_path_of_targets(tmp_path):
     assert done.returncode == 130 and "interrupted" in done.stdout and out.exists(), done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", some(["kempe.analysis.motion.motion.home", "kempe.analysis.motion.motion.extreme",
                                    "kempe.analysis.continuation.path.gauss_newton_of_many"], 3))  # fmt: skip
 def test_a_traced_motion(tmp_path, where):
@@ -205,6 +207,7 @@ def test_commands_refuse_a_fifo_at_once(tmp_path, words):
 # ---- xacro
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", ["time.sleep(600)", "9**9**9**9"])
 def test_an_expansion_ends_when_its_message_says(text, tmp_path, monkeypatch):
     """It waits for something else than the processor; and what asks for ever larger numbers."""

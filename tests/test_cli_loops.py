@@ -556,6 +556,7 @@ def test_an_interrupt_keeps_what_was_done(tmp_path):
 # ---- plot
 
 
+@pytest.mark.slow
 def test_plot(engine, tmp_path):
     pytest.importorskip("matplotlib")
     for name, first in (("x.png", b"\x89PNG"), ("x.svg", b"<?xml"), ("x.pdf", b"%PDF")):

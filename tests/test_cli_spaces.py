@@ -24,6 +24,7 @@ def test_json_holds_the_same():
     assert [list(x.values()) for x in data["sample"]["q"]] == q.tolist()
 
 
+@pytest.mark.slow
 def test_samples_and_pictures_are_written(tmp_path):
     pytest.importorskip("matplotlib")
     out, picture = tmp_path / "q.npy", tmp_path / "spaces.png"

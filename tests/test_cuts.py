@@ -64,6 +64,7 @@ def few(systems: tuple[System, ...]) -> Iterator[System]:
     yield from dict.fromkeys((systems[1], systems[-1]))
 
 
+@pytest.mark.slow
 def test_every_loop_can_be_cut_elsewhere():
     assert len(CLOSED) > 45
     for name in CLOSED:

@@ -355,6 +355,7 @@ def stephenson_six_bar(t: float) -> complex:
     return B + (C - B) / abs(C - B) * (0.2 + 0.15j)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name, frame, chain",
     [("watt_six_bar", "output", watt_six_bar), ("stephenson_six_bar", "coupler_point", stephenson_six_bar)],
@@ -395,6 +396,7 @@ def klann(t: float) -> complex:
     return knee + (hip - knee) * (0 - p35) / (p37 - p35)
 
 
+@pytest.mark.slow
 def test_klann_walks():
     """At a turn of 0 the foot is at the origin of the patent's table; half a turn later it has gone one unit."""
     angles = np.radians(np.arange(0, 361, 20))

@@ -26,19 +26,22 @@ def own(node: ast.AST) -> Iterator[ast.AST]:
             yield from own(child)
 
 
+def name_of(call: ast.Call) -> str:
+    """The function or method that is called."""
+    return call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
+
+
 def called(node: ast.AST) -> set[str]:
     """Names of functions and methods that are called anywhere in it."""
-    calls = (n.func for n in ast.walk(node) if isinstance(n, ast.Call))
-    return {f.attr if isinstance(f, ast.Attribute) else getattr(f, "id", "") for f in calls}
+    return {name_of(n) for n in ast.walk(node) if isinstance(n, ast.Call)}
 
 
 def is_assertion(node: ast.AST) -> bool:
     """An assert, an expected exception or warning, or a call of `numpy.testing` or of a mock."""
     if isinstance(node, ast.Raise):
         return "AssertionError" in ast.unparse(node)
-    return isinstance(node, ast.Assert) or (isinstance(node, ast.Call) and any(
-        name in ("raises", "warns", "fail") or name.startswith("assert_") for name in called(node)
-    ))  # fmt: skip
+    name = name_of(node) if isinstance(node, ast.Call) else ""
+    return isinstance(node, ast.Assert) or name in ("raises", "warns", "fail") or name.startswith("assert_")
 
 
 @cache

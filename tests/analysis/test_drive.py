@@ -52,6 +52,7 @@ def ladder_error(q):
 AT_CHANGE_POINTS = [(x, n) for x in (0.0, -math.pi / 2) for n in (5, 36, 360)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("first", "n"), some([*((0.8, n) for n in STEPS), *AT_CHANGE_POINTS], 8))
 def test_no_flip_through_change_points_at_any_number_of_steps(first, n):
     inputs = np.linspace(first, first + TURN, n + 1)

@@ -82,6 +82,7 @@ ENDLESS = {"rprp": lambda: rprp(0.3), "three slides": three_slides, "screws": sc
            "library screw": lambda: kempe.load("joint_helical")}  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", some(ENDLESS, 3))
 def test_what_runs_away_is_said_to(name):
     s = ENDLESS[name]()
@@ -92,6 +93,7 @@ def test_what_runs_away_is_said_to(name):
         assert np.abs(s.loops.closure_error(path.q)).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_a_limit_ends_what_would_run_away():
     m = Mechanism("slide", dim=2)
     m.prismatic("S", m.ground, m.body("a"), axis=(1, 0), limits=(-math.inf, 90.0))

@@ -301,6 +301,7 @@ def freedoms_of_bodies(m: Mechanism) -> int:
     return G.shape[1] - int(np.linalg.matrix_rank(G, tol=1e-9))
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(12), deadline=None)
 @given(st.integers(0, 10**6), st.integers(4, 8))
 def test_random_mechanisms_of_three_loops(seed, bars):
@@ -470,6 +471,7 @@ def test_a_platform_on_parallel_legs_of_one_length_translates():
     assert (m.gruebler, m.rank_dof, m.dof, m.local.branch_dims, m.local.doubts) == (0, 3, 2, (2,), ())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", some(range(3), 3))
 def test_branches_with_the_same_null_space_are_distinguished(seed):
     """Legs on a circle, straight up: it translates (2), or turns while it sinks (1); three null vectors along both."""

@@ -497,6 +497,7 @@ def test_the_rank_can_be_zero():
     assert decide(np.array([1e-2]), 1.0)[0] == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("off", some([1e-6, 1e-7, 1e-8], 3))
 def test_what_is_nearly_a_mechanism_is_none_for_certain_or_probably_one(off):
     """A Bennett linkage whose axes are off by this much is no mechanism, but nearly one."""

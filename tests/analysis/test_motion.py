@@ -92,6 +92,7 @@ def test_slider_crank_dead_centres():
     np.testing.assert_allclose(sorted(e.value for e in path.turning_points), ends, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_peaucellier_draws_a_straight_line():
     system = peaucellier()
     path = trace(system, "Q", np.zeros(system.nq))
@@ -292,6 +293,7 @@ def test_one_to_one_slider_crank_has_the_resting_slider_as_its_other_branch():
     assert [math.cos(e.q[0]) for e in moving.singular_points] == pytest.approx([0, 0], abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gap", some([1e-4, 1e-6, 1e-8, 1e-10], 4))
 def test_nearly_a_parallelogram_turns_the_corner(gap):
     """Branches that nearly meet do not cross: the coupler goes over from parallel to crossed and back."""

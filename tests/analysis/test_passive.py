@@ -197,6 +197,7 @@ def test_the_shipped_ones(name, idle):
 # ---- hunts
 
 
+@pytest.mark.slow
 def test_hunt_rods(hunt):
     """Random mechanisms of rods, legs, pistons and linkages: what spins idly is what was built to."""
     rng = hunt.rng()

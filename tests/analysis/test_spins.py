@@ -144,6 +144,7 @@ def test_hunt_many_things_that_spin(hunt):
         assert_spun_is_the_same(SPINNING[int(rng.integers(len(SPINNING)))], rng)
 
 
+@pytest.mark.slow
 def test_names_of_bodies_and_joints_do_not_matter(tmp_path):
     """The file's own names, and others in another order."""
     system = kempe.load("rssr")

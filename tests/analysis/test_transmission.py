@@ -82,6 +82,7 @@ def test_two_inputs_and_a_long_linkage_by_differences():
     np.testing.assert_allclose(J.matrix, differences(leg, x, ["O"], "F*"), atol=1e-5)  # lengths are about 50
 
 
+@pytest.mark.slow
 def test_space_and_quaternions_by_differences():
     m = Mechanism("RUSR")
     crank, rod, rocker = m.body("crank"), m.body("rod"), m.body("rocker")

@@ -97,6 +97,7 @@ def test_zero_on_the_curve_and_nowhere_steep(name, dim):
     np.testing.assert_allclose(products, np.broadcast_to(np.eye(dim - 1), products.shape), atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dim", some([2, 3], 2))
 @pytest.mark.parametrize("name", some(CURVES, 2))
 def test_gradients_by_differences_of_the_judge(name, dim, hunt):

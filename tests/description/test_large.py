@@ -88,6 +88,7 @@ def test_work_grows_as_the_number_of_bodies(way, shape):
     assert many < 2.1 * few + 100, (few, many)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["URDF", "TOML"])
 def test_a_body_takes_few_calls(way):
     """What a further body costs, far less than where each number goes the long way."""
@@ -101,6 +102,7 @@ def test_twenty_thousand_bodies(shape):
     is_where_its_joints_put_it(20_000, shape)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", some(SHAPES, 3))
 def test_two_thousand_bodies(shape):
     is_where_its_joints_put_it(2000, shape)

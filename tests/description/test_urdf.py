@@ -329,6 +329,7 @@ def test_other_files_are_named(tag, words):
         read_urdf(f"<{tag}/>")
 
 
+@pytest.mark.slow
 def test_long_names_and_values_do_not_flood_the_message():
     text = robot(joint("a", f'<origin xyz="{"9" * 5000}x"/>' + LIMIT), joint("b", child="h" * 5000))
     with pytest.raises(DescriptionError) as caught:

@@ -103,6 +103,7 @@ def test_an_edited_helper_is_compiled_anew_and_that_is_said_once(edited):
     assert printed(SLIDER, edited, KEMPE_QUIET="1") == "1.0"
 
 
+@pytest.mark.slow
 @native
 def test_an_edited_helper_is_an_error_where_it_cannot_be_compiled(edited):
     done = run(BLOCKED + SLIDER, edited)
@@ -420,6 +421,7 @@ busy.join(); print("done")
     assert done.stdout.strip() == "done", done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", some([1, 2], 3))
 def test_an_interrupt_ends_a_long_call(threads):
     """A call that takes a quarter of a minute, of the slowest kernel; the process says how far it was."""
@@ -458,6 +460,7 @@ print(compiled.bound.pose(fuse(ints, floats), np.zeros(1), np.empty((4, 4))))
 """A joint whose coordinate is entry `index` of a configuration with one entry."""
 
 
+@pytest.mark.slow
 @native
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no guards on Windows")
 def test_guards_end_a_process_that_reads_out_of_bounds():
@@ -488,6 +491,7 @@ print("done")
 """A kernel whose plan says that its scratch is smaller than what it writes there."""
 
 
+@pytest.mark.slow
 @native
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no guards on Windows")
 @pytest.mark.parametrize("size, less", [("BLOCKS", 1), ("ENVELOPE", 9)])

@@ -47,6 +47,7 @@ def emitted(folder, source: str) -> subprocess.CompletedProcess:
     return subprocess.run(command, env=env, capture_output=True, text=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", some(BAD, 3))
 def test_what_cannot_be_carried_is_refused(tmp_path, what):
     source, said = BAD[what]
@@ -55,6 +56,7 @@ def test_what_cannot_be_carried_is_refused(tmp_path, what):
     assert re.search(said, done.stderr), done.stderr
 
 
+@pytest.mark.slow
 def test_a_good_kernel_is_emitted_with_its_declaration(tmp_path):
     done = emitted(tmp_path, "@kernel(F('n'), OUT('n'))\ndef bad(x, y):\n    y[0] = 2.0 * x[0]\n    return 7\n")
     assert done.returncode == 0 and not done.stderr, done.stderr

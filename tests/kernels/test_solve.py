@@ -120,6 +120,7 @@ def descend_elsewhere(chain, target, mask, length, q0):
     return np.sqrt(2 * minimize(cost, q0[:nv], jac=True, method="L-BFGS-B", bounds=bounds, options=options).fun)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 6))])
 @pytest.mark.parametrize("mask", [POSITION, POSE])
 def test_nearest_is_a_local_minimum_of_the_distance(seed, mask):

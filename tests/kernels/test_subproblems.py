@@ -145,6 +145,7 @@ def test_cone_keeps_its_digits_where_wrists_are_singular(eps, about):
     assert sorted([math.atan2(s0, c0), math.atan2(s1, c1)]) == pytest.approx([-eps, eps], rel=1e-9, abs=3e-16)
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(60))
 @given(st.integers(0, 10**6))
 def test_a_rotation_is_three_turns_about_given_axes(seed):

@@ -430,6 +430,7 @@ def test_the_nearest_is_nearest():
     assert s.configuration_space.distance(near, answer.q) <= s.configuration_space.distance(near, around.q).min() + 1e-9
 
 
+@pytest.mark.slow
 def test_a_mechanism_far_from_the_origin():
     """1000 m away loops close, and are traced, as at the origin: no digits and no tolerance are lost."""
     m = Mechanism("far", ground="world")

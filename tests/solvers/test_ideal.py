@@ -60,6 +60,7 @@ def moves_like(system: System, given: System, digits: int, tolerance: float | st
     assert len(given.assembly_modes({driver: start + 0.1}, **more, budget=kempe.Budget(starts=64))) >= 1
 
 
+@pytest.mark.slow
 @CASES
 def test_rounded_to_six_digits_moves_as_if_exact(name, hunt):
     system, given, _ = of(name, 6, hunt)
@@ -143,6 +144,7 @@ def test_answers_say_the_same_after_pickling():
     assert pickle.loads(pickle.dumps(s))._ideal is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("off", some([1e-13, 1e-12, 1e-11, 1e-9], 2))
 def test_all_verbs_agree_where_lengths_are_off_by_rounding(off):
     m = kempe.load("bennett").mechanism
@@ -200,6 +202,7 @@ def test_what_is_open_by_more_has_no_freedoms(hunt):
     assert given.mobility(tolerance=1e-5).dof is None
 
 
+@pytest.mark.slow
 def test_a_tolerance_of_the_mechanism_holds_for_all_verbs_and_in_files(hunt, tmp_path):
     _, given, _ = of("bennett", 3, hunt)
     m = given.mechanism

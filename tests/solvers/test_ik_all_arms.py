@@ -337,6 +337,7 @@ def assert_families(arm, answer, X):
         assert arm.model.apart(arm.model.theta(family.q[1:]), arm.model.theta(family.q[:-1])).max() < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", some(["puma560", "irb6640", "ur10e", "hollow60", "stanford", "wrist3", "ball_wrist"], 3)
 )

@@ -58,6 +58,7 @@ def test_four_solutions_at_one_value_of_the_hidden_joint_are_distinguished(name,
     assert (answer.mask.sum(axis=1) == count).all() and answer.complete.all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["crx10ia", "hc10"])
 def test_points_of_a_curve_leave_room_for_the_isolated_solutions(name):
     """A self-motion gives any number of rows; the isolated solutions come first, or the answer is not complete."""

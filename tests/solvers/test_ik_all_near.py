@@ -26,6 +26,7 @@ def assert_all_found_near_singular(arm: arms.Arm, seed: int, number: int) -> Non
     assert_found(arm, answer, q, far, len(q))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "seed", "number"), some([("rail_xarm5", 3, 17), ("concurrent234", 3, 22), ("puma_1e-7", 12, 7)], 3)
 )

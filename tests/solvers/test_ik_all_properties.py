@@ -54,6 +54,7 @@ def test_six_turns_of_any_structure(rows_, seed):
     check(arm, seed)
 
 
+@pytest.mark.slow
 @given(rows_=st.integers(1, 3).flatmap(lambda k: tables(6, k)), seed=SEEDS)
 @settings(max_examples=examples(40))
 def test_six_joints_some_of_which_slide(rows_, seed):
@@ -83,6 +84,7 @@ def test_random_short_chains(n, seed, slides):
     check(arm, seed, 3)
 
 
+@pytest.mark.slow
 @given(rows_=tables(), seed=SEEDS)
 @settings(max_examples=examples(25))
 def test_degenerate_arms_are_answered_truly(rows_, seed):

@@ -69,6 +69,7 @@ def test_merged_roots_add_no_freedom():
     assert a.status == "no isolated solution, and a family with one freedom: j0 is free while j1 = 0 and j2 = 0"
 
 
+@pytest.mark.slow
 def test_freedoms_of_stretched_arms(hunt):
     """Random arms with the target on axis 1, stretched or with the elbow folded back: only turns about it are free."""
     rng = hunt.rng()
@@ -89,6 +90,7 @@ def test_freedoms_of_stretched_arms(hunt):
         assert np.abs(r.fk(f.q, "e")[:, :3, 3] - x).max() < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("length", "size"), [("d6", 1e6), ("d6", 1e8), ("d4", 1e4)])
 def test_one_long_link_makes_no_family(length, size):
     """Regular configurations of a robot stay isolated with one very long link."""
@@ -180,6 +182,7 @@ def test_shoulder_on_its_axis():
     assert min(f.distance(q) for f in families) < 1e-10
 
 
+@pytest.mark.slow
 def test_families_that_cross():
     """Shoulder and wrist singular at once: the arm turns about axis 1, and at one angle of it q4 is free too."""
     q = shoulder_singular(0.0)

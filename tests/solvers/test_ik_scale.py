@@ -76,6 +76,7 @@ def assert_solved_or_said(name, row, column, power, number, rng):
         assert "orders of magnitude" in text or "finer than rounding" in text, text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "row", "column", "power"), some([
     ("hc10", 4, 2, 6), ("ur5", 5, 2, 12), ("ur5", 3, 2, 6), ("iiwa14", 6, 2, 6),
 ], 3))  # fmt: skip

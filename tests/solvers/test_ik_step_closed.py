@@ -115,6 +115,7 @@ def test_limits_of_speed_and_position_are_those_of_a_general_optimiser():
     assert met > 5
 
 
+@pytest.mark.slow
 def test_a_path_against_a_limit_stays_inside_and_closed():
     s = leg(1.0)
     q = s.assemble({"motor": 0.5, "rail": 0.0}).q

@@ -131,6 +131,7 @@ def test_it_settles_at_a_minimum_of_the_error_often(robots, hunt):
     assert sum(settles_at_a_minimum(robots[str(rng.choice(HUNTED))], rng) for _ in range(cases)) > 0.5 * cases - 1
 
 
+@pytest.mark.slow
 def test_a_direction_that_is_kept_leads_to_the_border_and_no_farther():
     s, frame, q = kempe.load("panda"), TIPS["panda"], np.array(STARTS["panda"])
     X = s.fk(q, frame)
@@ -160,6 +161,7 @@ def test_singular_starts_are_left(target):
     assert not np.diff(Q[-100:], axis=0).any()
 
 
+@pytest.mark.slow
 def test_a_target_that_goes_out_of_reach_and_comes_back_is_tracked():
     s, frame, q = kempe.load("panda"), TIPS["panda"], np.array(STARTS["panda"])
     X, worst, fastest = s.fk(q, frame), 0.0, 0.0
@@ -245,6 +247,7 @@ def test_tasks_that_cannot_be_held_settle(name, k):
     assert not (np.diff(np.sign(v), axis=0) != 0.0).any(), np.abs(v).max()
 
 
+@pytest.mark.slow
 def test_one_task_settles_where_the_step_of_a_frame_does():
     s, frame, q = kempe.load("panda"), TIPS["panda"], np.array(STARTS["panda"])
     X = s.fk(q, frame)

@@ -368,6 +368,7 @@ def test_planar_arm_with_four_joints():
     assert ik_sweep(system, T, "tip").parameter in system.coordinate_names
 
 
+@pytest.mark.slow
 def test_position_with_four_joints_in_space():
     rows = [{"alpha": H, "d": 0.3}, {"a": 0.1, "alpha": -H}, {"a": 0.3, "alpha": H, "d": 0.2}, {"a": 0.25}]
     system = from_dh([{**r, "limits": (-2.6, 2.4)} for r in rows], "standard", "four").build()

@@ -63,6 +63,7 @@ def test_a_step_gives_the_twist_that_rolling_leaves():
     assert half.velocity == pytest.approx([0.5, 0, 0]) and half.fraction == pytest.approx(0.5)
 
 
+@pytest.mark.slow
 def test_cycles_lead_a_mobile_arm_to_its_target():
     """Without slip: the place of the axle is that of the unicycle with the speeds that it had."""
     system = with_arm()
@@ -131,6 +132,7 @@ def test_paths_that_roll_are_followed(hunt):
         assert motion, motion.status
 
 
+@pytest.mark.slow
 def test_paths_that_slip_are_refused_with_the_place(hunt):
     """They roll up to a sample, and slip from there on."""
     rng, system = hunt.rng(), wheels.knife()

@@ -44,6 +44,7 @@ def traced(curve, x, toward, longest, most=100_000, **more):
     return nodes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("a", some([1.0, 2.0, 5.0], 3))
 def test_the_circumference_of_an_ellipse(a):
     """Complete elliptic integral of the second kind; nodes on the curve, tangents by the derivative, bends bounded."""

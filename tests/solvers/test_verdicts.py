@@ -167,6 +167,7 @@ def test_reachable_targets_of_one_frame_are_never_said_to_be_blocked(kind, name,
     assert s.ik(X, frame).success.mean() >= 0.99
 
 
+@pytest.mark.slow
 def test_answers_do_not_depend_on_batch_or_threads():
     """Neither those of the first starts nor those that took thousands."""
     s = robot("centauro")

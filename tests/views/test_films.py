@@ -49,6 +49,7 @@ def test_a_page_with_a_player(tmp_path, turn):
     assert text.count("data:image/png;base64") == 3 and "http://" not in text.replace("http://www.w3.org", "")
 
 
+@pytest.mark.slow
 def test_a_motion_in_space_between_two_configurations(tmp_path):
     """Without loops it is interpolated."""
     path = ARM.animate(np.stack([ARM.mid, ARM.mid + 1.0]), tmp_path / "arm.gif", seconds=0.5, fps=8)
@@ -95,6 +96,7 @@ def test_commands_that_draw(tmp_path):
     assert refused.code == 2 and "moving pictures are .gif" in refused.err
 
 
+@pytest.mark.slow
 def test_the_tree_and_the_joints_as_text(tmp_path):
     out = Result("info", "seven_bodies_loop", "--tree").out
     assert "└─ J1 (revolute) ─ 1 B1" in out and "╌╌ J6 (prismatic) closes a loop: B0 ╌ B5" in out

@@ -400,6 +400,7 @@ def test_a_symbol_at_every_joint_along_its_axis(name):
             assert along.max() == pytest.approx(1.7 * r) and across.max() <= 1.03 * r
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", some(SPATIAL, 3))
 def test_all_solids_are_in_the_picture_with_equal_scales(name):
     system = kempe.load(name)
@@ -629,6 +630,7 @@ def test_no_global_state_is_touched():
     assert run(code) == "[] True"
 
 
+@pytest.mark.slow
 def test_figures_are_those_of_pyplot_where_it_is_in_use():
     code = (
         "import matplotlib\nmatplotlib.use('agg')\nimport matplotlib.pyplot as plt\nimport kempe\n"

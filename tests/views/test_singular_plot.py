@@ -31,6 +31,7 @@ def test_an_arm_has_lost_the_direction_of_its_links():
     assert len(axes) == 3 and radii == {0.9, 0.1}
 
 
+@pytest.mark.slow
 def test_a_platform_gains_a_turn_about_where_the_legs_meet():
     robot = kempe.load("three_rrr")
     found = robot.singularities("tool", budget=Budget(starts=24))

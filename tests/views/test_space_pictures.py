@@ -100,6 +100,7 @@ def test_limits_are_a_rectangle_and_its_image():
     assert np.hypot(x, y) == pytest.approx(np.sqrt(L1**2 + L2**2 + 2.0 * L1 * L2 * np.cos(2.5)))
 
 
+@pytest.mark.slow
 def test_what_cannot_be_drawn_is_said():
     with pytest.raises(UnsupportedError, match="two freedoms.*puma560 has 6 coordinates"):
         kempe.load("puma560").plot_spaces("tool")
@@ -146,6 +147,7 @@ def shades(ax):
     return middles, np.asarray(mesh.get_array()).reshape(middles.shape[:2])
 
 
+@pytest.mark.slow
 def test_ways_of_a_five_bar_are_those_of_its_legs(five):
     """Each leg reaches a place in two ways where the distance from its pivot is between b - a and a + b."""
     p, shown = shades(five[1])
@@ -220,6 +222,7 @@ def test_points_of_a_five_bar_have_four_solutions_or_a_distance(five):
     assert text.get_text() == f"{np.hypot(0.6, 0.3) - CRANK - ROD:.3g} m away"
 
 
+@pytest.mark.slow
 def test_limits_of_other_coordinates_are_lines():
     system = FIVE.with_limits({"A": (0.0, 2.8), "P": (0.3, 2.5)})
     left, right = system.plot_spaces("tip", resolution=80, grid=True)

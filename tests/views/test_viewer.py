@@ -70,6 +70,7 @@ def test_a_pin_is_drawn_where_its_joint_is():
             assert np.allclose(moved.max(axis=0), own.max(axis=0), atol=0.3 * here.r)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not DATA, reason="example-robot-data is not installed")
 def test_meshes_are_those_of_the_model_and_missing_ones_do_not_block():
     """With the folder of the package all are found; without it each is named, and links are drawn in their place."""

@@ -267,6 +267,7 @@ def test_one_thread_and_many_write_the_same(tmp_path, whole, threads):
     assert same(arrays(answer.path), whole[1])
 
 
+@pytest.mark.slow
 def test_a_map_is_what_the_verb_answers(tmp_path, hunt, monkeypatch):
     """Whatever the chunks, the threads and the interruptions."""
     rng = hunt.rng()

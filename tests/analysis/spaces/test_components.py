@@ -130,6 +130,7 @@ def rods_by_grid(system: kempe.System, rod: float, n: int = 720) -> int:
     return len(set(np.unique(glued(np.asarray(label(cells, np.ones((3, 3)))[0])))) - {0})
 
 
+@pytest.mark.slow
 def test_two_cranks_and_a_rod_are_counted_as_a_grid_counts_them(hunt):
     rng, seen = hunt.rng(), []
     for _ in range(hunt.cases(60)):
@@ -145,11 +146,13 @@ def test_two_cranks_and_a_rod_are_counted_as_a_grid_counts_them(hunt):
     assert set(seen) >= {0, 1, 2}
 
 
+@pytest.mark.slow
 def test_curves_of_cranks_and_a_rod_are_traced_with_the_spin_left_out():
     answer = kempe.load("rssr").configuration_space.components()
     assert (answer.count, answer.complete, answer.idle, len(answer.parts)) == (2, True, 1, 2)
 
 
+@pytest.mark.slow
 def test_without_a_proof_the_number_is_a_lower_bound():
     """Three parallel cranks: three curves were traced, which meet where all is flat, or are not known to be apart."""
     answer = kempe.load("double_parallelogram").configuration_space.components()

@@ -68,6 +68,7 @@ def test_a_rocker_passes_its_dead_points_to_the_other_assembly():
     assert connects(system, system.configuration_space.path(a, b), a, b)
 
 
+@pytest.mark.slow
 def test_bifurcations_are_crossed():
     system = kempe.load("parallelogram")
     a, b = system.assembly_modes({system.coordinate_names[0]: 0.7}).q
@@ -114,6 +115,7 @@ def test_two_curves_are_proven_to_be_apart(name):
     assert connects(system, system.configuration_space.path(a, c), a, c)
 
 
+@pytest.mark.slow
 def test_curves_without_a_proof_are_not_called_apart():
     system = kempe.load("schatz")
     a, b = (part.paths[0].q[0] for part in system.configuration_space.components().parts)

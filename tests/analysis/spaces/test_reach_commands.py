@@ -9,6 +9,7 @@ from command import Result
 import kempe
 
 
+@pytest.mark.slow
 def test_singularities_as_text_and_json():
     run = Result("singularities", "puma560", "--frame", "tool", "--at", "q5=0.2", "--json")
     data, answer = run.json(), kempe.load("puma560").singularities("tool")
@@ -50,6 +51,7 @@ def test_poses_of_a_file(tmp_path):
     assert arm.name == data["system"]
 
 
+@pytest.mark.slow
 def test_what_is_reached_is_drawn(tmp_path):
     """Every place is inside the axes, marked by whether it is reached; so are the map of the base, and an arm."""
     pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra view)")

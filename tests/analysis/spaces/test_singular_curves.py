@@ -28,6 +28,7 @@ def arm_of(lengths) -> kempe.System:
     return m.build()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lengths", [(0.5, 0.4), (0.5, 0.4, 0.25), (0.9, 0.3, 0.2, 0.1)])
 def test_an_arm_of_turns_is_singular_on_circles(lengths):
     """In line, each link ahead or back: radii are sums of the lengths with signs, the first +."""
@@ -43,6 +44,7 @@ def five():
     return FIVE.singularities("tip", "position", budget=Budget(starts=24)).curves()
 
 
+@pytest.mark.slow
 def test_type_1_of_a_five_bar_lies_on_circles_about_its_pivots(five):
     """Radii a + b and b - a about (0, 0) and (d, 0), wherever the other leg reaches, and nowhere else."""
     curves = [c for c in five if c.kinds == ("type 1",)]

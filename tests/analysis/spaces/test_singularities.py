@@ -168,6 +168,7 @@ def test_legs_of_a_planar_robot_meet_or_are_parallel_where_it_gains_a_motion(thr
         assert np.abs(np.sum(across * (at - p), axis=1)).max() < 1e-5
 
 
+@pytest.mark.slow
 def test_a_leg_of_a_planar_robot_is_stretched_or_folded_where_it_loses_a_motion(three_rrr):
     _, found = three_rrr
     sets = [s for s in found.sets if s.kinds == ("type 1",)]
@@ -188,6 +189,7 @@ def test_a_five_bar():
     assert one.dimension == two.dimension == 1
 
 
+@pytest.mark.slow
 def test_dead_centres_of_a_four_bar():
     """Where crank and coupler are in line, the rocker is at rest: by the law of cosines."""
     bar = kempe.load("four_bar")

@@ -102,6 +102,7 @@ def test_small_gaps_are_gaps(hunt):
     assert proven > 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", some(["parallelogram", "antiparallelogram", "kite", "slider_crank_equal"], 3))
 def test_branches_that_touch_are_one_component(name):
     """Change points, to rounding: one component, whose crossings are flat."""
