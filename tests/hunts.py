@@ -50,6 +50,6 @@ class Hunt:
         """Random numbers of this test under the seed of the command line."""
         return np.random.default_rng([self.seed, zlib.crc32(self._name.encode())])
 
-    def cases(self, count: int) -> int:
-        """As many cases as the test asks for, times the factor of the command line; at least one."""
-        return max(1, round(count * self._times))
+    def cases(self, count: int, least: int = 1) -> int:
+        """As many cases as the test asks for, times the factor of the command line; at least so many."""
+        return max(least, round(count * self._times))

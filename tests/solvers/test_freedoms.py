@@ -134,8 +134,7 @@ def test_freedoms_of_arms_in_a_line(hunt):
 
 @pytest.mark.slow
 def test_freedoms_of_many_arms_in_a_line(hunt):
-    isolated, crossed = lines(hunt, 600)
-    assert isolated > 20 and crossed > 20
+    assert min(lines(hunt, 600)) > hunt.cases(600) // 30
 
 
 def arm(axes, lengths, pin=None) -> kempe.System:

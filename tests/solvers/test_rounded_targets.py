@@ -53,7 +53,7 @@ def test_the_tolerance_that_is_named_accepts_the_target(hunt):
 
 @pytest.mark.slow
 def test_the_tolerance_that_is_named_accepts_many_targets(hunt):
-    assert hunted(hunt.rng(), hunt.cases(500)) > 100
+    assert hunted(hunt.rng(), cases := hunt.cases(500)) > cases // 5
 
 
 def test_far_targets_are_not_called_rounded():

@@ -133,7 +133,7 @@ def rods_by_grid(system: kempe.System, rod: float, n: int = 720) -> int:
 @pytest.mark.slow
 def test_two_cranks_and_a_rod_are_counted_as_a_grid_counts_them(hunt):
     rng, seen = hunt.rng(), []
-    for _ in range(hunt.cases(60)):
+    for _ in range(hunt.cases(60, least=20)):
         crank, rocker, x, y, z = rng.uniform(0.05, 0.4, 5)
         rod = rng.uniform(0.2, 0.8)
         system = rssr(crank, rod, rocker, x, y, z)

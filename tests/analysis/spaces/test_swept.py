@@ -33,7 +33,7 @@ def best(system: kempe.System) -> CurveSweep:
 @pytest.mark.parametrize("narrow", [False, True])
 def test_dyads_are_counted_as_a_grid_counts_them(hunt, narrow):
     rng, complete, seen = hunt.rng(), 0, set()
-    for _ in range(hunt.cases(8)):
+    for _ in range(hunt.cases(8, least=8)):
         system = crank_and_dyads(rng)
         system = limited(system, rng) if narrow else system
         found = every(system)[:2]
@@ -51,7 +51,7 @@ def test_dyads_are_counted_as_a_grid_counts_them(hunt, narrow):
 def test_curves_that_are_traced_keep_their_component(hunt):
     """The tracer knows nothing of branches: all along a curve it is in one component, and in each there is a curve."""
     rng, several = hunt.rng(), 0
-    for _ in range(hunt.cases(4)):
+    for _ in range(hunt.cases(4, least=4)):
         system = crank_and_dyads(rng)
         sweep = best(system) if not isinstance(dyad_branches(system), str) else None
         if sweep is None or not sweep.complete:
@@ -88,7 +88,7 @@ def test_slider_cranks_are_counted_by_their_lengths(hunt):
 def test_small_gaps_are_gaps(hunt):
     """Loops of four bars near their change points, against Grashof's rule: proven, or an honest lower bound."""
     rng, proven = hunt.rng(), 0
-    for _ in range(hunt.cases(10)):
+    for _ in range(hunt.cases(10, least=10)):
         a, b, c = rng.uniform(0.2, 1.0, 3)
         off = rng.choice([-1.0, 1.0]) * 10.0 ** rng.uniform(-10.0, -2.0)
         lengths = [max(a, b, c) + min(a, b, c) - sum(sorted([a, b, c])[1:2]) + off, a, b, c]
