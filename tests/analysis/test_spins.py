@@ -118,6 +118,8 @@ def assert_spun_is_the_same(unit, rng: np.random.Generator) -> None:
     for f in report.idle_freedoms:
         spun = system.configuration_space.integrate(spun, rng.uniform(-1, 1) * f.velocity / np.linalg.norm(f.velocity))
     t, values = np.linspace(0.0, 0.02, 3), system.q_dict(q)
+    if not {*chart.useful} <= {*values}:
+        return  # components of a rotation vector are not driven by name
     inputs = {n: values[n] + t * (-1) ** i for i, n in enumerate(chart.useful)}
     spinning = {b for f in report.idle_freedoms for b in (*f.bodies, *f.links)}
     rest = [b for b in system.body_names[1:] if b not in spinning]
