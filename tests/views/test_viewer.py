@@ -331,12 +331,13 @@ def test_another_assembly_mode_is_clicked_and_overlays_come_and_go(browser):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "motion"),
-    [("four_bar", "whole motion"), ("panda", "frame at rest"), ("car", "manoeuvre")],
+    [("four_bar", "whole motion"), ("panda", "frame at rest"), ("ball", "fall"), ("car", "manoeuvre")],
 )
 def test_motions_are_found_by_a_button_and_played(browser, name, motion):
     """All configurations that are passed are those of the motion, and hold what the system holds."""
     system = kempe.load(name)
-    with system.show(port=0, browser=False) as viewer:
+    q = system.neutral + 0.5 * np.eye(system.nq)[2] if name == "ball" else None  # it lies on the ground at first
+    with system.show(q, port=0, browser=False) as viewer:
         seen = Seen(browser, viewer)
         if name == "car":
             seen.press("random")

@@ -100,13 +100,6 @@ def plot_spaces(
     return left, right
 
 
-def preimages(system: System, frame: FrameLike, p: Array) -> np.ndarray:
-    """How many configurations (...) within the limits bring the origin of a frame to places p (..., 2)."""
-    flat = np.reshape(p, (-1, 2))
-    found = system.ik_all(flat, frame, task="position", limits=True)
-    return np.asarray(found.mask.sum(axis=-1)).reshape(np.shape(p)[:-1])  # type: ignore[union-attr]
-
-
 def nearest(system: System, frame: FrameLike, target: Array, grid: Array, p: Array) -> tuple[Array, Array, float]:
     """The configuration (nq,) that brings a frame nearest to a place (2,), where it is then, and how far away."""
     start = grid.reshape(-1, system.nq)[int(np.argmin(np.sum((p.reshape(-1, 2) - target) ** 2, axis=1)))]
@@ -153,7 +146,7 @@ def _shade_task_space(space: TwoFreedoms, ax: Any, p: Array, targets: Array, n: 
 
 def _shade_configurations(space: TwoFreedoms, ax: Any, grid: Array, mask: np.ndarray, p: Array) -> None:
     """Draw values in the shade of the number of modes there, or of configurations that reach the same place."""
-    count = mask.sum(axis=-1) if space.modes else np.maximum(preimages(space.system, space.frame, p[..., 0, :]), 1)
+    count = mask.sum(axis=-1) if space.modes else np.maximum(space.reaching(p[..., 0, :])[1].sum(axis=-1), 1)
     _shaded(ax, grid[:, 0, 0], grid[0, :, 1], count)
 
 

@@ -117,7 +117,7 @@ class LoopSheets(TwoFreedoms):
         """The different configurations (k, nq) that bring the frame to a place (2,): where there is no closed form
         those that are found from many starts."""  # fmt: skip
         if self.placed is None:
-            return np.asarray(self.system.ik_all(p, self.frame, task="position", limits=True).q)
+            return super().solutions(p)
         q, mask = self.reaching(p)
         keep: list[Array] = []
         for x in q[mask]:
