@@ -18,7 +18,7 @@ import library
 
 
 class KernelsHook(BuildHookInterface):
-    """Builds the library of kernels; a checkout gets it in place, and keeps one that fits its sources."""
+    """Builds the library of kernels, a checkout's in place; one that is there and fits its sources is taken."""
 
     def dependencies(self) -> list[str]:
         """What the build needs besides what pyproject.toml says: a C compiler, where there is none."""
@@ -27,23 +27,26 @@ class KernelsHook(BuildHookInterface):
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Build the library. Errors: `library.BuildError`, whose sentence says what is missing."""
         self.scratch = ""
+        if fits := library.is_current():
+            self.app.display_info("kernels: the library that is there fits the sources, and is taken")
         if version == "editable":
-            if library.is_current():
-                self.app.display_info("kernels: the library fits the sources, and stays")
-            else:
+            if not fits:
                 library.build(library.KERNELS)
             return
-        self.scratch = tempfile.mkdtemp(prefix="kempe-")
-        try:
-            built = library.build(Path(self.scratch))
-        except library.BuildError:
-            shutil.rmtree(self.scratch)
-            raise
+        built = library.KERNELS / library.library_name() if fits else self._built_apart()
         build_data["force_include"][str(built)] = f"kempe/kernels/{built.name}"
         build_data["force_include"][str(_licence_of_numba())] = "kempe/kernels/LICENSE.numba"
         build_data["force_include"][str(Path(self.root, "docs", "lecture.md"))] = "kempe/library/lecture.md"  # the tour
         build_data["pure_python"] = False
         build_data["tag"] = f"cp311-abi3-{_platform_tag()}"
+
+    def _built_apart(self) -> Path:
+        self.scratch = tempfile.mkdtemp(prefix="kempe-")
+        try:
+            return library.build(Path(self.scratch))
+        except library.BuildError:
+            shutil.rmtree(self.scratch)
+            raise
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
         """Remove what the wheel now holds."""

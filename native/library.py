@@ -239,7 +239,9 @@ def sources() -> str:
 
 
 def is_current() -> bool:
-    """Whether the checkout has a library of its sources, by this builder, for what is required."""
+    """Whether the checkout has a library of its sources, by this builder, for what is required; none for a release."""
+    if is_release():
+        return False
     code = "from kempe.kernels import _native as n; print(n.BUILDER, *n.VARIANTS); print(n.SOURCES, end='')"
     paths = [str(HERE.parent / "src"), *filter(None, [os.environ.get("PYTHONPATH")])]
     env = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}

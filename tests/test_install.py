@@ -78,8 +78,11 @@ def done(command: object, cwd: Path, text: str = "") -> str:
 
 
 def copied(to: Path) -> None:
-    """A clone of the sources, in which the first command of the README has been run."""
-    leave = shutil.ignore_patterns("__pycache__", ".*", "_native*", "dist", "build", "_build")
+    """A clone of the sources with their kernels, in which the first command of the README has been run.
+
+    That kernels are compiled where there are none, test_wheel.py shows.
+    """
+    leave = shutil.ignore_patterns("__pycache__", ".*", "dist", "build", "_build")
     shutil.copytree(ROOT, to / "clone", ignore=leave)
     first = next(b for b in FOUND if README_COMMAND.search(b.text))
     (to / "printed").write_text(done(first.text, to / "clone"))

@@ -64,6 +64,24 @@ def test_a_good_kernel_is_emitted_with_its_declaration(tmp_path):
 
 
 @pytest.mark.slow
+def test_two_objects_are_the_same_byte_by_byte(tmp_path):
+    """In two folders, in two processes; test_wheel.py compares whole wheels."""
+    variant, made = min(library.variants()), []
+    for name in ("one", "two"):
+        copied(tmp_path / name)
+        command = [
+            sys.executable,
+            str(tmp_path / name / "native" / "emit.py"),
+            variant,
+            str(tmp_path / name / "kernels.o"),
+        ]
+        env = os.environ | {"NUMBA_CPU_NAME": library.variants()[variant].cpu, "NUMBA_CPU_FEATURES": ""}
+        subprocess.run([*command, "forward.chain", "closed_form.candidates"], env=env, check=True)
+        made.append((tmp_path / name / "kernels.o").read_bytes())
+    assert made[0] == made[1] and len(made[0]) > 10_000
+
+
+@pytest.mark.slow
 def test_the_processes_share_all_modules_with_kernels_about_evenly():
     shares = library.shares()
     modules = [path.stem for path in library.KERNELS.rglob("*.py") if "@kernel(" in path.read_text()]
@@ -109,6 +127,12 @@ def test_a_library_that_fits_is_kept(monkeypatch):
     monkeypatch.delenv("KEMPE_BUILD", raising=False)
     assert library.is_current()
     monkeypatch.setattr(library, "builder", lambda: "another builder")
+    assert not library.is_current()
+
+
+def test_no_library_that_is_there_is_released(monkeypatch):
+    """It may have been linked for later systems only."""
+    monkeypatch.setenv("KEMPE_BUILD", "release")
     assert not library.is_current()
 
 

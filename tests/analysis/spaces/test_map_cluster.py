@@ -162,7 +162,7 @@ def test_a_client_that_was_closed(cluster):
 
 @pytest.mark.slow
 def test_workers_killed_twenty_times(tmp_path):
-    n, rng, kills = 1500 * 500_000, np.random.default_rng(0), []
+    n, rng, kills = 400 * 500_000, np.random.default_rng(0), []
     stop = threading.Event()
     with running(2) as (local, client):
 
