@@ -255,7 +255,8 @@ class _CurveTracer:
     def short(self, q: Array, to: Array) -> Array:
         """The shortest ways (k, n) from configurations (k, nq) to others, of the coordinates that count."""
         v = self.problem.system.structure.layout.difference(q, to)
-        return (by_short_turns(v, self.circle) / self.problem.unit)[:, self.problem.columns]
+        columns = self.problem.columns[self.problem.counts[self.problem.columns]]
+        return (by_short_turns(v, self.circle) / self.problem.unit)[:, columns]
 
     def on(self, q: Array, way: Array) -> bool:
         """Whether a configuration (nq,) is on a curve (n, nq)."""
@@ -313,6 +314,10 @@ class _CurveTracer:
         layout = self.problem.system.structure.layout
         at = layout.vector_q[self.circle[layout.vector_v]]
         off[at] -= 2.0 * np.pi * np.round(off[at] / (2.0 * np.pi))
+        counts = self.problem.counts  # what spins idly need not be where it was
+        off[layout.vector_q[~counts[layout.vector_v]]] = 0.0
+        for iq, iv in zip(layout.quaternion_q, layout.quaternion_v, strict=True):
+            off[iq : iq + 4] *= counts[iv]
         return off
 
     def _end(self, equations: _SingularCurveEquations, a: Node, b: Node) -> list[Node]:
@@ -336,4 +341,5 @@ def _beside(to: Array, on: Array) -> np.ndarray:
     size = np.einsum("ij,ij->i", along, along)
     t = np.einsum("ij,ij->i", to, along) / np.maximum(size, 1e-300)
     across = np.linalg.norm(to - np.clip(t, 0.0, 1.0)[:, None] * along, axis=1)
-    return across <= BESIDE * np.sqrt(size)
+    # on the far side of a turn the short way changes its sense, and what is no segment seems to be a long one
+    return (across <= BESIDE * np.sqrt(size)) & (size < np.pi**2)
