@@ -109,17 +109,17 @@ class Singularities(Report):
         return NearestSingular(there, distance, local.kinds or s.kinds, s.name, local.lost, local.gained,
                                local.self_motion, distances)  # fmt: skip
 
-    def plot(self, *, ax: Any = None, **options: Any) -> tuple[Axes, ...]:
+    def plot(self, *, ax: Any = None, budget: Budget | None = None, **options: Any) -> tuple[Axes, ...]:
         """Matplotlib axes with configurations of the sets beside one another, and what is lost and gained there.
 
         Arrows show directions of the frame: of turns in the plane there is the centre with an arc, in space the axis
         (dotted). Of a planar system whose sets are curves the last axes have these. At most four configurations are
-        drawn. `ax` are as many axes to draw on; `options` are those of `System.plot`. Errors: `InputError` where no
-        set was found.
+        drawn. `ax` are as many axes to draw on, the `budget` is that of `curves`, of which what was done is drawn and
+        the rest said; `options` are those of `System.plot`. Errors: `InputError` where no set was found.
         """
         from kempe.views.singular_plot import plot_singularities
 
-        return plot_singularities(self, ax=ax, **options)
+        return plot_singularities(self, ax=ax, budget=budget, **options)
 
     def curves(
         self, *, hold: Mapping[str, float] | None = None, orientation: Any = None, budget: Budget | None = None
