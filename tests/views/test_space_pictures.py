@@ -8,6 +8,7 @@ from drawn import artists
 from two_freedoms_in_space import between, directions, lengths_of_pointer, pointer, spherical_five_bar
 
 import kempe
+from kempe import Budget
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 
 pytest.importorskip("matplotlib")
@@ -123,7 +124,7 @@ def test_what_cannot_be_drawn_is_said():
             kempe.load(name).plot_spaces(frame)
     with pytest.raises(InputError, match="'ground' of five_bar does not move"):
         FIVE.plot_spaces("ground")
-    with pytest.raises(UnsupportedError, match="close nowhere inside the limits"):
+    with pytest.raises(UnsupportedError, match="no configuration was found inside the limits"):
         FIVE.with_limits({"A": (3.1, 3.13), "D": (0.0, 0.02), "P": (1.0, 1.1)}).plot_spaces("tip")
     with pytest.raises(UnknownNameError):
         ARM.plot_spaces("nowhere")
@@ -325,6 +326,7 @@ def pointing():
     return spherical_five_bar(*ARCS).plot_spaces("tip", task="direction", points=points, grid=True, resolution=24)
 
 
+@pytest.mark.slow
 def test_a_direction_has_its_solutions_or_an_angle(pointing):
     left, right = (artists(ax) for ax in pointing)
     assert len([k for k in left if k.startswith("solution:0")]) == 4 and not any(k.startswith("arm") for k in right)
@@ -336,6 +338,7 @@ def test_a_direction_has_its_solutions_or_an_angle(pointing):
     assert least > 0.1 and text.get_text() == f"{np.degrees(least):.3g}° away"
 
 
+@pytest.mark.slow
 def test_singular_directions_of_a_spherical_five_bar_lie_on_circles_about_its_pivots(pointing):
     """Of type 1 a leg is in line or folded: sums or differences of its arcs from the pivot, unlike those of type 2."""
     lines = {k: v[0] for k, v in artists(pointing[1]).items() if k.startswith("singular")}
@@ -350,6 +353,7 @@ def test_singular_directions_of_a_spherical_five_bar_lie_on_circles_about_its_pi
     assert seen["-"] == sums and not seen["--"]
 
 
+@pytest.mark.slow
 def test_images_of_lines_in_space_are_those_of_the_forward_model(pointing):
     """Of a line on which the first crank stands: the tip is as far from the end of the crank as the rod is long."""
     system = spherical_five_bar(*ARCS)
@@ -363,6 +367,7 @@ def test_images_of_lines_in_space_are_those_of_the_forward_model(pointing):
             assert between(directions(*p[np.isfinite(p).all(axis=1)].T), B) == pytest.approx(ARCS[1], abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_task_that_sees_a_curve_only_is_refused():
     m = spherical_five_bar(*ARCS).mechanism.copy()
     m.frame("crank1 end", "crank1", rpy=(ARCS[0], 0, 0))
@@ -393,3 +398,22 @@ def test_a_linkage_that_spins_idly_is_drawn():
         s = lengths_of_pointer(np.stack(U, axis=-1))
         expected += ((s > 0.45) & (s < 0.7)).all(axis=-1)
     assert np.array_equal(ways, expected) and set(ways.ravel()) == {0, 1, 2}
+
+
+@pytest.mark.slow
+def test_a_picture_shows_what_was_done_until_an_interrupt_and_says_so():
+    seen = list[int]()
+
+    def progress(done: int, total: int) -> None:
+        seen.append(done)
+        assert 0 <= done <= total == 24**2
+        if len(seen) == 4:
+            raise KeyboardInterrupt
+
+    system = spherical_five_bar(*ARCS)
+    left, _ = system.plot_spaces("tip", task="direction", resolution=24, budget=Budget(progress=progress))
+    modes = shades(left)[1]
+    assert "interrupted: this is the part that was done" in artists(left)["partial"][0].get_text()
+    assert seen[:4] == sorted(seen[:4]) and 0 < (modes > 0).sum()
+    with pytest.raises(UnsupportedError, match="was found inside the limits .*time limit"):
+        system.plot_spaces("tip", task="direction", resolution=24, budget=Budget(time_limit=1e-4))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,6 +30,7 @@ from kempe.cli.app import (
     say_written,
 )
 from kempe.errors import InputError
+from kempe.views import slices
 from kempe.views.terminal import INCOMPLETE, guarded, print_json
 
 
@@ -74,7 +76,9 @@ def spaces(
         found["sample"] = space.sample(sample, rng, budget=budget)
     written: list[Path] = []
     if plot is not None:
-        save_picture(system.plot_spaces(frame or "", task=task, budget=budget)[0], plot)
+        with slices.paced(sys.stderr, "places") as said:
+            spent = Budget(time_limit=time_limit, progress=said)
+            save_picture(system.plot_spaces(frame or "", task=task, budget=spent)[0], plot)
         written.append(plot)
     if out is not None:
         from kempe.views import rows

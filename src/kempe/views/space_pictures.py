@@ -50,7 +50,7 @@ LINES_OF_LIMIT = 12
 """Lines on which one coordinate is at one of its limits, at most."""
 FLAT = 1e-12
 """Area that rates span, below which a frame moves on a curve."""
-USUAL = Usual("plot_spaces", time_limit=TIME_LIMIT)
+USUAL = Usual("plot_spaces", time_limit=TIME_LIMIT, progress=None)
 
 
 @explained
@@ -73,9 +73,10 @@ def plot_spaces(
     those that `singularities` finds: of type 1, where the frame has lost a direction, and, dashed, of type 2, where it
     moves though both coordinates are held and where modes meet. Limits of other coordinates are lines, too. Numbers are
     those of closed forms where there are such (planar chains and dyads); else each configuration that is found is
-    followed from place to place, and more may exist. Of the `budget` is read: time_limit (120 s), after which, or after
-    an interrupt, the picture shows what was done, and says so. Errors: `UnsupportedError` for other numbers of
-    freedoms, and frames that the task sees on a curve only; `InputError`; `UnknownNameError`.
+    followed from place to place, and more may exist. Of the `budget` are read: time_limit (120 s) and progress(places,
+    all), for each of the two sides; after the limit, or an interrupt, the picture shows what was done, and says so.
+    Errors: `UnsupportedError` for other numbers of freedoms, and frames that the task sees on a curve only;
+    `InputError`; `UnknownNameError`.
 
     ``system.plot_spaces("e", points=[(0.6, 0.3)])[0].figure.savefig("spaces.png")`` writes the picture.
     """
@@ -85,6 +86,7 @@ def plot_spaces(
         raise InputError(f"resolution is {shown(resolution)}; it must be a whole number, {COARSEST} to {FINEST}")
     lines, own = flag(grid, "grid"), None if ax is None else page.axes_given(ax, 2)
     space = two_freedoms(system, name, seen, TimeLimit(spend.time_limit))
+    space.progress = spend.progress
     curves = _singular_curves(space)
     if own is None:
         figure = page.new_figure(11.8, 5.0)
@@ -94,7 +96,7 @@ def plot_spaces(
     q, mask = space.over_grid(int(resolution))
     p = space.places(q, mask)
     if not mask.any():
-        raise UnsupportedError(f"{system.name}: its loops close nowhere inside the limits: there is nothing to draw")
+        raise UnsupportedError(f"{system.name}: no configuration was found inside the limits{_partly(space.broken)}")
     _shade_task_space(space, right, p, targets, int(resolution))
     count = mask.sum(axis=-1) if space.modes else np.where(mask[..., 0], np.maximum(space.ways(p[..., 0, :]), 1), 0)
     _shaded(left, every[:, 0, 0], every[0, :, 1], count)
@@ -356,13 +358,17 @@ def _finish(space: TwoFreedoms, left: Any, right: Any, curves: Any) -> None:
     left.set_title("configuration space", size=style.FONT + 1, color=style.INK)
     said = f"task space: {space.task.said(space.frame)}{'' if space.complete else ', as found'}"
     right.set_title(said, size=style.FONT + 1, color=style.INK)
-    broken = {space.broken, getattr(curves, "broken", None)}
-    if said := partial(Status.INTERRUPTED in broken, Status.OUT_OF_TIME in broken):
+    if said := _partly(space.broken, getattr(curves, "broken", None)):
         left.text(
             0.0, -0.14, said.strip(), transform=left.transAxes, size=style.FONT - 1, color=style.OPEN, gid="partial"
         )
     right.legend(handles=[*_shade_entries(space, left, right), *_line_entries(space, curves)], loc="upper left",
                  bbox_to_anchor=(1.03, 1.0), fontsize=style.FONT - 1, frameon=False)  # fmt: skip
+
+
+def _partly(*broken: Status | None) -> str:
+    """That something is missing, '' where nothing broke the work off."""
+    return partial(Status.INTERRUPTED in broken, Status.OUT_OF_TIME in broken)
 
 
 def _shade_entries(space: TwoFreedoms, left: Any, right: Any) -> list[Any]:

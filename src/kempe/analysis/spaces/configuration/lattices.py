@@ -7,7 +7,7 @@ on. What is found is closed and has the values of its node; that nothing else ex
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -102,9 +102,13 @@ def _step(r: Array, J: Array) -> Array:
 
 
 def flooded(
-    solver: NodeSolver, missing: Missing, shape: tuple[int, int], q: Array, node: np.ndarray, clock: TimeLimit
+    solver: NodeSolver, missing: Missing, shape: tuple[int, int], q: Array, node: np.ndarray, clock: TimeLimit,
+    progress: Callable[[int, int], Any] | None = None,
 ) -> Lattice:  # fmt: skip
-    """The configurations of a lattice of `shape` that are found from q (k, nq) near the nodes of numbers (k,)."""
+    """The configurations of a lattice of `shape` that are found from q (k, nq) near the nodes of numbers (k,).
+
+    `progress` is called with the number of nodes that have some, and that of all.
+    """
     found, count = np.full((shape[0] * shape[1], 4, q.shape[1]), np.nan), np.zeros(shape[0] * shape[1], dtype=int)
     broken, tries, swept, near = None, FIRST, False, NEAR * 2.0 * np.pi / max(shape)
     try:
@@ -117,6 +121,8 @@ def flooded(
             at, slot = (
                 np.concatenate([x[k] for x in new]).astype(int) if new else np.zeros(0, dtype=int) for k in (0, 1)
             )
+            if progress is not None:
+                progress(int((count > 0).sum()), len(count))
             tries, swept = TRIES, swept and not len(at)
             q, node = _to_neighbours(solver, shape, found, count, at, slot, near)
             if not len(q) and not swept:  # all that have more than a neighbour, once more

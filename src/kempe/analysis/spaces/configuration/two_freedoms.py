@@ -6,9 +6,9 @@ assembly modes, in closed form. Of others configurations are found from node to 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import combinations
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -57,6 +57,9 @@ class TwoFreedoms:
     complete = False
     """Whether those over given values are all, by a closed form."""
 
+    progress: Callable[[int, int], Any] | None = None
+    """Called with how many nodes of a lattice have configurations, and how many it has."""
+
     def __init__(self, system: System, frame: str, task: FlatTask, names: tuple[str, ...], clock: TimeLimit):
         self.system, self.frame, self.task, self.names, self.clock = system, frame, task, names, clock
         velocity = system.structure.velocity_names
@@ -86,7 +89,7 @@ class TwoFreedoms:
         values = self.grid(n)
         q = self.manifold.drawn(np.random.default_rng(0), STARTS)
         found = flooded(self.solver, self._off_values(values.reshape(-1, 2)), (n, n), q,
-                        self._node(q[:, self.columns], n), self.clock)  # fmt: skip
+                        self._node(q[:, self.columns], n), self.clock, self.progress)  # fmt: skip
         self.broken = self.broken or found.broken
         self._over = n, found.q, found.mask
         q, mask = self._inside(found.q, found.mask)
@@ -131,7 +134,7 @@ class TwoFreedoms:
         seeds = self._seeds()
         p = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
         node = _nearest_node(x, y, self.task.of(self.system.fk(seeds, self.frame)))
-        found = flooded(self.solver, self._off_places(p), (len(x), len(y)), seeds, node, self.clock)
+        found = flooded(self.solver, self._off_places(p), (len(x), len(y)), seeds, node, self.clock, self.progress)
         self.broken = self.broken or found.broken
         q, mask = self._inside(found.q, found.mask)
         self._reaching = x, y, q, mask
