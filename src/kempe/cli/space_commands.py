@@ -37,6 +37,9 @@ from kempe.views.terminal import INCOMPLETE, guarded, print_json
 def spaces(
     file: File,
     frame: Annotated[str | None, option("--frame", "Frame whose task space is wanted.", "NAME")] = None,
+    task: Annotated[
+        str | None, option("--task", "What of the frame is drawn: xy, xz, yz or direction (of its z axis).", "NAME")
+    ] = None,
     position_only: Annotated[bool, option("--position-only", "Only its position counts, not its pose.")] = False,
     sample: Annotated[
         int | None, option("--sample", "So many random configurations, uniform in a stated measure.", "N")
@@ -56,6 +59,8 @@ def spaces(
         raise InputError(f"{out}: --sample says how many configurations are written")
     if plot is not None and frame is None:
         raise InputError(f"{plot}: --frame says whose task space is drawn")
+    if task is not None and plot is None:
+        raise InputError("--task says what --plot draws: give it a file")
     if position_only and frame is None:
         raise InputError("--position-only is about the task space of a frame: --frame names it")
     system = load(file, base, root, package_dir, xacro, lenient_limits)
@@ -69,7 +74,7 @@ def spaces(
         found["sample"] = space.sample(sample, rng, budget=budget)
     written: list[Path] = []
     if plot is not None:
-        save_picture(system.plot_spaces(frame or "")[0], plot)
+        save_picture(system.plot_spaces(frame or "", task=task, budget=budget)[0], plot)
         written.append(plot)
     if out is not None:
         from kempe.views import rows
