@@ -73,6 +73,18 @@ def five_bar(plane: str | None) -> kempe.System:
     return m.build()
 
 
+def slider_pair(dim: int) -> kempe.System:
+    """Two bars that meet at the tip, on driven slides along x, in millimetres."""
+    m = kempe.Mechanism("PRRRP", dim=dim)
+    on = {} if dim == 2 else {"axis": "z"}
+    for k, limits in ((1, (-300.0, 100.0)), (2, (100.0, 500.0))):
+        m.prismatic(f"s{k}", m.ground, m.body(f"cart{k}"), axis=(1, 0, 0)[:dim], limits=limits, actuated=True)
+        m.revolute(f"A{k}", f"cart{k}", m.body(f"bar{k}"), **on)
+    m.revolute("P", "bar1", "bar2", at=(250, 0, 0)[:dim], child_at=(300, 0, 0)[:dim], **on)
+    m.frame("tip", "bar1", at=(250, 0, 0)[:dim])
+    return m.build()
+
+
 def pointer(lower: str, upper: str, limits=(0.35, 1.0)) -> kempe.System:
     """A plate on a universal joint, tilted by two legs whose lengths are driven: between joints of these types."""
     m = kempe.Mechanism("pointer")

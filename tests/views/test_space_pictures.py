@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from drawn import artists
-from two_freedoms_in_space import between, directions, lengths_of_pointer, pointer, spherical_five_bar
+from two_freedoms_in_space import between, directions, lengths_of_pointer, pointer, slider_pair, spherical_five_bar
 
 import kempe
 from kempe import Budget
@@ -417,3 +417,13 @@ def test_a_picture_shows_what_was_done_until_an_interrupt_and_says_so():
     assert seen[:4] == sorted(seen[:4]) and 0 < (modes > 0).sum()
     with pytest.raises(UnsupportedError, match="was found inside the limits .*time limit"):
         system.plot_spaces("tip", task="direction", resolution=24, budget=Budget(time_limit=1e-4))
+
+
+def test_lines_in_millimetres_are_not_torn():
+    """Of type 1 a bar is upright: the slides are as far apart as the other bar reaches along x."""
+    left, _ = slider_pair(2).plot_spaces("tip", resolution=12)
+    lines = [np.transpose(v[0].get_data()) for k, v in artists(left).items() if k.startswith("singular")]
+    upright = np.sqrt(300.0**2 - 250.0**2)
+    apart = [x[:, 1] - x[:, 0] for x in lines if np.ptp(x[:, 1] - x[:, 0]) < 1e-6 and len(x) > 10]
+    assert all(np.isfinite(x).all() for x in lines)
+    assert any(np.abs(x - upright).max() < 1e-6 for x in apart)

@@ -240,7 +240,7 @@ def _draw_other_limits(space: TwoFreedoms, left: Any, right: Any, q: Array) -> N
 def _draw_line(space: TwoFreedoms, left: Any, right: Any, q: Array, gid: str, marker: str = "", **look: Any) -> None:
     """Draw a line of configurations (n, nq) on both sides; a `marker` on the left only."""
     turned = _values(space, q)
-    jump = np.flatnonzero((np.abs(np.diff(turned, axis=0)) > np.pi).any(axis=1)) + 1
+    jump = np.flatnonzero((np.abs(np.diff(turned, axis=0))[:, space.turns] > np.pi).any(axis=1)) + 1
     left.plot(*np.insert(turned, jump, np.nan, axis=0).T, gid=gid, marker=marker, ms=4, **look)
     right.plot(*_torn(space, space.task.of(space.system.fk(q, space.frame))).T, gid=gid, **look)
 

@@ -10,6 +10,7 @@ from two_freedoms_in_space import (
     lengths_of_pointer,
     modes_of_spherical,
     pointer,
+    slider_pair,
     spherical_five_bar,
     ways_of_spherical,
 )
@@ -49,6 +50,24 @@ def test_a_planar_five_bar_in_space_has_the_numbers_of_that_in_the_plane(plane, 
     ways = [s.reach_grid(x, y) for s in (flat, deep)]
     assert flat.complete and not deep.complete and set(modes[0].ravel()) == {0, 1, 2} and len(np.unique(ways[0])) > 2
     assert np.array_equal(*modes) and np.array_equal(*ways)
+
+
+def test_lengths_in_millimetres_do_not_matter():
+    """The tip is reached from each slide in two ways; slides are within their limits."""
+    space = spaces.two_freedoms(slider_pair(3), "tip", FlatTask("xy", 3))
+    modes, values = space.over_grid(33)[1].sum(axis=-1), space.grid(33)
+    far = values[..., 1] - values[..., 0]
+    clear = (np.abs(far - 550.0) > 1e-6) & (np.abs(far - 50.0) > 1e-6)
+    assert np.array_equal(modes[clear], (2 * ((far > 50.0) & (far < 550.0)))[clear])
+    x, y = np.linspace(-400.0, 420.0, 33), np.linspace(-277.0, 270.0, 31)
+    expected = np.zeros((33, 31), dtype=int)
+    X, Y = np.meshgrid(x, y, indexing="ij")
+    for s1, s2 in ((a, b) for a in (-1.0, 1.0) for b in (-1.0, 1.0)):
+        with np.errstate(invalid="ignore"):
+            carts = X + s1 * np.sqrt(250.0**2 - Y**2), X + s2 * np.sqrt(300.0**2 - Y**2)
+        expected += (carts[0] > -300.0) & (carts[0] < 100.0) & (carts[1] > 100.0) & (carts[1] < 500.0)
+    assert np.array_equal(space.reach_grid(x, y), expected) and len(np.unique(expected)) > 1
+    assert len(space.solutions(np.array([50.0, 200.0]))) > 0
 
 
 @pytest.mark.slow

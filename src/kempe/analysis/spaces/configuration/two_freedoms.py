@@ -169,11 +169,9 @@ class TwoFreedoms:
         """What the frame misses of places (k, 2)."""
         packed = Packed(self.system, [self.task.at(self.frame, p)])
         pins = packed.pins([packed.tasks[0].goals(self.system)], (len(p),))
-        scale = self.manifold.scale
 
         def missing(q: Array, node: np.ndarray) -> tuple[Array, Array]:
-            r, J = packed.evaluate(q, np.ascontiguousarray(pins[node]))
-            return r, J * scale
+            return packed.evaluate(q, np.ascontiguousarray(pins[node]))
 
         return missing
 
