@@ -270,6 +270,20 @@ def test_sliders_and_targets_move_the_robot_and_no_request_goes_outside(browser,
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
+def test_a_system_in_other_units_looks_the_same(browser, scale):
+    """A linkage in millimetres, or as small as a grain: neither too near to be seen nor too far away."""
+    bar, pictures = kempe.load("watt_six_bar"), []
+    lengths = {name: scale * x for name, x in bar.structure.parameters.items() if name != "bend"}
+    for system in (bar, bar.with_parameters(**lengths)):
+        with system.show(bar.assemble().q, port=0, browser=False) as viewer:
+            seen = Seen(browser, viewer)
+            pictures.append(seen.picture())
+            seen.tab.close()
+    assert np.abs(pictures[0] - pictures[1]).max() < ALIKE and np.ptp(pictures[0]) > 0.1
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("wide", [400, 575, 600, 800, 1280])
 @pytest.mark.parametrize("name", ["panda", "four_bar"])
 def test_the_panel_leaves_the_system_in_sight(browser, name, wide):

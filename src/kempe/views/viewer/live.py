@@ -107,6 +107,7 @@ class Viewer:
         session = self.session if self.share else copy.copy(self.session)
         session.lock = self.session.lock if self.share else threading.RLock()
         wide, high = client.camera.image_width, client.camera.image_height
+        client.camera.max_orbit_distance, client.camera.min_orbit_distance = float("inf"), self.drawn.near
         below = COVERED if wide < SHEET else 0.0
         aspect = (wide if below else wide - PANEL) / high
         if below or aspect < 1.0:
