@@ -202,7 +202,8 @@ def short_form(system: System, formula: Any) -> ShortForm:
     for found in sorted(formula.atoms(sympy.sin, sympy.cos), key=str):
         angle = found.args[0]
         label = _label(words, angle)
-        label = f"_{{{label.lstrip('_')}}}" if "-" in label else label  # c12-4 would be a difference
+        if "-" in label:  # c1-2 would be a difference
+            label = f"_{{{label.replace('-_', '-').lstrip('_').replace('_', ',')}}}"
         symbol = sympy.Symbol(f"{'c' if found.func == sympy.cos else 's'}{label}")
         if label and angles.setdefault(label, angle) == angle and symbol not in formula.free_symbols:
             legend[symbol] = found
