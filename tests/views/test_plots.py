@@ -862,8 +862,12 @@ def test_options_are_written_out():
 
     names = list(inspect.signature(kempe.System.plot).parameters)
     assert names[:3] == ["self", "q", "path"] and set(names[3:]) == set(PlotOptions.__dataclass_fields__)
-    with pytest.raises(UnsupportedError, match="planar"):
-        kempe.load("puma560").plot(workspace="tool")
+    for option in ("workspace", "angles"):
+        with pytest.raises(UnsupportedError, match="planar"):
+            kempe.load("puma560").plot(**{option: "tool"})
+        for name in ("puma560", "two_link"):
+            with pytest.raises((UnknownNameError, UnsupportedError), match="nix|planar"):
+                kempe.load(name).plot(**{option: "nix"})
 
 
 def test_a_system_that_cannot_move_is_drawn():

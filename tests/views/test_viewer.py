@@ -106,6 +106,9 @@ def test_wrong_calls_of_the_viewer_are_refused(tmp_path):
         arm.show(port="x", browser=False)
     with pytest.raises(UnknownNameError, match="nix"):
         arm.show(frame="nix", browser=False)
+    for switch in ("share", "browser"):
+        with pytest.raises(InputError, match=f"{switch} is 'yes'; it must be True or False"):
+            arm.show(**{"port": 0, "browser": False, switch: "yes"})
     with pytest.raises(InputError, match="q has"):
         arm.show([1.0, 2.0, 3.0], browser=False)
     for wrong in ("robot.png", tmp_path / "no" / "robot.html", 3):

@@ -61,6 +61,12 @@ def plot(system: System, q: Any = None, *, path: Any = None, **options: Any) -> 
     is not drawn, `CallError` for unknown options.
     """
     chosen = PlotOptions(**options)
+    if not isinstance(chosen.angles, bool):
+        name = system.structure.frame_name(chosen.angles)
+        if system.dim == 3:
+            raise UnsupportedError(
+                f"angles to frame {name!r} are drawn of planar systems; in space there is angles=True"
+            )
     if path is None and getattr(q, "is_motion", False):
         q, path = None, q
     way, drivers = motion_of(system, path)

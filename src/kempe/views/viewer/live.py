@@ -14,6 +14,7 @@ import webbrowser
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Self
 
+from kempe.calls import flag
 from kempe.errors import InputError, MissingExtraError
 from kempe.reals import is_whole
 from kempe.spatial import Array
@@ -55,9 +56,10 @@ def show(
     `close`, the end of a ``with``, or the end of Python. Errors: `InputError` for shapes and a port that is in use;
     `UnknownNameError` for a frame.
     """
+    shared, opened = flag(share, "share"), flag(browser, "browser")
     session = Session(system, q, frame, path)
-    viewer = Viewer(session, share, _checked(port))
-    if browser:
+    viewer = Viewer(session, shared, _checked(port))
+    if opened:
         webbrowser.open(viewer.url)
     return viewer
 
