@@ -9,7 +9,7 @@ import itertools
 
 import numpy as np
 import pytest
-from hunts import some
+from hunts import examples, some
 
 from kempe.kernels.closed_form.analytic_layout import FORMULATIONS
 from kempe.kernels.compiled import elimination_batch, elimination_score
@@ -241,7 +241,7 @@ def test_known_postures_are_found(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(ARMS))
 def test_known_postures_are_found_always(name):
-    battery(name, 20000, 2)
+    battery(name, examples(20_000), 2)
 
 
 def test_sixteen_postures_of_manseur_and_doty():
