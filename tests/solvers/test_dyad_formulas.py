@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -10,6 +11,7 @@ from hunts import some
 
 import kempe
 from kempe.errors import UnsupportedError
+from kempe.kinematics.measure import judge
 
 sympy = pytest.importorskip("sympy")
 
@@ -39,6 +41,33 @@ def test_formulas_are_the_closed_form(name, known, hunt):
         found = formulas(values, branch)
         assert same(system, found[regular], closed.q[regular]).max(initial=0.0) < 1e-8
         assert np.isnan(found[~closed.ok]).any(axis=-1).all()
+
+
+def sixbar(names):
+    m = kempe.Mechanism("six-bar", dim=2)
+    for body in ("a", "b", "c", "d", "e"):
+        m.body(body)
+    ends = (("ground", "a", 0.0, 0.0), ("a", "b", 0.1, 0.0), ("b", "c", 0.4, 0.3), ("ground", "c", 0.4, 0.0),
+            ("c", "d", 0.2, 0.0), ("d", "e", 0.5, 0.15), ("ground", "e", 0.8, 0.0))  # fmt: skip
+    for name, (parent, child, at, child_at) in zip(names, ends, strict=True):
+        m.revolute(name, parent, child, at=(at, 0), child_at=(child_at, 0))
+    return m.build()
+
+
+@pytest.mark.parametrize("names", [("beta_1", "theta_b", "r2_2", "d_x_1", "u_1", "sign_2", "x_c"),
+                                   ("theta_c", "y_b", "c2_1", "alpha_2", "s2_1", "d_y_2", "theta_e")])  # fmt: skip
+def test_names_that_derivations_use_are_left_to_the_system(names):
+    """A driver may be called as a step of a dyad: on each branch the loops close, by the printed function, too."""
+    system, values, space = sixbar(names), np.linspace(0.5, 1.5, 5), {}
+    formulas = system.loops.closed_form([names[0]]).formulas()
+    symbols = [str(s) for s in (*formulas.given, *formulas.signs, *(step.symbol for step in formulas.steps))]
+    assert len(set(symbols)) == len(symbols)
+    exec(formulas.code(), space)
+    for branch in itertools.product((-1, 1), repeat=2):
+        q = formulas(values[:, None], branch)
+        assert np.all(judge(system, q).holds) and np.allclose(q[:, 0], values)
+        found = dict(zip(formulas.coordinates, space["inverse"](values[2], *branch), strict=True))
+        assert same(system, system.q(found | {names[0]: values[2]}), q[2]) < 1e-9
 
 
 def slides(kinds):

@@ -74,8 +74,6 @@ def test_other_chains_are_refused():
         kempe.load("panda").inverse.plan("panda_hand_tcp").formulas()
     with pytest.raises(UnsupportedError, match="one axis"):
         arm(0.0, 0.4).symbolic.ik("tip", symbols={"first": 0})
-    with pytest.raises(UnsupportedError, match="not called"):
-        arm(0.7, 0.4).symbolic.ik("tip", symbols={"first": sympy.Symbol("beta")})
     with pytest.raises(InputError, match="sign"):
         ARM.symbolic.ik("e")([0.6, 0.3], 0)
     with pytest.raises(InputError, match="shape"):
@@ -100,6 +98,37 @@ def test_code_has_names_of_its_own_for_all_that_it_computes(names):
     for i, line in enumerate(lines):  # what is computed before, and the arguments
         used = {x.id for x in ast.walk(line.value) if isinstance(x, ast.Name)} - {"numpy"}
         assert used <= {*known[: 4 + i]}
+
+
+@pytest.mark.parametrize(
+    "names", [("r2", "s2", "c2"), ("alpha", "sign", "phi"), ("p_x", "w_x_0", "u"), ("beta", "x", "beta_0")]
+)
+def test_names_that_derivations_use_are_left_to_the_system(names):
+    """The symbols of the steps get an ending; the formulas reach the pose by `fk`, also as the printed function."""
+    m, bodies = Mechanism("arm", dim=2), ["ground", "A", "B", "C"]
+    for k, name in enumerate(names):
+        m.revolute(name, bodies[k], m.body(bodies[k + 1]), at=(0.0 if k == 0 else 0.5, 0))
+    m.frame("tip", "C", at=(0.2, 0))
+    system, space = m.build(), {}
+    formulas = system.symbolic.ik("tip")
+    exec(formulas.code(), space)
+    for sign in (-1, 1):
+        q = formulas([0.5, 0.4, 0.3], sign)
+        X = system.fk(q, "tip")
+        assert np.allclose([*X[:2, 3], np.arctan2(X[1, 0], X[0, 0])], [0.5, 0.4, 0.3])
+        assert np.allclose(space["inverse"](0.5, 0.4, 0.3, sign), q)
+
+
+def test_conditions_are_those_that_may_fail():
+    """Lengths that are numbers other than zero are none; parameters are."""
+    m = Mechanism("arm", dim=2)
+    m.revolute("q1", m.ground, m.body("A"))
+    m.revolute("q2", "A", m.body("B"), at=(0.5, 0))
+    m.frame("tip", "B", at=(m.parameter("b", 0.4), 0))
+    said = {str(step.symbol): step.condition for step in m.build().symbolic.ik("tip").steps}
+    assert said["c2"] == "b != 0" and said["s2"] == "-1 <= c2 <= 1" and said["alpha"] == "r2 != 0"
+    found = {str(step.symbol): step.condition for step in ARM.symbolic.ik("e").steps}
+    assert found["c2"] == "l1 != 0 and l2 != 0"
 
 
 # ---- all planar chains of two and three joints

@@ -106,3 +106,46 @@ def test_symbolic_results_are_formulas():
         TWO.symbolic.jacobian("e"),
     ):
         assert found._repr_latex_().startswith("$") and found._repr_latex_().endswith("$")
+
+
+WORDED = {
+    "constraints": lambda: BAR.loops.constraints(),
+    "assembler": lambda: BAR.loops.assembler(["A"]),
+    "wrenches": lambda: BAR.mobility().wrenches,
+    "short": lambda: TWO.symbolic.fk("e", short=True),
+    "history": lambda: TWO.ik([2.0, 0.0], "e", history=True).history,
+    "loops": lambda: BAR.loops,
+    "structure": lambda: BAR.structure,
+    "query": lambda: TWO.query("e"),
+    "designs": lambda: TWO.with_parameters(l1=np.linspace(0.1, 0.5, 4)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WORDED)
+def test_a_cell_shows_words_and_no_arrays(name):
+    """On one screen, without places in memory, and with names that the system has."""
+    found = WORDED[name]()
+    text = str(found)
+    assert " at 0x" not in text and "array(" not in text and len(text.splitlines()) <= SCREEN and len(text) < 3000
+    assert any(word in text for word in ("C", "two_link", "four_bar", "c12", "start"))
+    assert not hasattr(found, "_repr_html_") or found._repr_html_().count("<p>") <= SCREEN
+
+
+def test_a_short_formula_is_printed_with_what_it_stands_for():
+    """Read back with the legend put in it is the long one; a difference of angles does not look like a subtraction."""
+    import sympy
+
+    m = kempe.Mechanism("crossed")
+    m.revolute("q1", m.ground, m.body("a"))
+    m.revolute("q2", "a", m.body("b"), at=(0.5, 0, 0), axis="-z")
+    m.frame("e", "b", at=(0.25, 0, 0))
+    long = m.build().symbolic.fk("e")[0, 3]
+    short = m.build().symbolic.short(long)
+    first, *legend = str(short).splitlines()
+    assert "c_{1-2}" in first and len(legend) == 2
+    pairs = [line.split(" = ") for line in legend]
+    names = {word: sympy.Symbol(f"x{k}") for k, (word, _) in enumerate(pairs)}
+    for word, name in names.items():
+        first = first.replace(word, str(name))
+    back = sympy.sympify(first).subs({names[w]: sympy.sympify(meaning) for w, meaning in pairs})
+    assert sympy.simplify(back - long) == 0

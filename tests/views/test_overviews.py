@@ -114,6 +114,14 @@ def test_a_system_in_a_notebook(name):
     assert system.mechanism._repr_html_() == page
 
 
+@pytest.mark.parametrize(
+    ("name", "said"), [("car", "3 degrees of freedom.*; 2 of velocity"), ("two_link", "dimension 2<")]
+)
+def test_freedoms_of_velocity_are_said_in_notebooks(name, said):
+    """A car has three freedoms of position, and at every moment two."""
+    assert re.search(said, kempe.load(name)._repr_html_())
+
+
 def test_names_are_escaped_in_notebooks():
     m = kempe.Mechanism("<b>", dim=2)
     m.revolute("<i>", m.ground, m.body("<u>"))

@@ -772,6 +772,50 @@ def test_several_configurations_side_by_side():
         bar.plot(modes, side_by_side=True, ax=axes[0])
 
 
+def shown_boxes(ax, words):
+    """The boxes on the screen of texts in space with these words."""
+    from matplotlib.transforms import Bbox
+    from mpl_toolkits.mplot3d.proj3d import proj_transform
+
+    ax.figure.canvas.draw()
+    out = []
+    for t in (t for t in ax.texts if t.get_text() in words):
+        size, at = (
+            t.get_window_extent(),
+            ax.transData.transform(proj_transform(*t.get_position_3d(), ax.get_proj())[:2]),
+        )
+        out.append(Bbox([at - 0.5 * np.array(size.size), at + 0.5 * np.array(size.size)]))
+    return out
+
+
+def test_many_solutions_have_numbers_and_a_key_and_differ_in_grey():
+    """Eight of an arm in space: no number covers another, all lies in the figure, and no two have the same dashes."""
+    arm = kempe.load("ur5")
+    every = arm.ik_all(arm.fk(arm.random(4), "tool"), "tool")
+    ax, wide = every.plot(), arm.plot(every.q[0]).figure.get_figwidth()
+    numbers, legend = shown_boxes(ax, set("12345678")), ax.get_legend()
+    assert [t.get_text() for t in legend.get_texts()] == [f"{k}  {name}" for k, name in enumerate(every.names, 1)]
+    assert len(numbers) == 8 and not any(a.overlaps(b) for k, a in enumerate(numbers) for b in numbers[:k])
+    boxes, sheet = [*numbers, legend.get_window_extent()], ax.figure.bbox
+    assert all(sheet.x0 <= b.x0 and b.x1 <= sheet.x1 and sheet.y0 <= b.y0 and b.y1 <= sheet.y1 for b in boxes)
+    assert legend.get_window_extent().x0 > 72 * wide, "beside what is drawn"
+    dashes = [str(artists(ax)[f"configuration{k}:link2"][0]._unscaled_dash_pattern) for k in range(1, 8)]
+    assert len(set(dashes)) == 7
+    axes = every.plot(side_by_side=True)
+    places = {(round(a.get_subplotspec().rowspan.start), a.get_subplotspec().colspan.start) for a in axes}
+    assert places == {(row, column) for row in range(2) for column in range(4)}
+
+
+def test_starts_of_a_history_differ_in_grey():
+    """Each has a mark, filled or open, that no other has; the one that came nearest is the thickest."""
+    found = kempe.load("ur5").ik([2.0, 0.0, 0.5], "tool", history=True, budget=kempe.Budget(starts=14)).history
+    lines = found.plot().get_lines()
+    looks = {(line.get_marker(), line.get_markerfacecolor() == "white") for line in lines}
+    assert len(looks) == len(lines) == 14
+    nearest = found.start[np.argmin(found.position_error)]
+    assert max(lines, key=lambda line: line.get_linewidth()).get_gid() == f"position:{nearest}"
+
+
 def test_a_motion_is_a_path():
     bar = kempe.load("four_bar")
     path = bar.trace("A")
@@ -818,8 +862,12 @@ def test_options_are_written_out():
 
     names = list(inspect.signature(kempe.System.plot).parameters)
     assert names[:3] == ["self", "q", "path"] and set(names[3:]) == set(PlotOptions.__dataclass_fields__)
-    with pytest.raises(UnsupportedError, match="planar"):
-        kempe.load("puma560").plot(workspace="tool")
+    for option in ("workspace", "angles"):
+        with pytest.raises(UnsupportedError, match="planar"):
+            kempe.load("puma560").plot(**{option: "tool"})
+        for name in ("puma560", "two_link"):
+            with pytest.raises((UnknownNameError, UnsupportedError), match="nix|planar"):
+                kempe.load(name).plot(**{option: "nix"})
 
 
 def test_a_system_that_cannot_move_is_drawn():

@@ -108,6 +108,9 @@ def test_wrong_calls_of_the_viewer_are_refused(tmp_path):
         arm.show(port="x", browser=False)
     with pytest.raises(UnknownNameError, match="nix"):
         arm.show(frame="nix", browser=False)
+    for switch in ("share", "browser"):
+        with pytest.raises(InputError, match=f"{switch} is 'yes'; it must be True or False"):
+            arm.show(**{"port": 0, "browser": False, switch: "yes"})
     with pytest.raises(InputError, match="q has"):
         arm.show([1.0, 2.0, 3.0], browser=False)
     for wrong in ("robot.png", tmp_path / "no" / "robot.html", 3):
@@ -266,6 +269,20 @@ def test_sliders_and_targets_move_the_robot_and_no_request_goes_outside(browser,
         own = (viewer.url, viewer.url.replace("http", "ws"), "data:", "blob:")
         assert all(url.startswith(own) for url in seen.requests)
         seen.tab.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
+def test_a_system_in_other_units_looks_the_same(browser, scale):
+    """A linkage in millimetres, or as small as a grain: neither too near to be seen nor too far away."""
+    bar, pictures = kempe.load("watt_six_bar"), []
+    lengths = {name: scale * x for name, x in bar.structure.parameters.items() if name != "bend"}
+    for system in (bar, bar.with_parameters(**lengths)):
+        with system.show(bar.assemble().q, port=0, browser=False) as viewer:
+            seen = Seen(browser, viewer)
+            pictures.append(seen.picture())
+            seen.tab.close()
+    assert np.abs(pictures[0] - pictures[1]).max() < ALIKE and np.ptp(pictures[0]) > 0.1
 
 
 @pytest.mark.slow

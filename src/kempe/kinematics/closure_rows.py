@@ -93,6 +93,9 @@ class SystemConstraint:
     loops: PackedLoops
     rows: tuple[int, ...]
 
+    def __repr__(self) -> str:
+        return f"SystemConstraint({self.name!r}: {', '.join(self.names)})"
+
     @property
     def names(self) -> tuple[str, ...]:
         """The component that each row holds: 'x', 'rz', 'distance', ..."""

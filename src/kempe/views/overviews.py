@@ -13,6 +13,7 @@ from kempe.calls import explained
 from kempe.errors import InputError, KempeError
 from kempe.joints import TYPES
 from kempe.kinematics.configuration import has_loops
+from kempe.kinematics.velocity.velocity import velocity_rows
 from kempe.words import counted, cut, image_html
 
 if TYPE_CHECKING:
@@ -188,11 +189,22 @@ def notebook_page(system: System) -> str:
 def _freedoms(system: System) -> str:
     """The degrees of freedom in a sentence: of a tree those of its joints, else by counting and by rank."""
     if not has_loops(system):
-        return f"{counted(system.nv, 'degree')} of freedom, configuration space {system.configuration_space.within}"
+        said = f"{counted(system.nv, 'degree')} of freedom, configuration space {system.configuration_space.within}"
+        return said + _of_velocity(system)
     try:
         return system.mobility(local=False).sentence
     except KempeError as error:
         return str(error)
+
+
+def _of_velocity(system: System) -> str:
+    """How many freedoms constraints of velocity leave, such as those of wheels; '' without them."""
+    if not velocity_rows(system).names:
+        return ""
+    try:
+        return f"; {system.mobility(local=False).velocity_dof} of velocity"
+    except KempeError:
+        return ""
 
 
 def _picture(system: System) -> str:

@@ -32,10 +32,14 @@ if TYPE_CHECKING:
 
 MOST = 32
 """Configurations that one picture shows at most."""
+ACROSS = 4
+"""Pictures beside one another."""
 ALONG = {"arc length": "s", "time [s]": "t"}
 """What coordinates are drawn over, and the attribute of a path that has it."""
 MARKERS = "os^Dv<>ph*"
 """Marks by which curves differ without colours."""
+MOST_NAMED = 16
+"""Starts that the key of a history names."""
 FEW, TURN, SLIDE = 3, 0.35, 0.08
 """Coordinates up to which neighbours are drawn; how far away: in radians, and in parts of the size of the drawing."""
 
@@ -57,6 +61,12 @@ def plot(system: System, q: Any = None, *, path: Any = None, **options: Any) -> 
     is not drawn, `CallError` for unknown options.
     """
     chosen = PlotOptions(**options)
+    if not isinstance(chosen.angles, bool):
+        name = system.structure.frame_name(chosen.angles)
+        if system.dim == 3:
+            raise UnsupportedError(
+                f"angles to frame {name!r} are drawn of planar systems; in space there is angles=True"
+            )
     if path is None and getattr(q, "is_motion", False):
         q, path = None, q
     way, drivers = motion_of(system, path)
@@ -118,20 +128,24 @@ def _workspace(system: System, options: PlotOptions) -> Any:
 
 
 def _side_by_side(drawing: Any, subjects: list[Subject]) -> tuple[Axes, ...]:
-    """Axes in a row, one for each subject, with its title, all of the same scale."""
+    """Axes in rows of up to `ACROSS`, one for each subject, with its title, all of the same scale."""
+    rows = -(-len(subjects) // ACROSS)
+    across = -(-len(subjects) // rows)
     own: Any = subjects[0].options.ax
     if own is not None:
         own = page.axes_given(own, len(subjects))
     if drawing.__name__.endswith("space"):
-        figure = None if own is not None else page.new_figure(4.2 * len(subjects), 4.2)
+        figure = None if own is not None else page.new_figure(4.2 * across, 4.2 * rows)
         axes = own if figure is None else [
-            figure.add_subplot(1, len(subjects), k + 1, projection="3d") for k in range(len(subjects))]  # fmt: skip
+            figure.add_subplot(rows, across, k + 1, projection="3d") for k in range(len(subjects))]  # fmt: skip
         bounds: Any = [()] * len(subjects)
     else:
         bounds = [(drawing.bounds_of(subjects),)] * len(subjects)
         span = bounds[0][0][1] - bounds[0][0][0]
         height = float(np.clip(4.2 * span[1] / span[0], 1.8, 5.0))
-        axes = page.new_figure(4.2 * len(subjects), height + 0.5).subplots(1, len(subjects)) if own is None else own
+        figure = None if own is not None else page.new_figure(4.2 * across, (height + 0.5) * rows)
+        axes = own if figure is None else [
+            figure.add_subplot(rows, across, k + 1) for k in range(len(subjects))]  # fmt: skip
     axes = tuple(np.ravel(np.array(axes, dtype=object)))
     for subject, ax, known in zip(subjects, axes, bounds, strict=True):
         drawing.picture(subject, ax, *known)
@@ -239,25 +253,36 @@ def _neighbours(system: System, q: Array) -> Array:
 def plot_history(history: Any, ax: Axes | None = None) -> Axes:
     """Axes with the errors of an `IkHistory` over its steps, on a logarithmic scale: a line for each start.
 
-    Position errors [m] are drawn with circles, orientation errors [rad] dashed.
+    Starts differ in their marks, open ones from the `len(MARKERS)`-th on, and the one that came nearest is drawn thick;
+    position errors [m] are solid lines, orientation errors [rad] dashed.
     """
-    ax = page.new_figure(6.0, 4.0).add_axes((0.13, 0.12, 0.84, 0.84)) if ax is None else page.axes_given(ax)[0]
-    least = 1e-17
-    for start in np.unique(history.start):
-        rows = history.start == start
-        how: dict[str, Any] = {"color": style.link_colour(int(start) + 1), "lw": 1.4}
-        for name, unit, line in (("position", "m", "o-"), ("orientation", "rad", "s--")):
-            errors = getattr(history, f"{name}_error")[rows]
-            if errors.any():
-                label = f"start {start}: {name} [{unit}]"
-                ax.plot(
-                    history.step[rows], np.maximum(errors, least), line, ms=4, gid=f"{name}:{start}", label=label, **how
-                )
+    from matplotlib.ticker import MaxNLocator
+
+    ax = page.new_figure(7.0, 4.2).add_axes((0.11, 0.12, 0.68, 0.84)) if ax is None else page.axes_given(ax)[0]
+    least, units, kinds = 1e-17, {"position": "m", "orientation": "rad"}, {"position": "-", "orientation": (0, (5, 2))}
+    errors = {name: np.asarray(getattr(history, f"{name}_error")) for name in units}
+    errors = {name: values for name, values in errors.items() if values.any()}
+    starts = np.unique(history.start)
+    best = history.start[int(np.argmin(sum(errors.values(), np.zeros(len(history.start)))))] if len(starts) else -1
+    for k, start in enumerate(starts):
+        rows, colour = history.start == start, style.INK if start == best else style.link_colour(k + 1)
+        how: dict[str, Any] = {"color": colour, "lw": 2.6 if start == best else 1.2, "zorder": 2.0 + (start == best)}
+        how |= {"marker": MARKERS[k % len(MARKERS)], "ms": 5, "mfc": "white" if k // len(MARKERS) % 2 else colour}
+        for name, values in errors.items():
+            named = (k < MOST_NAMED or start == best) and name == next(iter(errors))
+            label = f"start {start}" if named else "_"
+            ax.plot(history.step[rows], np.maximum(values[rows], least), ls=kinds[name], gid=f"{name}:{start}",
+                    label=label, **how)  # fmt: skip
     ax.set_yscale("log")
     page.light_axes(ax)
+    ax.tick_params(which="minor", labelsize=style.FONT - 2, labelcolor=style.GROUND, color=style.FAINT)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.set_xlabel("step", size=style.FONT, color=style.INK)
-    ax.set_ylabel("error", size=style.FONT, color=style.INK)
-    ax.legend(fontsize=style.FONT - 1, frameon=False)
+    dashed = " (dashed)" * (len(errors) > 1)
+    said = [f"{name} [{units[name]}]" + dashed * (name == "orientation") for name in errors]
+    ax.set_ylabel(f"error: {', '.join(said)}" if said else "error", size=style.FONT, color=style.INK)
+    ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=style.FONT - 1, frameon=False,
+              title=f"of {len(starts)} starts" if len(starts) > MOST_NAMED else None)  # fmt: skip
     return ax
 
 

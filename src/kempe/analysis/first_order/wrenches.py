@@ -22,7 +22,7 @@ from kempe.kinematics.maximal import maximal, maximal_q
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.velocity.velocity import velocity_rows
 from kempe.spatial import Array
-from kempe.words import InWords, cut
+from kempe.words import InWords, cut, listed
 
 if TYPE_CHECKING:
     from kempe.description.mechanism import Mechanism
@@ -93,6 +93,9 @@ class Wrenches:
 
     system: System
     q: Array
+
+    def __repr__(self) -> str:
+        return f"Wrenches of {self.system.name!r}: {listed(self.names, SHOWN)}"
 
     @cached_property
     def names(self) -> tuple[str, ...]:

@@ -5,6 +5,8 @@ An arm that reaches a point or a pose, and a dyad between two links, are the sam
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from kempe.kinematics.formulas.derivation import FormulaStep
@@ -47,6 +49,17 @@ def polar(v: Vector) -> tuple[Any, Any]:
     return sympy.sqrt(x**2 + y**2), sympy.atan2(y, x)
 
 
+def unless_zero(*lengths: Any, named: Any = None) -> str:
+    """The condition that none of some expressions is zero, without those that are other numbers; of one its name."""
+    left = [x if named is None else named for x in lengths if not x.is_number or x.is_zero]
+    return " and ".join(f"{x} != 0" for x in left)
+
+
+def endings() -> Iterator[str]:
+    """What is put after the names of symbols, until a system has none of them: nothing, '_0', '_1', ..."""
+    return itertools.chain([""], (f"_{k}" for k in itertools.count()))
+
+
 class Names(NamedTuple):
     """The symbols of one triangle, which have a common ending."""
 
@@ -72,7 +85,7 @@ def two_circles(n: Names, to: Vector, l1: Any, l2: Any, says: str) -> tuple[list
     x, y = to
     steps = [
         FormulaStep(n.r2, x**2 + y**2, "both parts of the position squared and summed"),
-        FormulaStep(n.c2, (n.r2 - l1**2 - l2**2) / (2 * l1 * l2), "the law of cosines", f"{l1} != 0 and {l2} != 0"),
+        FormulaStep(n.c2, (n.r2 - l1**2 - l2**2) / (2 * l1 * l2), "the law of cosines", unless_zero(l1, l2)),
         FormulaStep(n.s2, n.sign * sympy.sqrt(1 - n.c2**2), says, f"-1 <= {n.c2} <= 1"),
         FormulaStep(n.alpha, sympy.atan2(y, x), "angle to the target", f"{n.r2} != 0"),
         FormulaStep(n.beta, sympy.atan2(l2 * n.s2, l1 + l2 * n.c2), "angle from the first link to the target"),
@@ -87,7 +100,7 @@ def line_and_circle(n: Names, to: Vector, along: Vector, length: Any) -> tuple[l
     """
     ahead, aside = to[0] * along[0] + to[1] * along[1], cross(along, to)
     steps = [
-        FormulaStep(n.s2, aside / length, "part of the way across the slide", f"{length} != 0"),
+        FormulaStep(n.s2, aside / length, "part of the way across the slide", unless_zero(length)),
         FormulaStep(n.c2, -n.sign * sympy.sqrt(1 - n.s2**2), "+1 slides farther", f"-1 <= {n.s2} <= 1"),
         FormulaStep(n.u, ahead - length * n.c2, "the slide: part of the way along it, less that of the bar"),
         FormulaStep(n.beta, sympy.atan2(n.s2, n.c2), "angle from the slide to the bar"),
@@ -100,10 +113,11 @@ def turning_slide(n: Names, to: Vector, across: Any) -> tuple[list[FormulaStep],
 
     Where `sign` is +1 it slides farther than where both roots meet, the foot of the rail's normal.
     """
-    x, y = to
+    (x, y), least = to, across**2
+    far = f"{n.r2} >= {float(least):.6g}" if least.is_number else f"{n.r2} >= {least}"
     steps = [
         FormulaStep(n.r2, x**2 + y**2, "both parts of the position squared and summed"),
-        FormulaStep(n.u, n.sign * sympy.sqrt(n.r2 - across**2), "the slide, by Pythagoras", f"{n.r2} >= ({across})**2"),
+        FormulaStep(n.u, n.sign * sympy.sqrt(n.r2 - least), "the slide, by Pythagoras", far * (not least.is_zero)),
         FormulaStep(n.alpha, sympy.atan2(y, x), "angle to the target", f"{n.r2} != 0"),
         FormulaStep(n.beta, sympy.atan2(across, n.u), "angle from the rail to the target"),
     ]
@@ -113,5 +127,5 @@ def turning_slide(n: Names, to: Vector, across: Any) -> tuple[list[FormulaStep],
 def two_lines(n: Names, to: Vector, one: Vector, two: Vector) -> tuple[list[FormulaStep], Any, Any]:
     """Two slides along directions that add up to `to`: steps, and both slides."""
     area = sympy.simplify(cross(one, two))
-    steps = [FormulaStep(n.c2, area, "sine of the angle between the slides", f"{n.c2} != 0")]
+    steps = [FormulaStep(n.c2, area, "sine of the angle between the slides", unless_zero(area, named=n.c2))]
     return steps, cross(to, two) / n.c2, cross(one, to) / n.c2

@@ -164,6 +164,11 @@ class ShortForm(NamedTuple):
     formula: Any
     legend: dict[Any, Any]
 
+    def __str__(self) -> str:
+        matrix = isinstance(self.formula, sympy.MatrixBase)
+        lines = [sympy.pretty(self.formula, use_unicode=False) if matrix else str(self.formula)]
+        return "\n".join(lines + [f"{short} = {long}" for short, long in self.legend.items()])
+
     def _repr_latex_(self) -> str:
         lines = [f"& {sympy.latex(self.formula)}"]
         lines += [f"{sympy.latex(short)} &= {sympy.latex(long)}" for short, long in self.legend.items()]
@@ -197,6 +202,8 @@ def short_form(system: System, formula: Any) -> ShortForm:
     for found in sorted(formula.atoms(sympy.sin, sympy.cos), key=str):
         angle = found.args[0]
         label = _label(words, angle)
+        if "-" in label:  # c1-2 would be a difference
+            label = f"_{{{label.replace('-_', '-').lstrip('_').replace('_', ',')}}}"
         symbol = sympy.Symbol(f"{'c' if found.func == sympy.cos else 's'}{label}")
         if label and angles.setdefault(label, angle) == angle and symbol not in formula.free_symbols:
             legend[symbol] = found

@@ -80,6 +80,9 @@ class Assembler:
         self.loops = self._loops((False,) * len(self.frames))
         self.no_pins = np.zeros((1, 12 * len(self.frames)))
 
+    def __repr__(self) -> str:
+        return f"Assembler of {self.system.name!r} from {', '.join(self.known) or 'nothing known'}"
+
     def _places(self, names: list[str]) -> None:
         """Find the places in q of the known coordinates; for a coupled one the place, factor and offset of its source.
 

@@ -15,6 +15,7 @@ from kempe.kinematics.formulas.derivation import Derivation, FormulaStep
 from kempe.kinematics.formulas.plane_steps import (
     Names,
     Vector,
+    endings,
     line_and_circle,
     minus,
     plus,
@@ -99,6 +100,10 @@ class _Writing:
         self.plan, self.system = plan, plan.system
         self.leaves = SymbolLeaves(plan.system, symbols or {}, 0.0)
         self.steps: list[FormulaStep] = []
+        taken = {*plan.system.coordinate_names, *plan.system.structure.parameters}
+        own = {f"{word}_{b}" for word in ("theta", "x", "y") for b in plan.system.body_names}
+        own |= {f"{word}_{k}" for word in (*Names._fields, "d_x", "d_y") for k in range(1, len(plan.dyads) + 1)}
+        self.end = next(end for end in endings() if not any(f"{word}{end}" in taken for word in own))
         self.found: list[str] = []
         self.unknown = {sympy.Symbol(n) for n in plan.system.coordinate_names} - {sympy.Symbol(n) for n in plan.known}
         self.places = {plan.system.body_names[0]: _Place((0, 0), 0)}
@@ -132,7 +137,7 @@ class _Writing:
             names = ", ".join(sorted(map(str, self.unknown)))
             raise UnsupportedError(f"no formulas for {names}; loops.closed_form has numbers")
         given = tuple(sympy.Symbol(n) for n in self.plan.known)
-        signs = tuple(sympy.Symbol(f"sign_{k + 1}") for k in range(self.plan.signs))
+        signs = tuple(sympy.Symbol(f"sign_{k + 1}{self.end}") for k in range(self.plan.signs))
         return DyadFormulas(self.system, tuple(self.steps), given, signs, tuple(self.found), self.plan)
 
     # ---- what is known
@@ -144,9 +149,10 @@ class _Writing:
 
     def _place(self, body: str, angle: Any, own: Vector, at: Vector) -> None:
         """Place a body: its angle, and the ground's point `at` at which its own point is."""
-        theta = self._say(f"theta_{body}", angle, f"angle of {body}")
+        end = f"{body}{self.end}"
+        theta = self._say(f"theta_{end}", angle, f"angle of {body}")
         x, y = minus(at, turned(own, theta))
-        self.places[body] = _Place((self._say(f"x_{body}", x, f"place of {body}"), self._say(f"y_{body}", y)), theta)
+        self.places[body] = _Place((self._say(f"x_{end}", x, f"place of {body}"), self._say(f"y_{end}", y)), theta)
 
     def _drive(self) -> bool:
         """Place a body by a joint whose coordinate is known."""
@@ -231,7 +237,7 @@ class _Writing:
         return UnsupportedError(f"no formulas for the dyad at {joint!r}; loops.closed_form has numbers")
 
     def _to(self, k: int, v: Vector) -> Vector:
-        return self._say(f"d_x_{k}", v[0], "between the joints"), self._say(f"d_y_{k}", v[1])
+        return self._say(f"d_x_{k}{self.end}", v[0], "between the joints"), self._say(f"d_y_{k}{self.end}", v[1])
 
     def _polar(self, v: Vector) -> tuple[Any, Any]:
         """Length, not negative, and angle of a vector."""
@@ -244,9 +250,9 @@ class _Writing:
 
     def _close(self, dyad: Dyad, k: int) -> None:
         """Place the two links of a dyad."""
-        n = Names.ending(f"_{k}")
+        n = Names.ending(f"_{k}{self.end}")
         if dyad.sign is not None:
-            n = n._replace(sign=sympy.Symbol(f"sign_{dyad.sign + 1}"))
+            n = n._replace(sign=sympy.Symbol(f"sign_{dyad.sign + 1}{self.end}"))
         first, second = dyad.bodies
         x, y, z = dyad.joints
         if not {*first, *second} <= set(self.system.body_names):

@@ -13,7 +13,7 @@ from kempe.kinematics.common.result import Report
 from kempe.solvers.one_frame import multi_start
 from kempe.solvers.one_frame.solution import Solution
 from kempe.spatial import Array
-from kempe.words import counted
+from kempe.words import counted, cut
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 MOST_STARTS = 64
 """Starts whose iterates are kept: those of more fill no picture."""
+MOST_LINES = 32
+"""Lines of the text."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +64,11 @@ class IkHistory(Report):
         return bool(np.any(self.orientation_error > 0.0))
 
     def _lines(self) -> list[str]:
-        rows = zip(self.start, self.step, self.position_error, self.orientation_error, strict=True)
-        return [f"start {s}, step {k}: {p:.3g} m" + f", {a:.3g} rad" * self._turns for s, k, p, a in rows]
+        rows = list(zip(self.start, self.step, self.position_error, self.orientation_error, strict=True))
+        if self.start[-1] > 0:  # of each of several starts the last step
+            rows = [rows[k] for k in (*(np.flatnonzero(np.diff(self.start))), -1)]
+        lines = [f"start {s}, step {k}: {p:.3g} m" + f", {a:.3g} rad" * self._turns for s, k, p, a in rows]
+        return cut(lines, MOST_LINES)
 
     def _data(self) -> dict[str, Any]:
         names = ("q", "position_error", "orientation_error", "start", "step", "starts")

@@ -44,15 +44,8 @@ def texts(subject: Subject, mark: float) -> list[Text]:
                 text = length_name(known, float(np.linalg.norm(line[-1] - line[0])))
                 look = {"color": GROUND, "style": "italic", "gid": f"label:dimension:{link.name}:{k}"}
                 out.append((_middle(line), text, look))
-    if subject.others:
-        for k, (title, other) in enumerate(zip(subject.titles, (scene, *subject.others), strict=False)):
-            p = np.concatenate([other.points(link) for link in other.links[1:]])
-            look = {
-                "color": INK if k == 0 else style.curve_colour(k),
-                "weight": "bold",
-                "gid": f"label:configuration{k}",
-            }
-            out.append((p[-1 - k % min(len(p), 3)], title, look))
+    scenes = (scene, *subject.others) if subject.others else ()
+    out += subject.names_at([np.concatenate([s.points(link) for link in s.links[1:]]) for s in scenes])
     return out
 
 

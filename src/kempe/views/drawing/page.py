@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from kempe.errors import InputError
 from kempe.spatial import Array
@@ -133,6 +134,26 @@ def light_axes(ax: Axes) -> None:
         spine.set_visible(side in ("left", "bottom"))
         spine.set_color(FAINT)
     ax.tick_params(color=FAINT, labelcolor=style.GROUND, labelsize=FONT - 1, length=3)
+
+
+def key(ax: Axes, titles: tuple[str, ...], own: bool) -> None:
+    """Write what configurations are called, each with its number and its line: of an own figure, widened, beside it."""
+    lines = [
+        Line2D([], [], color=style.over_colour(k), lw=2.2 if k else 4.0, ls=style.DASHES[k % len(style.DASHES)],
+               label=f"{k + 1}  {title}")
+        for k, title in enumerate(titles)
+    ]  # fmt: skip
+    how: Any = {"handles": lines, "fontsize": FONT - 1, "frameon": False, "handlelength": 4.5}
+    if not own:
+        ax.legend(**how, loc="upper left")
+        return
+    figure: Any = ax.figure
+    (wide, high), box = figure.get_size_inches(), ax.get_position(original=True)
+    more = max(labels.extent(str(line.get_label()), FONT - 1)[0] for line in lines) / 72.0 + 0.9
+    figure.set_size_inches(wide + more, high)
+    part = wide / (wide + more)
+    ax.set_position((part * box.x0, box.y0, part * box.width, box.height))
+    ax.legend(**how, loc="center right", bbox_to_anchor=(1.0, 0.5), bbox_transform=figure.transFigure)
 
 
 def nice(length: float) -> float:

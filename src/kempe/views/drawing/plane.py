@@ -28,7 +28,8 @@ def picture(
     if ax is not None and hasattr(page.axes_given(ax)[0], "get_zlim"):
         raise InputError("ax is in space; a planar system needs plain axes")
     radius = subject.radius or planar.pin_radius(subject.scene)
-    if ax is None:  # the extent of the drawing decides the shape of the figure
+    own = ax is None
+    if own:  # the extent of the drawing decides the shape of the figure
         lower, upper = extent(subject)
         lines = subject.parameter_text().count("\n") + 1 if subject.parameter_text() else 0
         ax = page.figure_for(upper - lower, bool(subject.curves), 0.16 * lines, make)
@@ -38,6 +39,8 @@ def picture(
     page.finish(sheet, lower, upper, bool(subject.curves))
     if subject.parameter_text():
         ax.set_title(subject.parameter_text(), loc="left", size=style.FONT - 1, color=style.INK, pad=3.0)
+    if subject.keyed:
+        page.key(ax, subject.titles, own)
     return ax
 
 
@@ -82,7 +85,10 @@ def drawn(sheet: Sheet, subject: Subject) -> None:
         if name in subject.axes:
             _axis_names(sheet, name, X, below)
     dimensioning.draw(sheet, subject)
-    _titles(sheet, subject)
+    scenes = (subject.scene, *subject.others)
+    points = [np.concatenate([flat(s.points(link)) for link in s.links[1:]]) for s in scenes if subject.others]
+    for p, text, look in subject.names_at(points):
+        sheet.labels.append((text, p, 1.6 * sheet.r, look))
 
 
 def _axis_names(sheet: Sheet, name: str, X: Array, below: str) -> None:
@@ -95,7 +101,7 @@ def _axis_names(sheet: Sheet, name: str, X: Array, below: str) -> None:
 
 def _over(sheet: Sheet, scene: Scene, number: int) -> None:
     """Draw the links of another configuration, in a colour and with an outline of its own."""
-    colour, gid = style.curve_colour(number), f"configuration{number}"
+    colour, gid = style.over_colour(number), f"configuration{number}"
     line = style.DASHES[number % len(style.DASHES)]
     for link in scene.links[1:]:
         p = flat(scene.points(link))
@@ -108,20 +114,6 @@ def _over(sheet: Sheet, scene: Scene, number: int) -> None:
         if joint.kind == "revolute":
             sheet.patch(shapes.circle(flat(joint.M), 0.7 * sheet.r), f"{gid}:{joint.name}", style.POLYGONS,
                         fc=style.PAPER, ec=colour, lw=1.2)  # fmt: skip
-
-
-def _titles(sheet: Sheet, subject: Subject) -> None:
-    """Collect the names of the configurations, each where it is furthest from the others."""
-    if not subject.others or not any(subject.titles):
-        return
-    scenes = (subject.scene, *subject.others)
-    points = [np.concatenate([flat(s.points(link)) for link in s.links[1:]]) for s in scenes]
-    for k, (title, own) in enumerate(zip(subject.titles, points, strict=False)):
-        rest = np.concatenate([p for i, p in enumerate(points) if i != k])
-        gap = np.linalg.norm(own[:, None] - rest, axis=-1).min(axis=1)
-        colour = style.INK if k == 0 else style.curve_colour(k)
-        look = {"gid": f"label:configuration{k}", "color": colour, "weight": "bold"}
-        sheet.labels.append((title, own[int(np.argmax(gap))], 1.6 * sheet.r, look))
 
 
 def _workspace(sheet: Sheet, workspace: Any) -> None:

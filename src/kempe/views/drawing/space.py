@@ -101,6 +101,8 @@ def picture(
     _labels(ax, subject, texts, skeleton, radius, camera(elev, azim), own)
     if subject.parameter_text():
         ax.set_title(subject.parameter_text(), loc="left", size=FONT - 1, color=INK, pad=3.0)
+    if subject.keyed:
+        page.key(ax, subject.titles, own)
     return ax
 
 
@@ -116,7 +118,7 @@ def _positions(ax: Any, subject: Subject) -> list[Array]:
     for k, other in enumerate(subject.others, 1):
         for link, line in symbols.lines(other):
             drawn.append(line)
-            ax.plot(*line.T, color=style.curve_colour(k), lw=2.2, ls=style.DASHES[k % len(style.DASHES)],
+            ax.plot(*line.T, color=style.over_colour(k), lw=2.2, ls=style.DASHES[k % len(style.DASHES)],
                     zorder=style.BLOCKS, gid=f"configuration{k}:{link.name}")  # fmt: skip
     return drawn
 

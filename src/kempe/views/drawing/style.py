@@ -22,9 +22,12 @@ LINKS = (
 )  # fmt: skip
 AXES = ("#c0392b", "#2e8b57", "#2b5fb3")
 """Colours of the axes x, y, z of frames."""
-CURVES = ("#c1272d", "#1b6fb5", "#2c8c45", "#8e44ad", "#d9820a", "#0f8b8d")
+CURVES = ("#c1272d", "#1b6fb5", "#2c8c45", "#8e44ad", "#d9820a", "#0f8b8d", "#8b5e3c", "#5b6770")
 
-DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (2, 2)), (0, (6, 2, 1, 2)))
+DASHES: tuple[Any, ...] = (
+    "-", (0, (5, 2)), (0, (2, 2)), (0, (6, 2, 1, 2)), (0, (11, 3)), (0, (1, 1.6)), (0, (6, 2, 1, 2, 1, 2)),
+    (0, (9, 2, 3, 2)),
+)  # fmt: skip
 """Lines of configurations that lie over one another: they differ in grey, too."""
 
 FONT = 9.0
@@ -53,6 +56,11 @@ def link_colour(number: int) -> str:
 def curve_colour(number: int) -> str:
     """Colour of the curve of this number, counted from 0."""
     return CURVES[number % len(CURVES)]
+
+
+def over_colour(number: int) -> str:
+    """Colour of the configuration of this number of several in one picture; the first, in full, is number 0."""
+    return INK if number == 0 else curve_colour(number)
 
 
 def mix(colour: str, other: str, part: float) -> str:

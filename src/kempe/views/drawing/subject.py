@@ -5,13 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from kempe.model.plot_options import PlotOptions
 from kempe.spatial import Array
 from kempe.values import Expression
+from kempe.views.drawing import style
 from kempe.views.drawing.scene import Scene, SeenJoint
 
 if TYPE_CHECKING:
     from kempe.model.system import System
+
+IN_PLACE, SHORT = 4, (2, 12)
+"""Configurations whose names stand beside them, and letters of these in space and in the plane; others have a key."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +50,25 @@ class Subject:
     def marks(self) -> dict[str, Array]:
         """Poses (4, 4) of the frames whose axes are drawn."""
         return {**({} if self.curves else self.here), **self.axes}
+
+    @property
+    def keyed(self) -> bool:
+        """Whether several configurations have numbers, and their names stand in a key beside the picture."""
+        longest = max(map(len, self.titles), default=0)
+        many = len(self.titles) > IN_PLACE and longest > SHORT[0]
+        return bool(self.others) and (many or longest > SHORT[self.system.dim == 2])
+
+    def names_at(self, points: list[Array]) -> list[tuple[Array, str, dict[str, Any]]]:
+        """Name or number of each configuration, where its points (n, d) are furthest from the others, and its look."""
+        if not self.others or not any(self.titles):
+            return []
+        out: list[tuple[Array, str, dict[str, Any]]] = []
+        for k, (title, own) in enumerate(zip(self.titles, points, strict=False)):
+            rest = np.concatenate([p for i, p in enumerate(points) if i != k])
+            gap = np.linalg.norm(own[:, None] - rest, axis=-1).min(axis=1)
+            look = {"gid": f"label:configuration{k}", "color": style.over_colour(k), "weight": "bold"}
+            out.append((own[int(np.argmax(gap))], str(k + 1) if self.keyed else title, look))
+        return out
 
     def coordinates(self, joint: SeenJoint) -> list[str]:
         """Names of the coordinates of a joint."""

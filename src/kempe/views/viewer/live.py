@@ -14,6 +14,7 @@ import webbrowser
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Self
 
+from kempe.calls import flag
 from kempe.errors import InputError, MissingExtraError
 from kempe.reals import is_whole
 from kempe.spatial import Array
@@ -55,9 +56,10 @@ def show(
     `close`, the end of a ``with``, or the end of Python. Errors: `InputError` for shapes and a port that is in use;
     `UnknownNameError` for a frame.
     """
+    shared, opened = flag(share, "share"), flag(browser, "browser")
     session = Session(system, q, frame, path)
-    viewer = Viewer(session, share, _checked(port))
-    if browser:
+    viewer = Viewer(session, shared, _checked(port))
+    if opened:
         webbrowser.open(viewer.url)
     return viewer
 
@@ -107,6 +109,7 @@ class Viewer:
         session = self.session if self.share else copy.copy(self.session)
         session.lock = self.session.lock if self.share else threading.RLock()
         wide, high = client.camera.image_width, client.camera.image_height
+        client.camera.max_orbit_distance, client.camera.min_orbit_distance = float("inf"), self.drawn.near
         below = COVERED if wide < SHEET else 0.0
         aspect = (wide if below else wide - PANEL) / high
         if below or aspect < 1.0:

@@ -32,6 +32,8 @@ ROOM = {2: 1.15, 3: 1.53}
 """Height of the picture where the camera looks at, in diagonals of the drawing, in the plane and in space."""
 UPWARDS, ASIDE = np.array([0.0, 0.0, 1.0]), np.array([0.6, -0.85, 0.4])
 """From where planar and spatial systems are looked at."""
+NEAR, FAR = 0.01, 1000.0
+"""How near to the camera and how far from it things are seen, in diagonals of the drawing."""
 SOFT = np.cos(np.deg2rad(35.0))
 """Cosine of the angle up to which neighbouring triangles are shaded as one round surface."""
 
@@ -89,6 +91,11 @@ class Drawn:
                                                                         process=False))  # fmt: skip
         return tuple((k, trimesh.util.concatenate(meshes)) for k, meshes in by.items())
 
+    @property
+    def near(self) -> float:
+        """The least distance [m] of the camera from what it sees."""
+        return NEAR * max(self.rigid.size, 1e-9)
+
     def look_from(self, camera: Any, aspect: float = 1.0, below: float = 0.0) -> None:
         """Place a camera, or the one that pages begin with.
 
@@ -97,11 +104,12 @@ class Drawn:
         flat = self.system.dim == 2
         away, upright = (UPWARDS, np.array([0.0, 1.0, 0.0])) if flat else (ASIDE, UPWARDS)
         opening = OPENING[self.system.dim]
-        high = ROOM[self.system.dim] * max(self.rigid.size, 1e-9) / min(max(aspect, 0.1), 1.0 - below)
+        size = max(self.rigid.size, 1e-9)
+        high = ROOM[self.system.dim] * size / min(max(aspect, 0.1), 1.0 - below)
         far = 0.5 * high / np.tan(0.5 * opening)
         up = upright - away * float(upright @ away) / float(away @ away)
         at = self.rigid.middle - 0.5 * below * high * float(np.linalg.norm(away) / np.linalg.norm(up)) * up
-        camera.fov = opening
+        camera.fov, camera.near, camera.far = opening, self.near, FAR * size
         camera.position = tuple(at + far * away)
         camera.look_at = tuple(at)
 

@@ -61,7 +61,7 @@ class PlanePiece:
         sense, size = np.sign(self.sweep), abs(self.sweep)
         turn: np.ndarray = np.mod(sense * (np.angle(p - self.centre) - self.start), TURN)
         turn = np.where(turn > size + 0.5 * (TURN - size), turn - TURN, turn)
-        t = turn / size
+        t = turn / max(size, 1e-300)  # an arc may have shrunk to a point
         return t, (t > -slack) & (t < 1.0 + slack)
 
     def distance(self, p: np.ndarray) -> np.ndarray:

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 MEASURES = {1: ("length", "m"), 2: ("area", "m^2"), 3: ("volume", "m^3")}
 """What is measured in one, two and three dimensions, and its unit."""
 MOST_LIMITED = 4
+LARGE = 1.0
+"""Edge [m] of a cell from which on it is written in metres, below in millimetres."""
 ROUNDING = 1e-9
 """Error of an exact area, in squares of the size of its chain."""
 
@@ -244,8 +246,9 @@ class Workspace(Report):
         """How much was drawn, and how many cells it fell into."""
         found, of, wanted = int(self.map.occupied.sum()), self.map.counts.size, self.question
         left = f" ({self.requested:.6g} were requested)" if self.samples < self.requested else ""
-        edges = " x ".join(f"{1e3 * x:.4g}" for x in self.map.cell)
-        size = "" if self.kind == ORIENTATION else f" of {edges} mm"
+        part, unit = (1.0, "m") if max(self.map.cell) >= LARGE else (1e3, "mm")
+        edges = " x ".join(f"{part * x:.4g}" for x in self.map.cell)
+        size = "" if self.kind == ORIENTATION else f" of {edges} {unit}"
         cells = f"{found} of {counted(of, 'cell')}{size}: each of these holds a point that is reached"
         if not wanted.tried:
             return (

@@ -198,9 +198,9 @@ class Solutions(ConfigurationList, Answer):
         """Name of the branch of each, (k,) or (..., K): "elbow-up", or "shoulder left, elbow up, no flip".
 
         A name depends on the configuration alone, and says "singular" on the border of two branches. It is "" where
-        there is none: for other chains than planar arms and those of six turns, the second and third about parallel
-        axes, with a wrist of three axes that meet in a point, or with a fourth axis parallel to the second and axes 5
-        and 6 that meet.
+        there is none: for other chains than planar arms, SCARAs and those of six turns, the second and third about
+        parallel axes, with a wrist of three axes that meet in a point, or with a fourth axis parallel to the second
+        and axes 5 and 6 that meet.
         """
         lines, out = self.plan.lines, np.full(self._used.shape, "", dtype=object)
         if self._kind is not None and self._used.any():
@@ -394,4 +394,5 @@ class Solutions(ConfigurationList, Answer):
             notes += [] if inside else ["outside limits"]
             notes += [f"{m} roots"] if m > 1 else ["one of a family"] if m == 0 else []
             rows.append([*(f"{x:.9g}" for x in q[at]), ", ".join(notes) or "-"])
-        return [*(names[int(i)] for i in at), "note"], rows
+        heads = [*(names[int(i)] for i in at), "note"]
+        return (heads, rows) if any(row[-1] != "-" for row in rows) else (heads[:-1], [row[:-1] for row in rows])

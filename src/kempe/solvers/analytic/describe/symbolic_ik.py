@@ -16,6 +16,7 @@ from kempe.kinematics.formulas.derivation import Derivation, FormulaStep
 from kempe.kinematics.formulas.plane_steps import (
     Names,
     Vector,
+    endings,
     line_and_circle,
     minus,
     plus,
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
 
 TASKS = {2: "position", 3: "pose"}
 """What a planar chain of so many joints can reach."""
+OWN = ("p_x", "p_y", "phi", "w_x", "w_y")
+"""Names of the target, and of the place of the last joint."""
 ELBOW = "-1 is elbow up, +1 elbow down"
 
 
@@ -94,28 +97,23 @@ def symbolic_ik(
             f"formulas for {name!r} need two joints to a position, or three to a pose, that turn about z of the ground "
             "or slide across it; ik_all gives numbers"
         )
-    inputs = sympy.symbols("p_x p_y phi")[: len(joints)]
-    n = Names.ending("")
-    own = {*n, *sympy.symbols("p_x p_y phi w_x w_y")}
-    if own & (
-        set(tip.free_symbols).union(*(j.point.free_symbols for j in joints)) | {sympy.Symbol(j.name) for j in joints}
-    ):
-        raise UnsupportedError(f"formulas for {name!r} need parameters and coordinates that are not called "
-                               f"{', '.join(sorted(map(str, own)))}; ik_all gives numbers")  # fmt: skip
+    taken: set[Any] = {sympy.Symbol(j.name) for j in joints} | set(tip.free_symbols)
+    taken = taken.union(*(j.point.free_symbols for j in joints))
+    words = (*Names._fields, *OWN)
+    end = next(e for e in endings() if not any(sympy.Symbol(f"{word}{e}") in taken for word in words))
+    own: list[Any] = [sympy.Symbol(f"{word}{end}") for word in OWN]
+    n, inputs, last = Names.ending(end), own[: len(joints)], own[3:]
     arm = [_PlaneJoint.of(j) for j in joints]
-    end: Vector = (tip[0, 3], tip[1, 3])
+    reached: Vector = (tip[0, 3], tip[1, 3])
     steps, angle = list[FormulaStep](), None
     target: Vector = (inputs[0], inputs[1])
     if what == "pose":
         angle = inputs[2] - sympy.atan2(tip[1, 0], tip[0, 0])
         if arm[-1].turns:  # the place of the last joint
-            to = minus(target, turned(minus(end, arm[-1].at), angle))
-            steps += [
-                FormulaStep(s, x, "the target, less the last link")
-                for s, x in zip(sympy.symbols("w_x w_y"), to, strict=True)
-            ]
-            target, end = (steps[0].symbol, steps[1].symbol), arm[-1].at
-    more, found = _solved(n, arm, target, end, angle)
+            to = minus(target, turned(minus(reached, arm[-1].at), angle))
+            steps += [FormulaStep(s, x, "the target, less the last link") for s, x in zip(last, to, strict=True)]
+            target, reached = (steps[0].symbol, steps[1].symbol), arm[-1].at
+    more, found = _solved(n, arm, target, reached, angle)
     steps += more
     order = ("first", "second", "third")
     for j, x, place in zip(arm, found, order, strict=False):

@@ -52,12 +52,18 @@ class Kind:
 def kind_of(plan: ChainPlan, planar: bool) -> Kind | None:
     """The kind of arm of a plan, None where its branches have no names."""
     lines = plan.lines
-    n = len(lines)
-    if plan.locked or np.any(lines.kinds != TURN):
+    n, turns = len(lines), np.flatnonzero(lines.kinds == TURN)
+    if plan.locked:
         return None
     if planar:
-        return Kind(PLANAR) if (n, plan.task) in ((2, "position"), (2, "pose"), (3, "pose")) else None
+        bends = (n, plan.task) in ((2, "position"), (2, "pose"), (3, "pose"))
+        return Kind(PLANAR) if bends and len(turns) == n else None
     axes = Axes(lines.kinds, lines.h, lines.o)
+    if all(parallel(h, axes.h[0]) for h in axes.h):  # as of a SCARA
+        bends = (len(turns), plan.task) in ((2, "position"), (3, "pose")) and n <= len(turns) + 1
+        return Kind(PLANAR) if bends else None
+    if len(turns) < n:
+        return None
     if n != 6 or plan.task != "pose" or parallel(axes.h[0], axes.h[1]) or not parallel(axes.h[1], axes.h[2]):
         return None
     three = parallel(axes.h[2], axes.h[3])
@@ -75,7 +81,7 @@ def branch_names(kind: Kind, lines: Lines, theta: Array, merged: np.ndarray | No
     border = np.where(np.zeros(len(theta), bool) if merged is None else merged, MERGED, BORDER)
     bend: Array | None = None
     if len(kind.words) == 1:
-        signs = [_bend_in_plane(o, tip[:, :3, 3])]
+        signs = [_bend_in_plane(h, o, tip[:, :3, 3], np.flatnonzero(lines.kinds == TURN))]
     else:
         (shoulder, bend, turn), _ = _measures(kind, h, o)
         signs = [shoulder, np.sign(_ahead(h, o)) * bend, turn]
@@ -110,12 +116,17 @@ def _plain(word: str) -> str:
     return " ".join(re.sub(r"(?<=\w)-(?=\w)", " ", word).split())
 
 
-def _bend_in_plane(o: Array, tip: Array) -> Array:
-    """Positive (m,) where the elbow lies to the left of the way from the first axis to the third, or to the tip."""
-    first, second = o[:, 1, :2] - o[:, 0, :2], (o[:, 2] if o.shape[1] > 2 else tip)[:, :2] - o[:, 1, :2]
+def _bend_in_plane(h: Array, o: Array, tip: Array, turns: np.ndarray) -> Array:
+    """Positive (m,) where the elbow lies to the left of the way from the first axis to the third, or to the tip.
+
+    Of the joints `turns` turn; it is seen from where the first axis points to.
+    """
+    up = h[:, turns[0]]
+    first, second = o[:, turns[1]] - o[:, turns[0]], (o[:, turns[2]] if len(turns) > 2 else tip) - o[:, turns[1]]
+    first, second = (v - up * np.einsum("mi,mi->m", v, up)[:, None] for v in (first, second))
     size = np.linalg.norm(first, axis=1) * np.linalg.norm(second, axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        sine = (first[:, 1] * second[:, 0] - first[:, 0] * second[:, 1]) / size
+        sine = np.einsum("mi,mi->m", up, np.cross(second, first)) / size
     return np.where(size > CENTRED, sine, np.nan)
 
 
