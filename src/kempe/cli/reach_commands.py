@@ -58,7 +58,9 @@ Ranges = Annotated[
 ]
 Cells = Annotated[int, option("--cells", "Values that are tried along each range (11).", "N")]
 Frame = Annotated[str | None, option("--frame", "Body or frame that loses directions.", "NAME")]
-FrameTask = Annotated[str | None, option("--task", "What counts: pose, position or orientation.", "TASK")]
+FrameTask = Annotated[
+    str | None, option("--task", "What counts: pose, position, orientation, xy, xz, yz or direction.", "TASK")
+]
 Inputs = Annotated[str | None, option("--inputs", "Driven coordinates of closed loops. Default: as FILE says.", "A,B")]
 From = Annotated[
     list[str] | None,
