@@ -109,7 +109,7 @@ def test_it_runs_on_old_systems_and_on_later_pythons(wheel):
     assert done.returncode == 0 and '"is_abi3": true' in done.stdout, done.stdout + done.stderr
 
 
-@pytest.mark.skipif(hunts.TIMES < 1, reason="takes minutes: --hunt-times 1")
+@pytest.mark.skipif(hunts.TIMES < 1, reason="takes minutes: runs with --hunt-times 1")
 def test_two_builds_are_the_same_byte_by_byte(wheel, tmp_path):
     again = built(tmp_path)
     assert hashlib.sha256(again.read_bytes()).digest() == hashlib.sha256(wheel.read_bytes()).digest()

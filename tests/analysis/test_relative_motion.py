@@ -90,3 +90,18 @@ def test_bad_input():
     m.free("J", m.ground, m.particle("P"))
     with pytest.raises(UnsupportedError, match="particle"):
         m.build().loops.relative_motion([0, 0, 0], "P", "ground")
+
+
+def test_a_singular_posture_says_what_there_is_around():
+    """A stretched arm loses a direction; moved away from there it has what it has elsewhere."""
+    for name, frame, here, around in (("ur5", "tool", 5, 6), ("two_link", "e", 2, 2)):
+        arm = kempe.load(name)
+        found = arm.mobility(arm.neutral).relative(frame, arm.body_names[0])
+        J = arm.jacobian(arm.neutral, frame)
+        assert found.dof == np.linalg.matrix_rank(J, 1e-9) == here and found.around == around
+        assert ("to first order here, around here 6" in found.status) == (here < around)
+        elsewhere = arm.loops.relative_motion(arm.random(1), frame, arm.body_names[0])
+        assert elsewhere.dof == elsewhere.around == around and "here" not in elsewhere.status
+    bar = kempe.load("four_bar")
+    q = bar.assemble({"A": 0.5}).q
+    assert bar.loops.relative_motion(q, "rocker", "ground").around == 1

@@ -286,7 +286,7 @@ def test_a_system_in_other_units_looks_the_same(browser, scale):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "wide"), zip(itertools.cycle(["panda", "four_bar"]), [400, 574, 600, 800, 1280]))
+@pytest.mark.parametrize(("name", "wide"), [*zip(itertools.cycle(["panda", "four_bar"]), [400, 574, 600, 800, 1280])])
 def test_the_panel_leaves_the_system_in_sight(browser, name, wide):
     """On pages of any width all origins of bodies lie where the picture is uncovered, and spread over a part of it."""
     system = kempe.load(name)
@@ -392,7 +392,11 @@ def test_a_saved_page_opens_from_disk_and_moves(browser, tmp_path):
     tab, requests = browser.new_page(viewport={"width": 600, "height": 500}), []
     tab.on("request", lambda r: requests.append(r.url))
     tab.goto(Path(file).as_uri())
-    tab.get_by_text("Sliders need the live page").wait_for()
+    note, bar = tab.get_by_text("Sliders need the live page"), tab.locator(".mantine-Slider-root").first
+    note.wait_for()
+    bar.wait_for()
+    own, below = note.bounding_box(), bar.bounding_box()
+    assert own["y"] + own["height"] < below["y"], "above the player"
     tab.wait_for_timeout(2500)
     first = tab.screenshot()
     tab.wait_for_timeout(700)

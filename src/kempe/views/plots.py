@@ -24,6 +24,7 @@ from kempe.spatial import Array
 from kempe.views.drawing import page, style
 from kempe.views.drawing.scene import look
 from kempe.views.drawing.subject import Subject
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -282,7 +283,7 @@ def plot_history(history: Any, ax: Axes | None = None) -> Axes:
     said = [f"{name} [{units[name]}]" + dashed * (name == "orientation") for name in errors]
     ax.set_ylabel(f"error: {', '.join(said)}" if said else "error", size=style.FONT, color=style.INK)
     ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=style.FONT - 1, frameon=False,
-              title=f"of {len(starts)} starts" if len(starts) > MOST_NAMED else None)  # fmt: skip
+              title=f"of {counted(len(starts), 'start')}" if len(starts) > MOST_NAMED else None)  # fmt: skip
     return ax
 
 

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.analysis.continuation.continuation import Closure
+from kempe.analysis.first_order.generic_configurations import nearby
 from kempe.analysis.first_order.null_space import column_space
+from kempe.analysis.first_order.rank import rank_at
 from kempe.analysis.motion.transmission import allowed
 from kempe.calls import explained
 from kempe.errors import InputError, UnsupportedError
@@ -44,6 +46,8 @@ class RelativeMotion(Report):
     """
     origin: Array
     """The origin (3,) of `body` in the frame `to`."""
+    around: int
+    """The largest dimension found at closed configurations some way from here, at least `dof`."""
     within: Idealised | None = field(default=None, repr=False)
     """The nearest mechanism that closes exactly, whose motions these are; None: the given one's."""
 
@@ -52,13 +56,14 @@ class RelativeMotion(Report):
         """The DoF in words; of a single one also the axis, in the frame `to`."""
         head = f"{self.dof} DoF of {self.body} relative to {self.to}"
         more = f", {self.slides} of them by sliding alone" if self.dof else ""
-        return head + (f": {self._single()}" if self.dof == 1 else more) + said(self.within)
+        here = f"; to first order here, around here {self.around}" if self.around > self.dof else ""
+        return head + (f": {self._single()}" if self.dof == 1 else more) + here + said(self.within)
 
     def _headline(self) -> str:
         return self.status
 
     def _data(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in ("body", "to", "dof", "slides", "twists", "origin")}
+        return {name: getattr(self, name) for name in ("body", "to", "dof", "slides", "twists", "origin", "around")}
 
     def _single(self) -> str:
         v, w = self.twists[:3, 0], self.twists[3:, 0]
@@ -82,8 +87,8 @@ def relative_motion(
 
     It is the image of the velocities that all constraints allow under the difference of both Jacobians, in the frame
     `to`. The answer is one of first order: at a singular posture some of it may be the beginning of no motion, of which
-    `mobility` tells. Errors: `InputError` for shapes and where q is not closed, `UnknownNameError`, `UnsupportedError`
-    for frames of particles.
+    `mobility` tells, and there may be less of it than around, which is said. Errors: `InputError` for shapes and where
+    q is not closed, `UnknownNameError`, `UnsupportedError` for frames of particles.
 
     >>> import kempe
     >>> slider = kempe.load("slider")
@@ -97,18 +102,24 @@ def relative_motion(
     for name in names:
         if system.structure.table.at[name][2]:
             raise UnsupportedError(f"{name!r} is on a particle, which has no orientation")
-    closure = Closure(system)
-    rates = closure.unit[:, None] * allowed(closure, found)
-    moved, base = (system.jacobian(found, name) @ rates for name in names)
-    X, Y = system.fk(found, names[0]), system.fk(found, names[1])
+    closure, size = Closure(system), characteristic_length(system)
+    basis, origin = _basis(closure, found, names, size)
+    around = [_basis(closure, r.q, names, size)[0].shape[1]
+              for r in nearby(system, rank_at(system, found), np.random.default_rng(0))]  # fmt: skip
+    dof, turning = basis.shape[1], column_space(basis[3:], ZERO, 1.0).shape[1]
+    twists = basis * np.repeat([size, 1.0], 3)[:, None]
+    return RelativeMotion(names[0], names[1], dof, dof - turning, twists, origin, max([dof, *around]))
+
+
+def _basis(closure: Closure, q: Array, names: list[str], size: float) -> tuple[Array, Array]:
+    """A basis (6, dof) of the twists at q, rows in sizes and radians, and where the body's origin is (3,)."""
+    system = closure.system
+    rates = closure.unit[:, None] * allowed(closure, q)
+    moved, base = (system.jacobian(q, name) @ rates for name in names)
+    X, Y = system.fk(q, names[0]), system.fk(q, names[1])
     back, arm = Y[:3, :3].T, X[:3, 3] - Y[:3, 3]
     linear = moved[:3] - base[:3] - np.cross(base[3:], arm, axis=0)
-    size = characteristic_length(system)
-    scaled = np.concatenate([back @ linear / size, back @ (moved[3:] - base[3:])])
-    basis = column_space(scaled, ZERO, 1.0)
-    twists = basis * np.repeat([size, 1.0], 3)[:, None]
-    turning = column_space(basis[3:], ZERO, 1.0).shape[1]
-    return RelativeMotion(names[0], names[1], basis.shape[1], basis.shape[1] - turning, twists, back @ arm)
+    return column_space(np.concatenate([back @ linear / size, back @ (moved[3:] - base[3:])]), ZERO, 1.0), back @ arm
 
 
 def _rounded(x: float) -> float:

@@ -19,10 +19,11 @@ if TYPE_CHECKING:
 FRAMES = 30.0
 """Frames a second of the motion."""
 NOTE = (
-    '<div style="position:fixed;left:1em;bottom:.7em;z-index:9;font:13px system-ui,sans-serif;color:#59646e">'
+    '<div style="position:fixed;left:1em;bottom:{bottom};z-index:9;font:13px system-ui,sans-serif;color:#59646e;'
+    'pointer-events:none">'
     "{name}: turn it with the mouse, zoom with the wheel. Sliders need the live page: system.show()</div>"
 )
-"""What is written on the page."""
+"""What is written on the page, above the player of a motion."""
 
 
 def save_html(system: System, file: Any, q: Any = None, *, path: Any = None, seconds: float = 6.0) -> None:
@@ -69,6 +70,8 @@ def _page(session: Session, seconds: float) -> str:
         text = record.as_html()
     finally:
         quiet(server.stop)
-    note = NOTE.format(name=session.system.name.replace("&", "&amp;").replace("<", "&lt;"))
+    note = NOTE.format(
+        bottom=".7em" if motion is None else "4em", name=session.system.name.replace("&", "&amp;").replace("<", "&lt;")
+    )
     head, end, rest = text.rpartition("</body>")
     return head + note + end + rest
