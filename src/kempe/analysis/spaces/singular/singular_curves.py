@@ -276,7 +276,12 @@ class _CurveTracer:
         if not closed and self.broken is None:
             back, _ = self._walked(equations, start.reversed())
             way = [*(b.reversed() for b in back[:0:-1]), *way]
-        return self._finer(equations, way), closed
+        rows = self._finer(equations, way)
+        if closed and self.problem.spins:  # what spins idly came back otherwise, and was in the way of the last point
+            layout = self.problem.system.structure.layout
+            at, rows[-1] = layout.vector_q[self.circle[layout.vector_v]], q
+            rows[-1, at] += 2.0 * np.pi * np.round((way[-1].x[at] - q[at]) / (2.0 * np.pi))
+        return rows, closed
 
     def _walked(self, equations: _SingularCurveEquations, start: Node) -> tuple[list[Node], bool]:
         """The nodes from one on, and whether they lead back to it."""
