@@ -1,7 +1,8 @@
 """Two installations of Kempe side by side, in one run: `python benchmarks/compare.py BEFORE AFTER [-o FILE]`.
 
 BEFORE and AFTER are Python interpreters of environments with Kempe installed. Everything is measured in processes of
-their own, of the two in turn, and medians are compared. Prints a table in Markdown, and writes it to FILE.
+their own, of the two in turn, and the least of each is compared: what else runs only adds. Prints a table in
+Markdown, and writes it to FILE.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ import argparse
 import json
 import os
 import resource
-import statistics
 import subprocess
 import sys
 import tempfile
@@ -134,23 +134,23 @@ Row = tuple[str, str, float, float]
 
 
 def in_turn(pythons: list[str], code: str, rounds: int = ROUNDS, cold: bool = False) -> tuple[Cost, Cost]:
-    """The process of median cost, of each of the two in turn."""
+    """The process of least cost, of each of the two in turn."""
     found: tuple[list[Cost], list[Cost]] = [], []
     for _ in range(rounds):
         for costs, python in zip(found, pythons, strict=True):
             with tempfile.TemporaryDirectory() as folder:
                 costs.append(process(python, "-c", code, cache=folder if cold else None))
-    before, after = (sorted(costs, key=lambda c: c.seconds)[len(costs) // 2] for costs in found)
+    before, after = (min(costs, key=lambda c: c.seconds) for costs in found)
     return before, after
 
 
 def printed(pythons: list[str], code: str) -> tuple[float, float]:
-    """Medians of the number that a process prints, of the two in turn."""
+    """The least number that a process prints, of the two in turn."""
     found: tuple[list[float], list[float]] = [], []
     for _ in range(ROUNDS):
         for numbers, python in zip(found, pythons, strict=True):
             numbers.append(float(process(python, "-c", code).printed))
-    return statistics.median(found[0]), statistics.median(found[1])
+    return min(found[0]), min(found[1])
 
 
 def rows(pythons: list[str]) -> Iterator[Row]:
@@ -176,7 +176,7 @@ def rows(pythons: list[str]) -> Iterator[Row]:
             for found, python in zip(answers, pythons, strict=True):
                 found.append(json.loads(process(python, "-c", code).printed))
         for name in answers[0][0]:
-            yield f"{what}: {name}", "µs", *(statistics.median(x[name] for x in found) for found in answers)
+            yield f"{what}: {name}", "µs", *(min(x[name] for x in found) for found in answers)
 
 
 def environment(python: str) -> float:
@@ -214,13 +214,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("before", help="interpreter of one environment")
     parser.add_argument("after", help="interpreter of the other")
+    parser.add_argument("--title", default="two installations", help="what changed between them")
     parser.add_argument("-o", "--out", type=Path, help="Markdown file to write")
     given = parser.parse_args()
     pythons = [given.before, given.after]
     lines = [
-        "# Before and after", "",
+        f"# Before and after: {given.title}", "",
         "Written by `python benchmarks/compare.py BEFORE AFTER`: two installations in one run, numbers in processes "
-        "of their own, of the two in turn; medians. Seconds are processor time of whole processes.", "",
+        "of their own, of the two in turn, the least of each. Seconds are processor time of whole processes.", "",
         f"Machine: {processor()}, {len(os.sched_getaffinity(0))} processors.", "",
         f"- before: {versions(given.before)}", f"- after: {versions(given.after)}", "",
         "| | unit | before | after | after / before |", "|---|---|--:|--:|--:|",

@@ -11,6 +11,7 @@ from hunts import some
 import kempe
 from kempe import library
 from kempe.errors import InputError, UnknownNameError
+from kempe.joints import TYPES
 from kempe.kinematics import closure_rows
 from kempe.solvers.assembly.charts import WORST, Chart, tangent_space
 
@@ -25,20 +26,44 @@ def test_as_many_as_there_are_freedoms(name, p):
     assert chart.valid(chart.origin) and chart.quality == pytest.approx(chart.condition(chart.origin))
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
-def test_there_and_back(name):
-    """q -> u -> q at other configurations of the chart, and tangents against central differences."""
-    s = kempe.load(name)
-    chart = s.independent(s.q("closed"))
+def there_and_back(s: kempe.System, chart: Chart) -> None:
+    """q -> u -> q at another configuration than the origin, and tangents against central differences."""
     rng = np.random.default_rng(3)
     u = chart.u(chart.origin) + 0.02 * rng.normal(size=chart.dim)
     q = chart.q(u)
-    assert q.success and np.abs(s.loops.closure_error(q.q)).max() < 1e-9
-    np.testing.assert_allclose(chart.u(q.q), u, atol=1e-14)
-    h = 1e-6
-    numeric = np.stack([s.configuration_space.difference(chart.q(u - h * e, q.q).q, chart.q(u + h * e, q.q).q) / (2 * h)
+    assert q.success and np.abs(s.loops.closure_error(q.q)).max(initial=0.0) < 1e-9
+    np.testing.assert_allclose(chart.u(q.q), u, atol=1e-12)
+    h, difference = 1e-6, s.configuration_space.difference
+    numeric = np.stack([difference(chart.q(u - h * e, q.q).q, chart.q(u + h * e, q.q).q) / (2 * h)
                         for e in np.eye(chart.dim)], -1)  # fmt: skip
     np.testing.assert_allclose(chart.tangent(q.q), numeric, atol=1e-7 * (1 + np.abs(numeric).max()))
+    many = chart.q(u + 0.003 * rng.normal(size=(4, chart.dim)), q.q)
+    assert many.q.shape == (4, s.nq) and many.success.all()
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_there_and_back(name):
+    s = kempe.load(name)
+    there_and_back(s, s.independent(s.q("closed")))
+
+
+TABLE = [(name, dim) for name, t in TYPES.items() for dim in ((2, 3) if t.planar else (3,)) if t().dof(dim)]
+
+
+@pytest.mark.parametrize("looped", [False, True])
+@pytest.mark.parametrize(("name", "dim"), TABLE)
+def test_each_joint_of_the_table_has_charts(name, dim, looped):
+    """A body on a joint, and the same one that a free joint holds, too: that leaves what the first joint leaves."""
+    m = kempe.Mechanism("one joint", dim=dim)
+    at = (0.3, -0.2, 0.1)[:dim]
+    turned = {"rpy": (0.2, 0.4, -0.3)} if dim == 3 else {"axis": (1.0, 0.5)} if name == "prismatic" else {"angle": 0.3}
+    m.joint("J", name, m.ground, m.body("body"), at=at, **turned)
+    if looped:
+        m.joint("F", "free", m.ground, "body", child_at=at)
+    s = m.build()
+    chart = s.independent()
+    assert chart.dim == TYPES[name]().dof(dim) and chart.quality > WORST
+    there_and_back(s, chart)
 
 
 def test_a_batch_of_parameters():
@@ -130,21 +155,10 @@ def test_each_shipped_system_has_minimal_coordinates(name):
 
 @pytest.mark.parametrize(("name", "p"), BALLS.items())
 def test_balls_have_rotation_vectors(name, p):
-    """There and back, and tangents against central differences, at another configuration than the origin."""
-    s, rng = kempe.load(name), np.random.default_rng(1)
+    s = kempe.load(name)
     chart = s.independent()
     assert chart.dim == p and any(n[-3:] in (".ex", ".ey", ".ez") for n in chart.independent)
-    u = chart.u(chart.origin) + 0.03 * rng.normal(size=p)
-    at = chart.q(u)
-    assert at.success and np.abs(s.loops.closure_error(at.q)).max(initial=0.0) < 1e-9
-    np.testing.assert_allclose(chart.u(at.q), u, atol=1e-12)
-    h = 1e-6
-    difference = s.configuration_space.difference
-    numeric = np.stack([difference(chart.q(u - h * e, at.q).q, chart.q(u + h * e, at.q).q) / (2 * h)
-                        for e in np.eye(p)], -1)  # fmt: skip
-    np.testing.assert_allclose(chart.tangent(at.q), numeric, atol=1e-7 * (1 + np.abs(numeric).max()))
-    many = chart.q(u + 0.003 * rng.normal(size=(4, p)), at.q)
-    assert many.q.shape == (4, s.nq) and many.success.all()
+    there_and_back(s, chart)
 
 
 def test_a_rotation_vector_is_that_of_the_closed_form():

@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from drawn import artists
+from two_freedoms_in_space import between, directions, lengths_of_pointer, pointer, slider_pair, spherical_five_bar
 
 import kempe
+from kempe import Budget
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 
 pytest.importorskip("matplotlib")
-from kempe.analysis.spaces.configuration.two_freedoms import covered, two_freedoms
+from kempe.analysis.spaces.configuration import two_freedoms as spaces
+from kempe.kinematics.tasks.flat_tasks import FlatTask
 from kempe.views.space_pictures import nearest
 
 ARM = kempe.load("two_link")
@@ -19,6 +22,15 @@ L1, L2 = 0.5, 0.4
 FIVE = kempe.load("five_bar").with_parameters(d=0.3)
 CRANK, ROD, BASE = 0.2, 0.3, 0.3
 """Its lengths; its pivots are at (0, 0) and (BASE, 0)."""
+ARCS = (1.0, 1.2, 1.1, 0.9, 1.3)
+"""Of a spherical five-bar: crank, rod, rod, crank, base."""
+
+
+PLANE = FlatTask("xy", 2)
+
+
+def two_freedoms(system, frame, task=PLANE):
+    return spaces.two_freedoms(system, frame, task)
 
 
 def by_hand(p: np.ndarray, limits: list[tuple[float, float]]) -> int:
@@ -43,7 +55,7 @@ def by_hand(p: np.ndarray, limits: list[tuple[float, float]]) -> int:
 def test_numbers_of_configurations_are_those_of_the_closed_form(system, limits):
     p = np.random.default_rng(3).uniform(-1.0, 1.0, (300, 2))
     expected = [by_hand(x, limits) for x in p]
-    found = two_freedoms(system, "e").reaching(p)[1].sum(axis=-1)
+    found = two_freedoms(system, "e").ways(p)
     assert found.tolist() == expected and set(expected) == {0, 1, 2} - ({1} if system is ARM else set())
 
 
@@ -88,7 +100,7 @@ def test_the_nearest_place_within_limits_is_that_of_a_fine_grid():
     grid = np.stack(np.meshgrid(np.linspace(-0.5, 2.0, 700), np.linspace(-1.0, 2.5, 700), indexing="ij"), axis=-1)
     p = LIMITED.fk(grid, "e")[..., :2, 3]
     for target in ([-0.5, -0.3], [1.0, 0.4], [0.0, 0.0]):
-        far = nearest(LIMITED, "e", np.array(target), grid[::20, ::20], p[::20, ::20])[2]
+        far = nearest(LIMITED, "e", PLANE, np.array(target), grid[::20, ::20], p[::20, ::20])[2]
         assert far == pytest.approx(float(np.linalg.norm(p - target, axis=-1).min()), abs=5e-3)
 
 
@@ -106,13 +118,13 @@ def test_what_cannot_be_drawn_is_said():
     for name, frame, words in [
         ("four_bar", "coupler_point", "four_bar has 1 freedom and loops"),
         ("three_rrr", "tool", "has 3 freedoms and loops"), ("five_bar", "arm2", "'arm2' of five_bar moves on"),
-        ("rssr", "coupler", "dyads close them; of rssr: .*not planar"),
+        ("rssr", "coupler", "rssr has 1 freedom and loops, 1 idle spin left out"),
     ]:  # fmt: skip
         with pytest.raises(UnsupportedError, match=words):
             kempe.load(name).plot_spaces(frame)
     with pytest.raises(InputError, match="'ground' of five_bar does not move"):
         FIVE.plot_spaces("ground")
-    with pytest.raises(UnsupportedError, match="close nowhere inside the limits"):
+    with pytest.raises(UnsupportedError, match="no configuration was found inside the limits"):
         FIVE.with_limits({"A": (3.1, 3.13), "D": (0.0, 0.02), "P": (1.0, 1.1)}).plot_spaces("tip")
     with pytest.raises(UnknownNameError):
         ARM.plot_spaces("nowhere")
@@ -241,10 +253,17 @@ def test_limits_of_other_coordinates_are_lines():
 @pytest.mark.parametrize("limits", [{}, {"A": (0.0, 2.8), "P": (0.3, 2.5)}])
 def test_places_with_a_configuration_are_the_image_of_a_grid(limits):
     space = two_freedoms(FIVE.with_limits(limits), "tip")
-    p = space.places(*space.over(space.grid(300)))
-    x, y = np.linspace(-0.31, 0.61, 47), np.linspace(-0.51, 0.52, 53)
-    exact, found = space.preimages(x, y, p) > 0, covered(x, y, p)
-    assert (exact == found).mean() > 0.98 and 0.1 < exact.mean() < 0.9  # but beside the borders
+    p = space.places(*space.over_grid(300)).reshape(-1, 2)
+    x, y = np.linspace(-0.31, 0.61, 24), np.linspace(-0.51, 0.52, 27)
+    beside = np.histogram2d(*p[np.isfinite(p).all(axis=1)].T, bins=[_edges(x), _edges(y)])[0] > 0
+    reached = space.reach_grid(x, y) > 0
+    assert not (reached & ~beside).any()  # a cell whose middle is reached holds some of the image
+    assert (reached == beside).mean() > 0.88 and 0.1 < reached.mean() < 0.9  # but beside the borders
+
+
+def _edges(x):
+    step = x[1] - x[0]
+    return np.append(x, x[-1] + step) - 0.5 * step
 
 
 def linkage() -> kempe.System:
@@ -267,7 +286,7 @@ def linkage() -> kempe.System:
 
 def test_another_pair_of_coordinates_takes_over_where_actuated_ones_leave_no_dyads():
     space = two_freedoms(linkage(), "tip")
-    assert space.names != ("A", "G") and space.counted
+    assert space.names != ("A", "G") and space.complete
     rng = np.random.default_rng(1)
     q, mask = space.over(rng.uniform(-3.0, 3.0, (200, 2)))
     assert np.abs(space.system.loops.closure_error(q[mask])).max() < 1e-9
@@ -276,16 +295,6 @@ def test_another_pair_of_coordinates_takes_over_where_actuated_ones_leave_no_dya
     assert ok.any(axis=1).all() and space.places(back, ok)[ok] == pytest.approx(np.repeat(p, ok.sum(axis=1), axis=0))
     off = np.abs(np.sin(0.5 * (back - q[mask][:, None]))).max(axis=-1)
     assert np.where(ok, off, 1.0).min(axis=1).max() < 1e-6  # the one that it came from is among them
-
-
-@pytest.mark.slow
-def test_places_without_a_closed_form_are_not_counted(monkeypatch):
-    monkeypatch.setattr("kempe.analysis.spaces.configuration.two_freedoms._placed", lambda *_: None)
-    left, right = FIVE.plot_spaces("tip", points=[(0.1, 0.35)], resolution=40)
-    assert set(shades(right)[1].ravel()) == {0, 1} and set(shades(left)[1].ravel()) == {0, 2}
-    words = [t.get_text() for t in right.get_legend().get_texts()]
-    assert "1 mode, or reached" in words and not any("ways" in w for w in words)
-    assert len([k for k in artists(left) if k.startswith("solution:0")]) == 4
 
 
 def test_slides_as_drives_are_the_axes():
@@ -306,3 +315,115 @@ def test_slides_as_drives_are_the_axes():
     m.joints["s2"].limits.clear()
     with pytest.raises(InputError, match=r"'s2' has no limits.*with_limits"):
         m.build().plot_spaces("rod1")
+
+
+# ---- in space
+
+
+@pytest.fixture(scope="module")
+def pointing():
+    points = [(0.3, 0.5), (1.5, 0.6)]
+    return spherical_five_bar(*ARCS).plot_spaces("tip", task="direction", points=points, grid=True, resolution=24)
+
+
+@pytest.mark.slow
+def test_a_direction_has_its_solutions_or_an_angle(pointing):
+    left, right = (artists(ax) for ax in pointing)
+    assert len([k for k in left if k.startswith("solution:0")]) == 4 and not any(k.startswith("arm") for k in right)
+    z = directions(np.array(1.5), np.array(0.6))
+    legs = [between(z, x) for x in (directions(0.0, np.pi / 2), directions(-np.pi / 2, np.pi / 2 - ARCS[4]))]
+    least = max(abs(ARCS[0] - ARCS[1]) - legs[0], legs[0] - ARCS[0] - ARCS[1],
+                abs(ARCS[2] - ARCS[3]) - legs[1], legs[1] - ARCS[2] - ARCS[3])  # fmt: skip
+    (text,) = right["distance:1:text"]
+    assert least > 0.1 and text.get_text() == f"{np.degrees(least):.3g}° away"
+
+
+@pytest.mark.slow
+def test_singular_directions_of_a_spherical_five_bar_lie_on_circles_about_its_pivots(pointing):
+    """Of type 1 a leg is in line or folded: sums or differences of its arcs from the pivot, unlike those of type 2."""
+    lines = {k: v[0] for k, v in artists(pointing[1]).items() if k.startswith("singular")}
+    seen = {"-": set[float](), "--": set[float]()}
+    for line in lines.values():
+        p = np.transpose(line.get_data())
+        z = directions(*p[np.isfinite(p).all(axis=1)].T)
+        for far, a, b in ((between(z, directions(0.0, np.pi / 2)), *ARCS[:2]),
+                          (between(z, directions(-np.pi / 2, np.pi / 2 - ARCS[4])), ARCS[3], ARCS[2])):  # fmt: skip
+            seen[line.get_linestyle()] |= {x for x in (a + b, abs(a - b)) if np.abs(far - x).max() < 1e-6}
+    sums = {ARCS[0] + ARCS[1], abs(ARCS[0] - ARCS[1]), ARCS[2] + ARCS[3], abs(ARCS[2] - ARCS[3])}
+    assert seen["-"] == sums and not seen["--"]
+
+
+@pytest.mark.slow
+def test_images_of_lines_in_space_are_those_of_the_forward_model(pointing):
+    """Of a line on which the first crank stands: the tip is as far from the end of the crank as the rod is long."""
+    system = spherical_five_bar(*ARCS)
+    lines = {k: v for k, v in artists(pointing[1]).items() if k.startswith("grid:A")}
+    assert len(lines) == 11
+    for k, line in lines.items():
+        (a,) = {round(float(x), 9) for x in artists(pointing[0])[k][0].get_xdata()}
+        B = system.fk(system.q({"A": a}), "rod1")[:3, 2]
+        for part in line:
+            p = np.transpose(part.get_data())
+            assert between(directions(*p[np.isfinite(p).all(axis=1)].T), B) == pytest.approx(ARCS[1], abs=1e-6)
+
+
+@pytest.mark.slow
+def test_a_task_that_sees_a_curve_only_is_refused():
+    m = spherical_five_bar(*ARCS).mechanism.copy()
+    m.frame("crank1 end", "crank1", rpy=(ARCS[0], 0, 0))
+    system = m.build()
+    with pytest.raises(UnsupportedError, match="moves on a curve; task may be .*direction"):
+        system.plot_spaces("crank1 end", task="direction", resolution=10)
+    with pytest.raises(InputError, match="does not move"):
+        system.plot_spaces("tip", task="xy", resolution=10)
+    with pytest.raises(InputError, match="azimuths and elevations"):
+        system.plot_spaces("tip", task="direction", points=[1.0, 2.0, 3.0])
+    pan = kempe.Mechanism("pan")
+    pan.revolute("p", pan.ground, pan.body("a"), axis="z")
+    pan.prismatic("s", "a", pan.body("b"), axis="x", limits=(0.1, 0.5))
+    with pytest.raises(UnsupportedError, match="on a curve"):
+        pan.build().plot_spaces("b", task="direction", resolution=10)
+
+
+@pytest.mark.slow
+def test_a_linkage_that_spins_idly_is_drawn():
+    """Each direction has two pairs of angles of the universal joint; legs may be too long or too short for them."""
+    system = pointer("spherical", "spherical", (0.45, 0.7))
+    left, right = system.plot_spaces("camera", task="direction", resolution=20)
+    assert (left.get_xlabel(), left.get_ylabel()) == ("s0 [m]", "s1 [m]") and set(shades(left)[1].ravel()) >= {2, 4}
+    p, ways = shades(right)
+    z, expected = directions(*np.moveaxis(p, -1, 0)), np.zeros(ways.shape)
+    a, b = np.arctan2(-z[..., 1], z[..., 2]), np.arcsin(z[..., 0])
+    for U in ((a, b), (a + np.pi, np.pi - b)):
+        s = lengths_of_pointer(np.stack(U, axis=-1))
+        expected += ((s > 0.45) & (s < 0.7)).all(axis=-1)
+    assert np.array_equal(ways, expected) and set(ways.ravel()) == {0, 1, 2}
+
+
+@pytest.mark.slow
+def test_a_picture_shows_what_was_done_until_an_interrupt_and_says_so():
+    seen = list[int]()
+
+    def progress(done: int, total: int) -> None:
+        seen.append(done)
+        assert 0 <= done <= total == 24**2
+        if len(seen) == 4:
+            raise KeyboardInterrupt
+
+    system = spherical_five_bar(*ARCS)
+    left, _ = system.plot_spaces("tip", task="direction", resolution=24, budget=Budget(progress=progress))
+    modes = shades(left)[1]
+    assert "interrupted: this is the part that was done" in artists(left)["partial"][0].get_text()
+    assert seen[:4] == sorted(seen[:4]) and 0 < (modes > 0).sum()
+    with pytest.raises(UnsupportedError, match="was found inside the limits .*time limit"):
+        system.plot_spaces("tip", task="direction", resolution=24, budget=Budget(time_limit=1e-4))
+
+
+def test_lines_in_millimetres_are_not_torn():
+    """Of type 1 a bar is upright: the slides are as far apart as the other bar reaches along x."""
+    left, _ = slider_pair(2).plot_spaces("tip", resolution=12)
+    lines = [np.transpose(v[0].get_data()) for k, v in artists(left).items() if k.startswith("singular")]
+    upright = np.sqrt(300.0**2 - 250.0**2)
+    apart = [x[:, 1] - x[:, 0] for x in lines if np.ptp(x[:, 1] - x[:, 0]) < 1e-6 and len(x) > 10]
+    assert all(np.isfinite(x).all() for x in lines)
+    assert any(np.abs(x - upright).max() < 1e-6 for x in apart)

@@ -34,14 +34,18 @@ from kempe.cli.app import (
     drawn,
     load,
     option,
+    remark,
     results,
     save_picture,
     say_drawn,
 )
 from kempe.errors import InputError
-from kempe.views.terminal import guarded, leave, print_json, show
+from kempe.solvers.common import clock
+from kempe.views.terminal import INCOMPLETE, guarded, leave, print_json, show
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from kempe.analysis.spaces.reach.base_placement import BasePlacement
     from kempe.analysis.spaces.reach.reached_poses import ReachStudy
     from kempe.model.system import System
@@ -75,12 +79,12 @@ def singularities(
 ) -> None:  # fmt: skip
     """Find the singular configurations of a frame, or of closed loops, and how far the nearest is.
 
-    --plot draws some, with the directions that the frame loses and gains there, and planar curves of them; --gif and
-    --html show one of each set; -o writes all.
+    --plot draws some, with the directions that the frame loses and gains there, and planar curves of them, as far as
+    these are followed within the time limit or until Ctrl-C; --gif and --html show one of each set; -o writes all.
 
     Example: kempe singularities puma560 --frame tool --at q5=0.2
     """
-    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    system, time = load(file, base, root, package_dir, xacro, lenient_limits), clock.TimeLimit(time_limit)
     from kempe.views import rows
     from kempe.views.input import given
 
@@ -98,13 +102,27 @@ def singularities(
     if out is not None:
         rows.write_configurations(out, system, np.reshape([q for s in answer.sets for q in s.q], (-1, system.nq)), deg)
     each = np.reshape([s.q[0] for s in answer.sets], (-1, system.nq))
-    drawing = drawn(system, each, plot, gif, html, draw=answer.plot)
+
+    broken = list[str]()
+
+    def draw() -> tuple[Axes, ...]:
+        with _paced(None, None, time.left, "configurations of curves") as budget:
+            axes = answer.plot(budget=budget)
+        title, *said = axes[-1].get_title().split("\n(")
+        broken.extend(f"{title}: {why.rstrip(')')}".replace("\n", " ") for why in said)
+        return axes
+
+    drawing = drawn(system, each, plot, gif, html, draw=draw)
     say_drawn([out, *drawing] if out is not None else drawing)
     if json:
         print_json(answer.data() | ({} if nearest is None else {"nearest": nearest.data()}))
     else:
         show(str(answer) if nearest is None else f"{answer}\n{nearest}")
+    for why in broken:
+        remark(why)
     leave(answer)
+    if broken:
+        raise typer.Exit(INCOMPLETE)
 
 
 @app.command(rich_help_panel=OPEN)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,6 +30,7 @@ from kempe.cli.app import (
     say_written,
 )
 from kempe.errors import InputError
+from kempe.views import slices
 from kempe.views.terminal import INCOMPLETE, guarded, print_json
 
 
@@ -37,6 +39,9 @@ from kempe.views.terminal import INCOMPLETE, guarded, print_json
 def spaces(
     file: File,
     frame: Annotated[str | None, option("--frame", "Frame whose task space is wanted.", "NAME")] = None,
+    task: Annotated[
+        str | None, option("--task", "What of the frame is drawn: xy, xz, yz or direction (of its z axis).", "NAME")
+    ] = None,
     position_only: Annotated[bool, option("--position-only", "Only its position counts, not its pose.")] = False,
     sample: Annotated[
         int | None, option("--sample", "So many random configurations, uniform in a stated measure.", "N")
@@ -56,6 +61,8 @@ def spaces(
         raise InputError(f"{out}: --sample says how many configurations are written")
     if plot is not None and frame is None:
         raise InputError(f"{plot}: --frame says whose task space is drawn")
+    if task is not None and plot is None:
+        raise InputError("--task says what --plot draws: give it a file")
     if position_only and frame is None:
         raise InputError("--position-only is about the task space of a frame: --frame names it")
     system = load(file, base, root, package_dir, xacro, lenient_limits)
@@ -69,7 +76,9 @@ def spaces(
         found["sample"] = space.sample(sample, rng, budget=budget)
     written: list[Path] = []
     if plot is not None:
-        save_picture(system.plot_spaces(frame or "")[0], plot)
+        with slices.paced(sys.stderr, "places") as said:
+            spent = Budget(time_limit=time_limit, progress=said)
+            save_picture(system.plot_spaces(frame or "", task=task, budget=spent)[0], plot)
         written.append(plot)
     if out is not None:
         from kempe.views import rows

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
+from kempe.budget import Budget
 from kempe.calls import explained, with_options
 from kempe.model.compiled_system import FrameLike
 from kempe.model.plot_options import PlotOptions
@@ -76,10 +77,12 @@ class Pictured:
 
     @explained
     def plot_spaces(
-        self: Any, frame: FrameLike, *, points: ArrayLike = (), grid: bool = False, ax: Any = None,
-        resolution: int = 240
+        self: Any, frame: FrameLike, *, points: ArrayLike = (), task: str | None = None, grid: bool = False,
+        ax: Any = None, resolution: int = 240, budget: Budget | None = None,
     ) -> tuple[Axes, Axes]:  # fmt: skip
         """Pictures of configuration space and task space beside one another; see `kempe.views.space_pictures`."""
         from kempe.views.space_pictures import plot_spaces
 
-        return plot_spaces(self, frame, points=points, grid=grid, ax=ax, resolution=resolution)
+        return plot_spaces(
+            self, frame, points=points, task=task, grid=grid, ax=ax, resolution=resolution, budget=budget
+        )

@@ -12,7 +12,9 @@ import numpy as np
 from kempe.analysis.spaces.singular.rank_questions import TYPE_1, TYPE_2, LostAndGained
 from kempe.analysis.spaces.singular.singular_sets import SingularSet, changes
 from kempe.errors import InputError
+from kempe.solvers.common.clock import partial
 from kempe.spatial import Array
+from kempe.status import Status
 from kempe.views.drawing import page, style
 
 if TYPE_CHECKING:
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
 
     from kempe.analysis.spaces.singular.singular_curves import SingularCurves
     from kempe.analysis.spaces.singular.singularities import Singularities
+    from kempe.budget import Budget
 
 LINES: dict[tuple[str, ...], Any] = {(TYPE_1,): "-", (TYPE_2,): (0, (4, 1.6)), (TYPE_1, TYPE_2): "-.", ("serial",): "-"}
 """How curves of the kinds of singular configurations are drawn; others are dotted."""
@@ -32,15 +35,19 @@ STILL = 1e-7
 """Part of a twist that counts as none."""
 
 
-def plot_singularities(found: Singularities, *, ax: Any = None, **options: Any) -> tuple[Axes, ...]:
+def plot_singularities(
+    found: Singularities, *, ax: Any = None, budget: Budget | None = None, **options: Any
+) -> tuple[Axes, ...]:  # fmt: skip
     """Axes with singular configurations beside one another, and with the singular curves; see `Singularities.plot`."""
     picks = [row for s in found.sets for row in _picks(s)][:MOST]
     if not picks:
         raise InputError(f"{found.status}: there is nothing to draw")
     system, q = found.system, np.array([row[1] for row in picks])
     flat = system.dim == 2
-    curves = found.curves() if flat and found.frame and max(s.dimension for s in found.sets) <= 1 else None
-    count = len(q) + bool(curves)
+    lines = flat and found.frame and max(s.dimension for s in found.sets) <= 1
+    curves = found.curves(budget=budget) if lines else None
+    more = curves is not None and bool(curves or curves.broken)
+    count = len(q) + more
     own: Any = None if ax is None else page.axes_given(ax, count)
     if own is None and flat:
         own = np.ravel(np.array(page.new_figure(4.2 * count, 4.4).subplots(1, count), dtype=object))
@@ -51,14 +58,14 @@ def plot_singularities(found: Singularities, *, ax: Any = None, **options: Any) 
         for one, (_, x, local) in zip(axes, picks, strict=True):
             _draw_directions(one, system.fk(x, found.frame)[:3, 3], local, flat)
         _legend(axes[-1], picks)
-    if curves and own is not None:
+    if more and curves is not None and own is not None:
         axes = (*axes, plot_curves(curves, own[-1]))
     return tuple(axes)
 
 
 def plot_curves(curves: SingularCurves, ax: Axes | None = None) -> Axes:
     """Axes with the places of the frame along singular curves, a style of line for each kind."""
-    if not any(len(c.p) for c in curves):
+    if not any(len(c.p) for c in curves) and not (curves.frame and curves.broken):
         raise InputError(f"{curves.status}: there is nothing to draw" + ("" if curves.frame else ", without a frame"))
     if curves.system.dim != 2 and ax is None:
         ax = page.new_figure(5.0, 5.0).add_subplot(projection="3d")
@@ -75,8 +82,11 @@ def plot_curves(curves: SingularCurves, ax: Axes | None = None) -> Axes:
         page.light_axes(given)
     for name in "xyz"[:d]:
         getattr(given, f"set_{name}label")(f"{name} [m]", size=style.FONT, color=style.INK)
-    given.set_title(f"singular places of {curves.frame!r}", size=style.FONT + 1, color=style.INK)
-    given.legend(fontsize=style.FONT - 1, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2)
+    said = partial(curves.broken is Status.INTERRUPTED, curves.broken is Status.OUT_OF_TIME)
+    said = said.replace(" (", "\n(").replace(": ", ":\n")
+    given.set_title(f"singular places of {curves.frame!r}{said}", size=style.FONT + 1, color=style.INK)
+    if named:
+        given.legend(fontsize=style.FONT - 1, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2)
     return given
 
 

@@ -11,13 +11,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.analysis.motion.motion import trace
 from kempe.analysis.spaces.configuration.two_freedoms import NEEDED, TwoFreedoms, two_freedoms
+from kempe.budget import Budget, Usual
 from kempe.calls import explained, flag, numbers
 from kempe.errors import InputError, UnsupportedError, shown
-from kempe.kinematics import closure_rows
+from kempe.kinematics.configuration import has_loops
+from kempe.kinematics.tasks.flat_tasks import FlatTask, flat_task
 from kempe.model.tree.coordinates import units
 from kempe.reals import is_whole
+from kempe.solvers.common.clock import TIME_LIMIT, TimeLimit, partial
 from kempe.spatial import Array
+from kempe.status import Status
 from kempe.views.drawing import page, style
 from kempe.views.drawing.scene import look
 from kempe.views.singular_plot import LINES
@@ -36,58 +41,68 @@ FEW = 0.005
 """Part of a space from which the legend names its shade."""
 ROOM = 0.06
 """Room around the task space, as a part of its width."""
-ON, CLOSED = 3.0, 1e-6
-"""How far inside its limit a coordinate is drawn as on it, in squares of a grid's step; how far open loops may be."""
+APART, CLOSED = 0.5, 1e-6
+"""How far apart configurations of one line are at most, in radians and characteristic lengths; how far loops may be
+open."""
+DIRECTIONS = np.array([np.pi, 0.5 * np.pi])
+"""The largest azimuth and elevation."""
+LINES_OF_LIMIT = 12
+"""Lines on which one coordinate is at one of its limits, at most."""
+FLAT = 1e-12
+"""Area that rates span, below which a frame moves on a curve."""
+USUAL = Usual("plot_spaces", time_limit=TIME_LIMIT, progress=None)
 
 
 @explained
 def plot_spaces(
-    system: System, frame: FrameLike, *, points: ArrayLike = (), grid: bool = False, ax: Any = None,
-    resolution: int = 240
+    system: System, frame: FrameLike, *, points: ArrayLike = (), task: str | None = None, grid: bool = False,
+    ax: Any = None, resolution: int = 240, budget: Budget | None = None,
 ) -> tuple[Axes, Axes]:  # fmt: skip
     """Axes with the configuration space and with the task space of a frame, of a system with two freedoms.
 
     Limits are a rectangle on the left, and their image on the right (solid; the edges of a full turn, which are one
     line, are dotted). Red lines are singular: there the frame's velocity has lost a direction. Shades say how many
-    configurations within the limits reach the place. `points` (k, 2) are places that the frame shall reach [m]: their
-    solutions are marked on both sides, or, where there is none, the nearest place found, with the distance.
-    `grid` draws lines on which one coordinate is constant, and their images. `ax` is a pair of axes to draw on;
-    `resolution` the number of places along each axis (8 to 1000).
+    configurations within the limits reach the place. `task` says which two numbers of the frame the places are: "xy",
+    "xz" or "yz", its position along two axes of the ground [m], or "direction", the azimuth and elevation of its z axis
+    [rad]. `points` (k, 2) are places that the frame shall reach: their solutions are marked on both sides, or, where
+    there is none, the nearest place found, with the distance. `grid` draws lines on which one coordinate is constant,
+    and their images. `ax` is a pair of axes to draw on; `resolution` the number of places along each axis (8 to 1000).
 
-    With closed loops the system is planar, its frame moves in two directions, and dyads close it: left are the two
-    actuated coordinates, or others where these are not two, and shades there count the assembly modes at these values.
-    Right are all modes. Singular lines are those that `singularities` finds: of type 1, where the frame has lost a
-    direction, and, dashed, of type 2, where it moves though both coordinates are held and where modes meet. Limits of
-    other coordinates are lines, too. Where the configurations that reach a place have no closed form they are not
-    counted: one shade shows the image of a grid. Errors: `UnsupportedError` for other systems and numbers of
-    freedoms; `InputError`; `UnknownNameError`.
+    With closed loops the left has the two actuated coordinates, or others that place the mechanism, and shades there
+    count the assembly modes at these values; what spins idly does not count. Right are all modes. Singular lines are
+    those that `singularities` finds: of type 1, where the frame has lost a direction, and, dashed, of type 2, where it
+    moves though both coordinates are held and where modes meet. Limits of other coordinates are lines, too. Numbers are
+    those of closed forms where there are such (planar chains and dyads); else each configuration that is found is
+    followed from place to place, and more may exist. Of the `budget` are read: time_limit (120 s) and progress(places,
+    all), for each of the two sides; after the limit, or an interrupt, the picture shows what was done, and says so.
+    Errors: `UnsupportedError` for other numbers of freedoms, and frames that the task sees on a curve only;
+    `InputError`; `UnknownNameError`.
 
     ``system.plot_spaces("e", points=[(0.6, 0.3)])[0].figure.savefig("spaces.png")`` writes the picture.
     """
-    name = system.structure.frame_name(frame)
-    targets = numbers(points, "points")
-    targets = targets.reshape(0, 2) if not targets.size else targets
-    if targets.ndim != 2 or targets.shape[1] != 2 or not np.isfinite(targets).all():
-        raise InputError(f"points has shape {targets.shape}; it must be (k, 2), places x, y in metres")
+    name, seen, spend = system.structure.frame_name(frame), flat_task(task, system.dim), USUAL.of(budget)
+    targets = _targets(points, seen)
     if not is_whole(resolution) or not COARSEST <= resolution <= FINEST:
         raise InputError(f"resolution is {shown(resolution)}; it must be a whole number, {COARSEST} to {FINEST}")
     lines, own = flag(grid, "grid"), None if ax is None else page.axes_given(ax, 2)
-    space = two_freedoms(system, name)
+    space = two_freedoms(system, name, seen, TimeLimit(spend.time_limit))
+    space.progress = spend.progress
     curves = _singular_curves(space)
     if own is None:
         figure = page.new_figure(11.8, 5.0)
         own = figure.add_axes((0.06, 0.12, 0.36, 0.8)), figure.add_axes((0.49, 0.12, 0.36, 0.8))
     left, right = own
     every = space.grid(int(resolution))
-    q, mask = space.over(every)
+    q, mask = space.over_grid(int(resolution))
     p = space.places(q, mask)
     if not mask.any():
-        raise UnsupportedError(f"{system.name}: its loops close nowhere inside the limits: there is nothing to draw")
+        raise UnsupportedError(f"{system.name}: no configuration was found inside the limits{_partly(space.broken)}")
     _shade_task_space(space, right, p, targets, int(resolution))
-    _shade_configurations(space, left, every, mask, p)
+    count = mask.sum(axis=-1) if space.modes else np.where(mask[..., 0], np.maximum(space.ways(p[..., 0, :]), 1), 0)
+    _shaded(left, every[:, 0, 0], every[0, :, 1], count)
     _draw_limits(space, left, right)
-    if space.modes:
-        _draw_other_limits(space, left, right, every, q)
+    if has_loops(system):
+        _draw_other_limits(space, left, right, q[mask])
     if lines:
         _draw_grid(space, left, right)
     if curves is None:
@@ -100,13 +115,26 @@ def plot_spaces(
     return left, right
 
 
-def nearest(system: System, frame: FrameLike, target: Array, grid: Array, p: Array) -> tuple[Array, Array, float]:
-    """The configuration (nq,) that brings a frame nearest to a place (2,), where it is then, and how far away."""
-    start = grid.reshape(-1, system.nq)[int(np.argmin(np.sum((p.reshape(-1, 2) - target) ** 2, axis=1)))]
-    found = system.ik(target, frame, start, task="position").q
-    tries = [(q, system.fk(q, frame)[:2, 3]) for q in (start, found) if np.isfinite(q).all() and _closed(system, q)]
-    q, at = min(tries, key=lambda x: float(np.linalg.norm(x[1] - target)))
-    return q, at, float(np.linalg.norm(at - target))
+def _targets(points: ArrayLike, seen: FlatTask) -> Array:
+    """Points as an array (k, 2). Errors: `InputError`."""
+    targets = numbers(points, "points")
+    targets = targets.reshape(0, 2) if not targets.size else targets
+    if targets.ndim != 2 or targets.shape[1] != 2 or not np.isfinite(targets).all():
+        unit = "azimuths and elevations in radians" if seen.turns else f"places {', '.join(seen.name)} in metres"
+        raise InputError(f"points has shape {targets.shape}; it must be (k, 2), {unit}")
+    return targets
+
+
+def nearest(
+    system: System, frame: str, task: FlatTask, target: Array, q: Array, p: Array
+) -> tuple[Array, Array, float]:  # fmt: skip
+    """Of configurations q (..., nq) at places p (..., 2) and what `ik` finds from the nearest one: that which is
+    nearest to a place (2,), where it is, and how far away."""  # fmt: skip
+    start = q.reshape(-1, system.nq)[int(np.argmin(task.apart(p.reshape(-1, 2), target)))]
+    found = system.ik(task.at(frame, target), start=start).q
+    tries = [(x, task.of(system.fk(x, frame))) for x in (start, found) if np.isfinite(x).all() and _closed(system, x)]
+    x, at = min(tries, key=lambda row: float(task.apart(row[1], target)))
+    return x, at, float(task.apart(at, target))
 
 
 def _closed(system: System, q: Array) -> bool:
@@ -118,19 +146,26 @@ def _closed(system: System, q: Array) -> bool:
 
 def _singular_curves(space: TwoFreedoms) -> Any:
     """The singular curves of a system with loops; None of a chain. Errors: `UnsupportedError`."""
-    system, name = space.system, space.frame
-    if not space.modes:
-        z = system.fk(space.grid(COARSEST), name)[..., 2, 3]
-        if np.ptp(z) > 1e-9 * (1.0 + np.abs(z).max()):
-            raise UnsupportedError(f"{name!r} leaves its plane: the task space is drawn in x and y")
+    system, name, task = space.system, space.frame, space.task
+    on_curve = f"{NEEDED} and of a frame that moves in both: {task.said(name)} of {system.name} moves on a curve"
+    hint = "" if system.dim == 2 else '; task may be "xy", "xz", "yz" or "direction"'
+    if not has_loops(system):
+        if np.abs(_area(space, space.grid(COARSEST))).max() < FLAT:
+            raise UnsupportedError(on_curve + hint)
         return None
-    found = system.singularities(name, "position", inputs=space.names)
+    kind = task.name if system.dim == 3 else "position"
+    found = system.singularities(name, kind, inputs=space.names, budget=Budget(time_limit=space.clock.left))
     if found.questions.frame_rank < 2:
-        raise UnsupportedError(
-            f"{NEEDED} and of a frame that moves in both: {name!r} of {system.name} moves on a curve"
-        )
+        raise UnsupportedError(on_curve + hint)
     surfaces = min((s.dimension for s in found.sets), default=0) > 1
-    return () if surfaces else found.curves()  # where all is singular there are no lines
+    return (
+        () if surfaces else found.curves(budget=Budget(time_limit=space.clock.left))
+    )  # where all is singular there are no lines
+
+
+def _area(space: TwoFreedoms, q: Array) -> Array:
+    """Area (...) that the rates of both coordinates of a chain span in the task, with its sign."""
+    return space.task.area(space.system.fk(q, space.frame), space.system.jacobian(q, space.frame))
 
 
 def _shade_task_space(space: TwoFreedoms, ax: Any, p: Array, targets: Array, n: int) -> None:
@@ -138,16 +173,12 @@ def _shade_task_space(space: TwoFreedoms, ax: Any, p: Array, targets: Array, n: 
     every = np.concatenate([p.reshape(-1, 2), targets])
     low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
     room = ROOM * max(float((high - low).max()), 1e-9)
-    x, y = (np.linspace(float(low[i]) - room, float(high[i]) + room, n) for i in range(2))
-    _shaded(ax, x, y, space.preimages(x, y, p))
+    ends = DIRECTIONS if space.task.turns else np.full(2, np.inf)
+    low, high = np.maximum(low - room, -ends), np.minimum(high + room, ends)
+    x, y = (np.linspace(float(low[i]), float(high[i]), n) for i in range(2))
+    _shaded(ax, x, y, space.reach_grid(x, y))
     ax.set_xlim(x[0], x[-1])
     ax.set_ylim(y[0], y[-1])
-
-
-def _shade_configurations(space: TwoFreedoms, ax: Any, grid: Array, mask: np.ndarray, p: Array) -> None:
-    """Draw values in the shade of the number of modes there, or of configurations that reach the same place."""
-    count = mask.sum(axis=-1) if space.modes else np.maximum(space.reaching(p[..., 0, :])[1].sum(axis=-1), 1)
-    _shaded(ax, grid[:, 0, 0], grid[0, :, 1], count)
 
 
 def _shaded(ax: Any, x: Array, y: Array, count: np.ndarray) -> None:
@@ -173,40 +204,45 @@ def _draw_limits(space: TwoFreedoms, left: Any, right: Any) -> None:
 
 def _images(space: TwoFreedoms, values: Array) -> list[Array]:
     """The image (n, 2) of a line of values (n, 2) in each mode, NaN where there is none."""
-    p = space.places(*space.over(values))
-    return [image for image in np.moveaxis(p, 1, 0) if np.isfinite(image).any()]
+    p = space.places(*space.along(values))
+    return [_torn(space, image) for image in np.moveaxis(p, 1, 0) if np.isfinite(image).any()]
 
 
-def _draw_other_limits(space: TwoFreedoms, left: Any, right: Any, grid: Array, q: Array) -> None:
-    """Draw where coordinates that are not on the axes are at a limit, and the image of that, mode by mode."""
-    system, layout = space.system, space.system.structure.layout
-    turning, scale = system.structure.coordinates.turning, closure_rows.scales(system)
+def _torn(space: TwoFreedoms, line: Array) -> Array:
+    """A line (n, 2) in the task space, parted where an azimuth jumps by a turn."""
+    jump = np.flatnonzero(np.abs(np.diff(line[:, 0])) > np.pi) + 1 if space.task.turns else ()
+    return np.insert(line, jump, np.nan, axis=0)
+
+
+def _draw_other_limits(space: TwoFreedoms, left: Any, right: Any, q: Array) -> None:
+    """Draw where coordinates that are not on the axes are at a limit, and the image of that; q (k, nq) are inside."""
+    system, layout, solver = space.system, space.system.structure.layout, space.solver
     for v, at in zip(layout.vector_v.tolist(), layout.vector_q.tolist(), strict=True):
-        near = ON * (2.0 * np.pi / len(grid)) ** 2 * scale[v]
-        for end in (system.lower[v] + near, system.upper[v] - near):
+        k = 0
+        name = system.coordinate_names[int(at)]
+        for end in (system.lower[v], system.upper[v]):
             if at in space.columns or not np.isfinite(end):
                 continue
-            for k in range(q.shape[2]):
-                off = np.sin(q[..., k, at] - end) if turning[v] else q[..., k, at] - end
-                for line in _zeros(left, grid, off):
-                    x, ok = space.over(line)
-                    ok &= np.abs(x[..., at] - end) < near
-                    p = space.places(x, ok)[:, k]
-                    if not ok[:, k].any():
-                        continue
-                    for ax, way in ((left, np.where(ok[:, k, None], line, np.nan)), (right, p)):
-                        ax.plot(*way.T, color=style.INK, lw=1.4, gid=f"limit:{system.coordinate_names[at]}:{k}",
-                                zorder=style.CURVE)  # fmt: skip
+            off = np.abs(q[:, at] - end) / space.manifold.scale[v]
+            near = q[np.argsort(off)[: int((off < APART).sum())]]
+            for _ in range(LINES_OF_LIMIT):
+                if not len(near):
+                    break
+                path = trace(system, start=near[0], hold={name: float(end)}, budget=Budget(time_limit=space.clock.left))
+                line = np.concatenate([near[:1], path.q])
+                near = near[[solver.apart(x[None], line).min() > APART for x in near]]
+                if len(path.q) > 1:
+                    _draw_line(space, left, right, path.q, f"limit:{name}:{k}", color=style.INK, lw=1.4,
+                               zorder=style.CURVE)  # fmt: skip
+                    k += 1
 
 
-def _zeros(ax: Any, grid: Array, values: Array) -> list[Array]:
-    """Lines (n, 2) on which values over a grid are zero."""
-    if not (np.nanmin(values, initial=np.inf) < 0.0 < np.nanmax(values, initial=-np.inf)):
-        return []
-    lines = ax.contour(grid[:, 0, 0], grid[0, :, 1], values.T, levels=[0.0], linewidths=0.0)
-    found = [np.asarray(x, dtype=float) for x in lines.allsegs[0] if len(x) > 1]
-    lines.remove()
-    return found
+def _draw_line(space: TwoFreedoms, left: Any, right: Any, q: Array, gid: str, marker: str = "", **look: Any) -> None:
+    """Draw a line of configurations (n, nq) on both sides; a `marker` on the left only."""
+    turned = _values(space, q)
+    jump = np.flatnonzero((np.abs(np.diff(turned, axis=0))[:, space.turns] > np.pi).any(axis=1)) + 1
+    left.plot(*np.insert(turned, jump, np.nan, axis=0).T, gid=gid, marker=marker, ms=4, **look)
+    right.plot(*_torn(space, space.task.of(space.system.fk(q, space.frame))).T, gid=gid, **look)
 
 
 def _draw_grid(space: TwoFreedoms, left: Any, right: Any) -> None:
@@ -224,28 +260,21 @@ def _draw_grid(space: TwoFreedoms, left: Any, right: Any) -> None:
 def _draw_curves(space: TwoFreedoms, left: Any, right: Any, curves: Any) -> None:
     """Draw singular curves, and their images, in the line style of their kind."""
     for k, curve in enumerate(curves):
-        at: Array = curve.q[:, space.columns]
-        turned: Array = np.where(space.turns, space.low + np.mod(at - space.low, 2.0 * np.pi), at)
-        jump = np.flatnonzero((np.abs(np.diff(turned, axis=0)) > np.pi).any(axis=1)) + 1
-        dot = "o" if np.ptp(at, axis=0).max() < CLOSED else ""  # a part that turns by itself while both are held
-        for ax, line, marker in ((left, np.insert(turned, jump, np.nan, axis=0), dot), (right, curve.p[:, :2], "")):
-            ax.plot(*line.T, color=style.OPEN, lw=1.6, ls=LINES.get(curve.kinds, ":"), gid=f"singular:{k}", ms=4,
-                    marker=marker, zorder=style.PINS)  # fmt: skip
+        still = np.ptp(curve.q[:, space.columns], axis=0).max() < CLOSED  # a part turns while both are held
+        _draw_line(space, left, right, curve.q, f"singular:{k}", "o" if still else "", color=style.OPEN, lw=1.6,
+                   ls=LINES.get(curve.kinds, ":"), zorder=style.PINS)  # fmt: skip
 
 
 def _draw_singular(space: TwoFreedoms, left: Any, right: Any, grid: Array) -> None:
     """Draw where the velocity of a chain's frame loses a direction, and the image of that."""
-    system, name = space.system, space.frame
-    size = np.linalg.det(system.jacobian(grid, name)[..., :2, :])
+    size = _area(space, grid)
     scale = float(np.abs(size).max())
-    if scale < 1e-12:
-        return
     size = np.where(np.abs(size) < 1e-9 * scale, 1e-9 * scale, size)  # a line through nodes of the grid is one, too
     lines = left.contour(grid[:, 0, 0], grid[0, :, 1], size.T, levels=[0.0], colors=[style.OPEN], linewidths=1.6,
                          zorder=style.PINS)  # fmt: skip
-    for k, line in enumerate(x for x in lines.allsegs[0] if len(x) > 1):
-        right.plot(*system.fk(np.asarray(line, dtype=float), name)[:, :2, 3].T, color=style.OPEN, lw=1.6,
-                   gid=f"singular:{k}", zorder=style.PINS)  # fmt: skip
+    for k, line in enumerate(np.asarray(x, dtype=float) for x in lines.allsegs[0] if len(x) > 1):
+        p = space.task.of(space.system.fk(line, space.frame))
+        right.plot(*_torn(space, p).T, color=style.OPEN, lw=1.6, gid=f"singular:{k}", zorder=style.PINS)
 
 
 def _draw_point(
@@ -264,33 +293,36 @@ def _draw_point(
         left.annotate(letter, at, xytext=(6, 5), textcoords="offset points", size=style.FONT, color=colour)
         _draw_arm(space, right, q, colour, f"arm:{k}:{j}", "-" if j == 0 else "--")
     if not len(found):
-        q, at, far = nearest(space.system, space.frame, target, every, p)
+        q, at, far = nearest(space.system, space.frame, space.task, target, every, p)
+        said = f"{np.degrees(far):.3g}°" if space.task.turns else page.length_text(float(f"{far:.3g}"))
         left.plot(
             *_values(space, q), "X", ms=8, color=colour, mec="white", mew=0.7, gid=f"nearest:{k}", zorder=style.TEXT
         )
         _draw_arm(space, right, q, colour, f"arm:{k}:0", "-")
         right.plot(*np.stack([at, target]).T, color=colour, lw=1.2, ls=":", gid=f"distance:{k}", zorder=style.TEXT)
-        right.annotate(f"{page.length_text(float(f'{far:.3g}'))} away", 0.5 * (at + target), xytext=(6, -10),
+        right.annotate(f"{said} away", 0.5 * (at + target), xytext=(6, -10),
                        textcoords="offset points", size=style.FONT, color=colour, gid=f"distance:{k}:text")  # fmt: skip
 
 
 def _values(space: TwoFreedoms, q: Array) -> Array:
-    """Where a configuration (nq,) is on the left (2,)."""
-    at = q[space.columns]
+    """Where configurations (..., nq) are on the left (..., 2)."""
+    at = q[..., space.columns]
     return np.where(space.turns, space.low + np.mod(at - space.low, 2.0 * np.pi), at)
 
 
 def _draw_arm(space: TwoFreedoms, ax: Any, q: Array, colour: str, gid: str, line: str) -> None:
     """Draw the bodies from the ground to the frame as a line through their joints; of loops each body as a line."""
-    system, name = space.system, space.frame
+    system, name, axes = space.system, space.frame, space.task.axes
+    if not axes:
+        return
     if space.modes:
         scene = look(system, q)
         bars = {link.name: scene.points(link) for link in scene.links[1:]}
         bars |= {j.name: np.array([j.F[:3, 3], j.M[:3, 3]]) for j in scene.joints if j.kind == "prismatic"}
         for bar, points in bars.items():
-            ax.plot(*points[:, :2].T, color=colour, lw=1.5, ls=line, marker="o", ms=3.5, alpha=0.8, gid=f"{gid}:{bar}",
-                    zorder=style.POINTS)  # fmt: skip
-        corners = np.concatenate([*bars.values()])[:, :2]
+            ax.plot(*points[:, axes].T, color=colour, lw=1.5, ls=line, marker="o", ms=3.5, alpha=0.8,
+                    gid=f"{gid}:{bar}", zorder=style.POINTS)  # fmt: skip
+        corners = np.concatenate([*bars.values()])[:, axes]
         low, high = np.array([ax.get_xlim(), ax.get_ylim()]).T
         room = 0.02 * (high - low)
         low, high = np.minimum(low, corners.min(axis=0) - room), np.maximum(high, corners.max(axis=0) + room)
@@ -300,14 +332,14 @@ def _draw_arm(space: TwoFreedoms, ax: Any, q: Array, colour: str, gid: str, line
     m, tree = system.mechanism, system.structure.topology
     frame = m.frames.get(name)
     body = name if frame is None else frame.body
-    ends = [system.fk(q, name)[:2, 3]]
+    ends = [system.fk(q, name)[:3, 3]]
     while body != system.body_names[0]:
         at = system.body_names.index(body) - 1
         joint = m.joints[tree.parent_joints[at]]
         own = joint.X_CM if joint.child == body else joint.X_PF
-        ends.append((system.fk(q, body) @ own.evaluate(m.parameters))[:2, 3])
+        ends.append((system.fk(q, body) @ own.evaluate(m.parameters))[:3, 3])
         body = system.body_names[system.parent[at]]
-    ax.plot(*np.array(ends).T, color=colour, lw=1.5, ls=line, marker="o", ms=3.5, alpha=0.8, gid=gid,
+    ax.plot(*np.array(ends)[:, axes].T, color=colour, lw=1.5, ls=line, marker="o", ms=3.5, alpha=0.8, gid=gid,
             zorder=style.POINTS)  # fmt: skip
 
 
@@ -320,13 +352,23 @@ def _finish(space: TwoFreedoms, left: Any, right: Any, curves: Any) -> None:
         room = 0.04 * (space.high[i] - space.low[i])
         limits(space.low[i] - room, space.high[i] + room)
         label(f"{space.names[i]} [{unit[space.names[i]]}]", size=style.FONT, color=style.INK)
-    right.set_xlabel("x [m]", size=style.FONT, color=style.INK)
-    right.set_ylabel("y [m]", size=style.FONT, color=style.INK)
+    right.set_xlabel(space.task.labels[0], size=style.FONT, color=style.INK)
+    right.set_ylabel(space.task.labels[1], size=style.FONT, color=style.INK)
     right.set_aspect("equal", adjustable="box")
     left.set_title("configuration space", size=style.FONT + 1, color=style.INK)
-    right.set_title(f"task space: position of {space.frame!r}", size=style.FONT + 1, color=style.INK)
+    said = f"task space: {space.task.said(space.frame)}{'' if space.complete else ', as found'}"
+    right.set_title(said, size=style.FONT + 1, color=style.INK)
+    if said := _partly(space.broken, getattr(curves, "broken", None)):
+        left.text(
+            0.0, -0.14, said.strip(), transform=left.transAxes, size=style.FONT - 1, color=style.OPEN, gid="partial"
+        )
     right.legend(handles=[*_shade_entries(space, left, right), *_line_entries(space, curves)], loc="upper left",
                  bbox_to_anchor=(1.03, 1.0), fontsize=style.FONT - 1, frameon=False)  # fmt: skip
+
+
+def _partly(*broken: Status | None) -> str:
+    """That something is missing, '' where nothing broke the work off."""
+    return partial(Status.INTERRUPTED in broken, Status.OUT_OF_TIME in broken)
 
 
 def _shade_entries(space: TwoFreedoms, left: Any, right: Any) -> list[Any]:
@@ -338,10 +380,8 @@ def _shade_entries(space: TwoFreedoms, left: Any, right: Any) -> list[Any]:
     count = [k for k in range(len(SHADES)) if any(float((x == k).mean()) > FEW for x in seen)]
     more = range(2, len(SHADES) - 1)
     words = ["not reached", "reached in 1 way", *(f"reached in {k} ways" for k in more), "in more ways"]
-    if space.modes and space.counted:
+    if space.modes:
         words = ["none", "1 mode, or 1 way", *(f"{k} modes, or {k} ways" for k in more), "more"]
-    elif space.modes:
-        words = ["none", "1 mode, or reached", *(f"{k} modes" for k in more), "more modes"]
     return [Patch(fc=SHADES[k], ec=style.FAINT, label=words[k]) for k in count]
 
 

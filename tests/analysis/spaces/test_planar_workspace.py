@@ -249,6 +249,40 @@ def test_a_planar_parallel_robot_in_one_orientation():
     assert "three_rrr, tool (constant-orientation): area" in w.status
 
 
+def test_a_platform_on_three_legs_with_limits_in_one_orientation():
+    """Annuli of the leg lengths about the pivots moved by where the leg holds the platform; area by quadrature.
+
+    Merlet, Gosselin, Mouly, "Workspaces of planar parallel manipulators", Mechanism and Machine Theory 33 (1998).
+    """
+    low, high, angle = 0.35, 0.95, 0.4
+    base, platform = np.array([0.0, 1.0 + 0.1j, 0.3 + 0.9j]), np.array([0.0, 0.35 - 0.05j, 0.1 + 0.3j])
+    m = kempe.Mechanism("3-RPR", dim=2)
+    plate = m.body("platform")
+    for k, (a, b) in enumerate(zip(base, platform, strict=True)):
+        m.revolute(f"A{k}", m.ground, m.body(f"leg{k}"), at=(a.real, a.imag))
+        m.prismatic(f"s{k}", f"leg{k}", m.body(f"rod{k}"), axis=(1, 0), limits=(low, high), actuated=True)
+        m.revolute(f"B{k}", f"rod{k}", plate, child_at=(b.real, b.imag))
+    m.frame("tool", plate)
+    w = m.build().reach.planar("tool", orientation=angle)
+    centres = base - platform * np.exp(1j * angle)
+    points = np.random.default_rng(0).uniform(-1.0, 1.5, (50_000, 2))
+    far = np.abs((points @ [1.0, 1j])[:, None] - centres)
+    assert np.array_equal(w.contains(points), ((far > low) & (far < high)).all(axis=1))
+    assert w.area == pytest.approx(_area_of_annuli(centres, low, high), rel=1e-5)
+    assert m.build().workspace("tool", orientation=angle).area[0] == pytest.approx(w.area, abs=1e-12)
+
+
+def _area_of_annuli(centres: np.ndarray, low: float, high: float) -> float:
+    """Of what lies in all annuli: lengths of the pieces of lines y = constant, by the midpoint rule."""
+    edges = np.linspace(-1.0, 2.0, 20_001)
+    y = 0.5 * (edges[1:] + edges[:-1])[:, None] - centres.imag
+    halves = [np.sqrt(np.maximum(r * r - y * y, 0.0)) for r in (low, high)]
+    x = np.sort(np.concatenate([s * h + centres.real for h in halves for s in (-1.0, 1.0)], axis=1), axis=1)
+    middle = 0.5 * (x[:, 1:] + x[:, :-1])
+    far = np.hypot(middle[..., None] - centres.real, y[:, None])
+    return float((np.diff(x, axis=1) * ((far > low) & (far < high)).all(axis=2)).sum() * (edges[1] - edges[0]))
+
+
 def test_dexterous_places_of_three_links():
     """The ring within which a circle of the last link's length lies in the annulus of the first two."""
     w = planar_workspace(arm(("R", 0.0, None), ("R", 0.6, None), ("R", 0.4, None), tool=0.1), "tool", kind="dexterous")

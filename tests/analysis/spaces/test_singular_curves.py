@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from two_freedoms_in_space import lengths_of_pointer, pointer
 
 import kempe
 from kempe import Budget, Status
@@ -216,3 +217,76 @@ def test_what_was_done_before_the_end_is_kept():
     some = found.curves(budget=Budget(progress=enough))
     assert some.code is Status.INTERRUPTED and 0 < len(some) < 4 and "interrupted" in some.status
     assert len(some.data()["curves"][0]["q"]) == len(some.curves[0])
+
+
+class _Ends:
+    """Progress that interrupts when so many configurations are done."""
+
+    def __init__(self, after: int):
+        self.after = after
+
+    def __call__(self, done: int, total: int) -> None:
+        assert 0 < done <= total
+        if done >= self.after:
+            raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("after", [1, 3])
+def test_what_is_traced_stays_where_curves_are_broken_off(after):
+    """Those that are there lie on the circles on which all of them lie, and the picture says that they are a part."""
+    found = arm_of((0.5, 0.4)).singularities("tip", "position", budget=Budget(starts=8))
+    curves = found.curves(budget=Budget(progress=_Ends(after)))
+    assert curves.code is Status.INTERRUPTED and "this is the part that was done" in curves.status
+    radii = {round(float(np.hypot(*c.p[0, :2])), 6) for c in curves}
+    assert radii and radii <= {0.9, 0.1}
+    pytest.importorskip("matplotlib")
+    last = found.plot(budget=Budget(progress=_Ends(after)))[-1]
+    assert "interrupted:\nthis is the part that was done" in last.get_title() and last.get_lines()
+
+
+def test_a_curve_that_is_broken_off_is_kept_as_far_as_it_was_followed(monkeypatch):
+    from kempe.solvers.common.clock import TimeLimit, TimeUp
+
+    count = [0]
+
+    def check(self):
+        count[0] += 1
+        if count[0] > 60:
+            raise TimeUp
+
+    found = arm_of((0.5, 0.4)).singularities("tip", "position", budget=Budget(starts=8))
+    monkeypatch.setattr(TimeLimit, "check", check)
+    (curve,) = curves = found.curves(budget=Budget(time_limit=100.0))
+    assert curves.code is Status.OUT_OF_TIME and not curve.closed
+    assert 3 <= len(curve) and np.ptp(np.hypot(*curve.p.T[:2])) < 1e-9
+
+
+def test_the_time_limit_of_a_picture_is_that_of_its_curves():
+    found = arm_of((0.5, 0.4)).singularities("tip", "position", budget=Budget(starts=8))
+    pytest.importorskip("matplotlib")
+    last = found.plot(budget=Budget(time_limit=1e-6))[-1]
+    assert "stopped by the time limit" in last.get_title() and not last.get_lines()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lower", ["spherical", "universal"])
+def test_curves_of_a_pointer_whose_legs_spin_idly_are_whole_turns(lower):
+    """The direction is lost where the second angle of the universal joint is a quarter turn, whatever the first is."""
+    robot = pointer(lower, "spherical")
+    found = robot.singularities("camera", "direction", inputs=["s0", "s1"], budget=Budget(starts=16))
+    assert {s.dimension for s in found.sets} == {1}
+    at = [robot.coordinate_names.index(n) for n in ("U.rx", "U.ry", "s0", "s1")]
+    curves = [c for c in found.curves() if c.kinds == ("type 1",)]
+    for c in curves:
+        U = c.q[:, at[:2]]
+        assert c.closed and np.abs(np.cos(U[:, 1])).max() < 1e-6
+        assert abs(U[-1, 0] - U[0, 0]) == pytest.approx(2.0 * np.pi, abs=0.01) and np.abs(np.diff(U[:, 0])).max() < 0.1
+        assert lengths_of_pointer(U) == pytest.approx(c.q[:, at[2:]], abs=1e-8)
+    assert curves
+
+
+def test_the_far_side_of_a_turn_is_not_beside_a_place():
+    from kempe.analysis.spaces.singular.singular_curves import _beside
+
+    assert _beside(np.array([[-0.1, 0.0]]), np.array([[0.1, 0.0]])).all()
+    assert not _beside(np.array([[-3.1, 0.2]]), np.array([[3.1, 0.2]])).any()

@@ -282,3 +282,33 @@ def test_what_cannot_be_done_is_said():
         PUMA.singularities("tool", budget=Budget(points=3))
     with pytest.raises(InputError, match="one configuration"):
         PUMA.singularities("tool", budget=FEW).nearest(np.zeros((2, 6)))
+
+
+def test_a_gimbal_loses_a_direction_of_its_axis_where_that_is_along_the_first_turn():
+    """What is lost is the turn about the axis that is across the pointing axis and the second axis of the gimbal."""
+    m = kempe.Mechanism("gimbal")
+    m.universal("U", m.ground, m.body("camera"))
+    found = m.build().singularities("camera", "direction", budget=Budget(starts=16))
+    (only,) = found.sets
+    assert only.coordinates == ("U.ry",) and np.abs(np.cos(only.values)).max() < 1e-6
+    for q, lost in zip(only.q, only.lost, strict=True):
+        z, second = found.system.fk(q, "camera")[:3, 2], np.array([0.0, np.cos(q[0]), np.sin(q[0])])
+        assert lost.shape == (1, 6) and np.abs(lost[0, 3:] @ np.cross(z, second)) == pytest.approx(1.0, abs=1e-6)
+        assert np.abs(lost[0, :3]).max() < 1e-9
+    planes = m.build().singularities("camera", "orientation", budget=Budget(starts=4))
+    assert not planes.sets  # both turns stay independent as turns
+    with pytest.raises(UnknownNameError, match="task 'direction'"):
+        kempe.load("two_link").singularities("e", "direction")
+
+
+def test_a_position_seen_along_two_axes():
+    """A polar arm about a vertical axis whose height is driven: seen from the side it is singular where it comes by."""
+    m = kempe.Mechanism("post")
+    m.prismatic("h", m.ground, m.body("cart"), axis="z", limits=(0.0, 1.0))
+    m.revolute("t", "cart", m.body("arm"), axis="z")
+    m.frame("end", "arm", at=(0.5, 0, 0))
+    for task, values in (("xz", [0.0, np.pi]), ("yz", [-0.5 * np.pi, 0.5 * np.pi])):
+        (only,) = m.build().singularities("end", task, budget=Budget(starts=32)).sets
+        assert only.coordinates == ("t",)
+        off = np.abs(np.sin(0.5 * (only.values[:, :1] - np.array(values))))
+        assert off.min(axis=1).max() < 1e-6 and off.min(axis=0).max() < 1e-6

@@ -38,6 +38,22 @@ def spins_of(system: System, q: Array) -> tuple[Spin, ...]:
     return _spins(tree, tree.mobility(q, local=False)) if found is None else found
 
 
+def moved_by_spins(system: System, q: Array) -> np.ndarray:
+    """Which velocity coordinates (nv,) idle spins change; of a rotation, all three."""
+    out = np.any([s.moves for s in spins_of(system, q)] or [np.zeros(system.nv, dtype=bool)], axis=0)
+    for iv in system.structure.layout.quaternion_v:
+        out[iv : iv + 3] = out[iv : iv + 3].any()
+    return np.asarray(out)
+
+
+def spin_rates(system: System, q: Array) -> Array:
+    """Rows (k, s, nv) by which velocities at q (k, nq) give the rates of the s idle spins [rad/s]."""
+    tree = own_tree(system)
+    spins = spins_of(system, system.mid) if system.dim == 3 else ()
+    rows = [s.line @ tree.jacobian(q, s.body, "body")[:, 3:] for s in spins]
+    return np.stack(rows, axis=1) if rows else np.zeros((len(q), 0, system.nv))
+
+
 @kept
 def _at_home(system: System) -> tuple[Spin, ...] | None:
     report = system.mobility(local=False)

@@ -13,6 +13,8 @@ TIME_LIMIT = 120.0
 """Seconds that a call may take whose work nobody can tell beforehand, unless the caller says otherwise."""
 LONG = 600.0
 """The same where samples or targets say how much work there is."""
+LEAST = 1e-3
+"""Seconds that are left, at least."""
 SHARE = 0.8
 """Part of the time after which what was found is put in order: that takes the rest."""
 
@@ -27,6 +29,11 @@ class TimeLimit:
     def __init__(self, limit: Any):
         self.limit, self.end = limit, deadline(limit)
         self.soon = self.end - (1.0 - SHARE) * (limit or 0.0)
+
+    @property
+    def left(self) -> float | None:
+        """Seconds that are left, at least some for what ends at once; None where there is no limit."""
+        return None if self.limit is None else max(self.end - time.monotonic(), LEAST)
 
     def check(self) -> None:
         """Raise `TimeUp` if the time of the call is spent."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -57,12 +57,12 @@ class Metric:
             out += np.sum((p @ (A + A.T)) * p, axis=1) / 8.0
         return out
 
-    def distances(self, q: Array, to: Array) -> Array:
-        """Largest difference (...) in any coordinate, in radians and characteristic lengths."""
+    def distances(self, q: Array, to: Array, counts: Any = slice(None)) -> Array:
+        """Largest difference (...) in any coordinate that `counts` (nv,), in radians and characteristic lengths."""
         v = self.system.structure.layout.difference(to, q)
         back = self.period > 0.0
         v[..., back] -= self.period[back] * np.round(v[..., back] / self.period[back])
-        return np.abs(v / self.scale).max(axis=-1, initial=0.0)
+        return np.abs(v / self.scale)[..., counts].max(axis=-1, initial=0.0)
 
     def representatives(self, q: Array, near: Array | None) -> Array:
         """The configurations (n, nq), each angle turned to be nearest to `near`, or to zero, and inside its limits."""

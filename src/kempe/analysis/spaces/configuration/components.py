@@ -20,7 +20,7 @@ from kempe.kinematics.closure_rows import RANK_TOLERANCE
 from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import has_loops
 from kempe.kinematics.one_sided import one_sided_rows
-from kempe.solvers.assembly.idle import spins_of
+from kempe.solvers.assembly.idle import moved_by_spins
 from kempe.solvers.common.arguments import start_count
 from kempe.solvers.common.clock import TIME_LIMIT, TimeLimit, TimeUp
 from kempe.spatial import Array
@@ -310,14 +310,6 @@ def _of_one_freedom(system: System, q: Array, dof: int) -> tuple[Array, frozense
     most = max(dof, int(left.min(initial=system.nv)))
     others = {system.mobility(q[left == k][0]).dof or 0 for k in np.unique(left) if k > most}
     return q[left <= most], frozenset(others - {0, 1})
-
-
-def moved_by_spins(system: System, q: Array) -> np.ndarray:
-    """Which velocity coordinates (nv,) idle spins change; of a rotation, all three."""
-    out = np.any([s.moves for s in spins_of(system, q)] or [np.zeros(system.nv, dtype=bool)], axis=0)
-    for iv in system.structure.layout.quaternion_v:
-        out[iv : iv + 3] = out[iv : iv + 3].any()
-    return np.asarray(out)
 
 
 def _starts(system: System, home: Array, spend: Budget) -> Array:

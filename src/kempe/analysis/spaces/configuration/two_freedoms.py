@@ -1,23 +1,30 @@
 """Systems with two freedoms over two of their coordinates: all configurations there, and all that reach a place.
 
 Of an open chain there is one configuration over each pair of values; of a planar mechanism made of dyads there are its
-assembly modes, in closed form.
+assembly modes, in closed form. Of others configurations are found from node to node of a lattice (`lattices`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import combinations
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kempe.analysis.first_order.control import driven
+from kempe.analysis.spaces.configuration.lattices import Missing, NodeSolver, flooded, in_order
+from kempe.analysis.spaces.configuration.manifold import Manifold
 from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.configuration import circles, has_loops, sampling_box
 from kempe.kinematics.one_sided import one_sided_rows
+from kempe.kinematics.tasks.flat_tasks import FlatTask
+from kempe.kinematics.tasks.packed import Packed
+from kempe.solvers.assembly.charts import tangent_space
+from kempe.solvers.common.clock import TimeLimit
 from kempe.solvers.dyads.dyads import Incomplete, Plan, closed_form
 from kempe.spatial import Array
+from kempe.status import Status
 from kempe.words import counted
 
 if TYPE_CHECKING:
@@ -27,84 +34,231 @@ MOST_SIGNS = 6
 """Branch signs of a closed form, at most: 64 configurations at each place."""
 INSIDE = 1e-9
 """How far, in radians and metres, a configuration may be beyond a limit to be inside."""
-TORN = 0.08
-"""Part of the picture that an edge of a triangle may span: neighbours that are farther apart are torn apart."""
-SAME = 1e-6
-"""Difference of coordinates, in radians and metres, up to which configurations are the same."""
+STARTS, LOOKED = 1024, 64
+"""Random configurations from which others are found, and those at which pairs of coordinates are looked at."""
+SEEDS = 4000
+"""Configurations, at most, from which those that reach a place are found."""
+SETS, FLAT = 0.2, 1e-6
+"""Area that rates of two coordinates span at half of all configurations, as a part of the largest, for these to be
+taken, and that of two that do not place the others."""
 NEEDED = "both spaces are drawn of systems with two freedoms"
 
 
 class TwoFreedoms:
-    """An open system with two coordinates, and the frame whose place counts. Base of `LoopSheets`.
+    """A system with two freedoms over two coordinates, and the frame of which a task is seen.
 
     `names` are the two coordinates, `columns` theirs in q, `low`, `high` and `turns` (2,) their ranges and which of
-    them are full turns. Errors: `UnsupportedError`, `InputError`.
+    them are full turns. What is found is found from node to node of lattices; `broken` says what ended that early.
+    Errors: `UnsupportedError`, `InputError`.
     """
 
-    modes = False
+    modes = True
     """Whether several configurations can lie over the same values."""
-    counted = True
-    """Whether those that reach a place are counted, in closed form or by `ik_all`."""
+    complete = False
+    """Whether those over given values are all, by a closed form."""
 
-    def __init__(self, system: System, frame: str, names: tuple[str, ...]):
-        self.system, self.frame, self.names = system, frame, names
-        at = [system.structure.velocity_names.index(n) for n in names]
+    progress: Callable[[int, int], Any] | None = None
+    """Called with how many nodes of a lattice have configurations, and how many it has."""
+
+    def __init__(self, system: System, frame: str, task: FlatTask, names: tuple[str, ...], clock: TimeLimit):
+        self.system, self.frame, self.task, self.names, self.clock = system, frame, task, names, clock
+        velocity = system.structure.velocity_names
+        self.at = [velocity.index(n) for n in names]
         self.columns = [system.coordinate_names.index(n) for n in names]
-        self.turns = circles(system)[at]
-        for i, name in zip(at, names, strict=True):
+        self.turns = circles(system)[self.at]
+        for i, name in zip(self.at, names, strict=True):
             if not circles(system)[i] and not np.isfinite([system.lower[i], system.upper[i]]).all():
                 raise InputError(f"{name!r} has no limits on both sides, and a picture has an end: "
                                  f"with_limits({{{name!r}: (low, high)}}) gives it one")  # fmt: skip
-        self.low, self.high = (x[at] for x in sampling_box(system))
+        self.low, self.high = (x[self.at] for x in sampling_box(system))
+        self.manifold, self.rows = Manifold(system, 2), one_sided_rows(system)
+        self.solver = NodeSolver(self.manifold)
+        self.broken: Status | None = None
+        self._over: tuple[int, Array, np.ndarray] | None = None
+        self._reaching: tuple[Array, Array, Array, np.ndarray] | None = None
 
     def grid(self, n: int) -> Array:
         """Values (n, n, 2) over the ranges."""
         sides = [np.linspace(float(self.low[i]), float(self.high[i]), n) for i in range(2)]
         return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1)
 
+    # ---- over values of the coordinates
+
+    def over_grid(self, n: int) -> tuple[Array, np.ndarray]:
+        """Configurations (n, n, k, nq) at the values of `grid`, and which (n, n, k) there are."""
+        values = self.grid(n)
+        q = self.manifold.drawn(np.random.default_rng(0), STARTS)
+        found = flooded(self.solver, self._off_values(values.reshape(-1, 2)), (n, n), q,
+                        self._node(q[:, self.columns], n), self.clock, self.progress)  # fmt: skip
+        self.broken = self.broken or found.broken
+        self._over = n, found.q, found.mask
+        q, mask = self._inside(found.q, found.mask)
+        return q.reshape(n, n, -1, self.system.nq), mask.reshape(n, n, -1)
+
     def over(self, values: Array) -> tuple[Array, np.ndarray]:
         """Configurations (..., k, nq) at values (..., 2) of the coordinates, and which (..., k) there are."""
-        return values[..., None, :], np.ones((*values.shape[:-1], 1), dtype=bool)
+        assert self._over is not None
+        n, q, mask = self._over
+        flat = values.reshape(-1, 2)
+        node = self._node(flat, n)
+        x, ok = self._again(self._off_values(flat), q[node], mask[node])
+        return x.reshape(*values.shape[:-1], -1, self.system.nq), ok.reshape(*values.shape[:-1], -1)
 
-    def reaching(self, p: Array) -> tuple[Array, np.ndarray]:
-        """Configurations (..., k, nq) that bring the frame to places p (..., 2), and which (..., k) there are."""
+    def along(self, values: Array) -> tuple[Array, np.ndarray]:
+        """Configurations (n, k, nq) over a line of values (n, 2), and which (n, k) there are, mode by mode."""
+        return in_order(self.solver, *self.over(values))
+
+    def _node(self, values: Array, n: int) -> np.ndarray:
+        """Numbers (k,) of the nodes nearest to values (k, 2)."""
+        off = values - self.low
+        off = np.where(self.turns, np.mod(off, 2.0 * np.pi), off)
+        i, j = np.clip(np.rint(off / (self.high - self.low) * (n - 1)), 0, n - 1).astype(int).T
+        return i * n + j
+
+    def _off_values(self, values: Array) -> Missing:
+        """What coordinates miss of values (k, 2)."""
+        scale, turning = self.manifold.scale[self.at], self.system.structure.coordinates.turning[self.at]
+        rates = np.eye(self.system.nv)[self.at]
+
+        def missing(q: Array, node: np.ndarray) -> tuple[Array, Array]:
+            off = q[:, self.columns] - values[node]
+            off = np.where(turning, np.mod(off + np.pi, 2.0 * np.pi) - np.pi, off)
+            return off / scale, np.broadcast_to(rates, (len(q), *rates.shape))
+
+        return missing
+
+    # ---- that reach a place
+
+    def reach_grid(self, x: Array, y: Array) -> np.ndarray:
+        """How many configurations bring the frame to each place of a lattice x (m,), y (n,)."""
+        seeds = self._seeds()
+        p = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+        node = _nearest_node(x, y, self.task.of(self.system.fk(seeds, self.frame)))
+        found = flooded(self.solver, self._off_places(p), (len(x), len(y)), seeds, node, self.clock, self.progress)
+        self.broken = self.broken or found.broken
+        q, mask = self._inside(found.q, found.mask)
+        self._reaching = x, y, q, mask
+        return mask.sum(axis=1).reshape(len(x), len(y))
+
+    def ways(self, p: Array) -> np.ndarray:
+        """How many configurations (...) bring the frame to places p (..., 2): of those that were found beside."""
+        assert self._reaching is not None
+        x, y, _, mask = self._reaching
+        node = _nearest_node(x, y, np.nan_to_num(p.reshape(-1, 2)))
+        return mask.sum(axis=1)[node].reshape(p.shape[:-1])
+
+    def solutions(self, p: Array) -> Array:
+        """The different configurations (k, nq) that bring the frame to a place (2,)."""
+        assert self._reaching is not None
+        x, y, q, mask = self._reaching
+        i, j = np.divmod(_nearest_node(x, y, p[None])[0], len(y))
+        rows, columns = (range(max(int(k) - 1, 0), min(int(k) + 2, len(side))) for k, side in ((i, x), (j, y)))
+        near = np.array([r * len(y) + c for r in rows for c in columns])
+        found, ok = self._again(self._off_places(p[None]), q[near].reshape(1, -1, q.shape[2]),
+                                mask[near].reshape(1, -1))  # fmt: skip
+        return found[ok]
+
+    def _seeds(self) -> Array:
+        """Configurations (k, nq) from which those that reach places are found: of all that lie over a grid."""
+        assert self._over is not None
+        _, q, mask = self._over
+        q = q[mask]
+        return q[:: max(len(q) // SEEDS, 1)]
+
+    def _off_places(self, p: Array) -> Missing:
+        """What the frame misses of places (k, 2)."""
+        packed = Packed(self.system, [self.task.at(self.frame, p)])
+        pins = packed.pins([packed.tasks[0].goals(self.system)], (len(p),))
+
+        def missing(q: Array, node: np.ndarray) -> tuple[Array, Array]:
+            return packed.evaluate(q, np.ascontiguousarray(pins[node]))
+
+        return missing
+
+    # ---- both
+
+    def _again(self, missing: Missing, q: Array, mask: np.ndarray) -> tuple[Array, np.ndarray]:
+        """Configurations (n, k, nq) of n problems from those of others, and which (n, k) there are, each once."""
+        n, k = mask.shape
+        x, ok = q.reshape(n * k, -1).copy(), mask.ravel().copy()
+        at = np.flatnonzero(ok)
+        x[at], ok[at] = self.solver.solved(missing, x[at], at // k)
+        x, ok = x.reshape(n, k, -1), ok.reshape(n, k)
+        for j in range(1, k):
+            for i in range(j):
+                ok[:, j] &= ~(ok[:, i] & self.solver.same(x[:, j], x[:, i]))
+        return self._inside(x, ok)
+
+    def _inside(self, q: Array, mask: np.ndarray) -> tuple[Array, np.ndarray]:
+        """Configurations (..., nq), angles inside limits where they can be, and which (...) are there and inside."""
+        flat, ok = np.array(q.reshape(-1, self.system.nq)), np.array(mask.ravel())
+        flat[ok] = self.manifold.metric.representatives(flat[ok], None)
+        ok[ok] = (self.rows.beyond(flat[ok]) <= INSIDE).all(axis=-1)
+        return flat.reshape(q.shape), ok.reshape(mask.shape)
+
+    def places(self, q: Array, mask: np.ndarray) -> Array:
+        """What is seen of the frame (..., k, 2) at configurations, NaN where there are none."""
+        X = self.system.fk(np.where(mask[..., None], q, self.system.neutral), self.frame)
+        return np.where(mask[..., None], self.task.of(X), np.nan)
+
+
+class OpenChain(TwoFreedoms):
+    """An open system with two coordinates."""
+
+    modes, complete = False, True
+
+    def over_grid(self, n: int) -> tuple[Array, np.ndarray]:
+        """Configurations (n, n, 1, nq) at the values of `grid`, which are all there."""
+        self._over = n, self.grid(n).reshape(-1, 1, 2), np.ones((n * n, 1), dtype=bool)
+        return self.over(self.grid(n))
+
+    def over(self, values: Array) -> tuple[Array, np.ndarray]:
+        """Configurations (..., 1, nq) at values (..., 2) of the coordinates."""
+        return self._inside(values[..., None, :], np.ones((*values.shape[:-1], 1), dtype=bool))
+
+
+class FlatChain(OpenChain):
+    """An open planar system with two coordinates, whose configurations at a place are found by `ik_all`."""
+
+    def reach_grid(self, x: Array, y: Array) -> np.ndarray:
+        """How many configurations bring the frame to each place of a lattice x (m,), y (n,)."""
+        return self.ways(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1))
+
+    def ways(self, p: Array) -> np.ndarray:
+        """How many configurations (...) bring the frame to places p (..., 2)."""
         found = self.system.ik_all(p.reshape(-1, 2), self.frame, task="position", limits=True)
-        mask = np.asarray(found.mask)  # type: ignore[union-attr]
-        return found.q.reshape(*p.shape[:-1], mask.shape[1], -1), mask.reshape(*p.shape[:-1], -1)
+        return np.asarray(found.mask).sum(axis=1).reshape(p.shape[:-1])  # type: ignore[union-attr]
 
     def solutions(self, p: Array) -> Array:
         """The different configurations (k, nq) that bring the frame to a place (2,)."""
         return self.system.ik_all(p, self.frame, task="position", limits=True).q
 
-    def places(self, q: Array, mask: np.ndarray) -> Array:
-        """Where the frame is (..., k, 2) at configurations, NaN where there are none."""
-        p = self.system.fk(np.where(mask[..., None], q, 0.0), self.frame)[..., :2, 3]
-        return np.where(mask[..., None], p, np.nan)
 
-    def preimages(self, x: Array, y: Array, p: Array) -> np.ndarray:
-        """How many configurations bring the frame to each place of a lattice x (m,), y (n,)."""
-        places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
-        return self.reaching(places)[1].sum(axis=-1)
+class Dyads(TwoFreedoms):
+    """A planar mechanism with two freedoms that is made of dyads, with all closed configurations in closed form.
 
-
-class LoopSheets(TwoFreedoms):
-    """All closed configurations of a planar mechanism with two freedoms that is made of dyads; see `TwoFreedoms`.
-
-    The coordinates are the actuated ones where these are two and place everything dyad after dyad, else the first pair
-    that does. `placed` is the closed form with the place of the frame known, None where there is none.
+    `placed` is the closed form with the place of the frame known, None where there is none.
     """
 
-    modes = True
+    complete = True
 
-    def __init__(self, system: System, frame: str):
-        self.plan = _plan(system)
-        super().__init__(system, frame, self.plan.known)
-        self.placed = _placed(system, frame)
-        self.counted = self.placed is not None
+    def __init__(self, system: System, frame: str, task: FlatTask, plan: Plan, clock: TimeLimit):
+        super().__init__(system, frame, task, plan.known, clock)
+        self.plan, self.placed = plan, _placed(system, frame)
+
+    def over_grid(self, n: int) -> tuple[Array, np.ndarray]:
+        """Configurations (n, n, k, nq) on all branches, and which (n, n, k) close inside the limits."""
+        q, mask = self.over(self.grid(n))
+        self._over = n, q.reshape(n * n, -1, self.system.nq), mask.reshape(n * n, -1)
+        return q, mask
 
     def over(self, values: Array) -> tuple[Array, np.ndarray]:
         """Configurations (..., k, nq) on all branches, and which (..., k) close inside the limits."""
         return self._inside(*self.plan.all(values))
+
+    def along(self, values: Array) -> tuple[Array, np.ndarray]:
+        """Configurations (n, k, nq) over a line of values (n, 2), and which (n, k) there are, branch by branch."""
+        return self.over(values)
 
     def reaching(self, p: Array) -> tuple[Array, np.ndarray]:
         """Configurations (..., k, nq) that bring the frame to places p (..., 2), and which (..., k) there are."""
@@ -113,58 +267,57 @@ class LoopSheets(TwoFreedoms):
         at = [self.placed.system.coordinate_names.index(n) for n in self.system.coordinate_names]
         return self._inside(q[..., at], mask)
 
+    def reach_grid(self, x: Array, y: Array) -> np.ndarray:
+        """How many configurations bring the frame to each place of a lattice x (m,), y (n,)."""
+        if self.placed is None:
+            return super().reach_grid(x, y)
+        return self.reaching(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1))[1].sum(axis=-1)
+
     def solutions(self, p: Array) -> Array:
-        """The different configurations (k, nq) that bring the frame to a place (2,): where there is no closed form
-        those that are found from many starts."""  # fmt: skip
+        """The different configurations (k, nq) that bring the frame to a place (2,)."""
         if self.placed is None:
             return super().solutions(p)
         q, mask = self.reaching(p)
-        keep: list[Array] = []
-        for x in q[mask]:
-            if not any(np.abs(x - other).max() < SAME for other in keep):
-                keep.append(x)
-        return np.array(keep).reshape(-1, self.system.nq)
-
-    def preimages(self, x: Array, y: Array, p: Array) -> np.ndarray:
-        """How many configurations bring the frame to each place of a lattice x (m,), y (n,).
-
-        Without a closed form they are not counted: 1 where the image p (n, n, k, 2) of a grid is, else 0.
-        """
-        return super().preimages(x, y, p) if self.placed is not None else covered(x, y, p).astype(np.int64)
-
-    def _inside(self, q: Array, mask: np.ndarray) -> tuple[Array, np.ndarray]:
-        beyond = one_sided_rows(self.system).beyond(q.reshape(-1, self.system.nq))
-        return q, mask & np.asarray((beyond <= INSIDE).all(axis=-1)).reshape(mask.shape)
+        return self.solver.different(q[mask])
 
 
-def two_freedoms(system: System, frame: str) -> TwoFreedoms:
+def two_freedoms(system: System, frame: str, task: FlatTask, clock: TimeLimit | None = None) -> TwoFreedoms:
     """The system over two of its coordinates. Errors: `UnsupportedError`, `InputError`; see `TwoFreedoms`."""
-    loops = has_loops(system)
+    loops, clock = has_loops(system), clock or TimeLimit(None)
     mobility = system.mobility(local=False) if loops else None
     freedoms = system.nv if mobility is None else mobility.rank_dof
     if freedoms is None:
         raise UnsupportedError(f"{NEEDED}; of {system.name} they are not known: {mobility and mobility.sentence}")
-    if freedoms != 2 or (not loops and len(system.structure.layout.vector_q) != 2):
-        what = counted(freedoms, "freedom" if loops else "coordinate")
-        raise UnsupportedError(f"{NEEDED}; {system.name} has {what}{' and loops' if loops else ''}")
+    idle = mobility.idle if mobility else 0
+    if freedoms - idle != 2 or (not loops and len(system.structure.layout.vector_q) != 2):
+        what = counted(freedoms - idle, "freedom" if loops else "coordinate")
+        left_out = f", {counted(idle, 'idle spin')} left out" if idle else ""
+        raise UnsupportedError(f"{NEEDED}; {system.name} has {what}{' and loops' if loops else ''}{left_out}")
     if not loops:
-        return TwoFreedoms(system, frame, tuple(system.coordinate_names))
-    return LoopSheets(system, frame)
+        kind = FlatChain if system.dim == 2 else OpenChain
+        return kind(system, frame, task, tuple(system.coordinate_names), clock)
+    plan = _plan(system) if system.dim == 2 else None
+    if plan is not None:
+        return Dyads(system, frame, task, plan, clock)
+    return TwoFreedoms(system, frame, task, _pair(system), clock)
 
 
-def _plan(system: System) -> Plan:
-    """The closed form from the actuated coordinates, else from the first that have one. Errors: `UnsupportedError`."""
+def _pairs(system: System) -> Iterator[tuple[str, ...]]:
+    """The actuated coordinates, if these are two, then all pairs."""
     names = system.structure.velocity_names
-    inputs = [names[i] for i in driven(system, None) or ()]
-    pairs: Iterator[tuple[str, ...]] = combinations([n for n in names if n in system.coordinate_names], 2)
-    why = ""
-    for pair in [tuple(inputs), *pairs] if len(inputs) == 2 else pairs:
+    inputs = tuple(names[i] for i in driven(system, None) or ())
+    if len(inputs) == 2 and set(inputs) <= set(system.coordinate_names):
+        yield inputs
+    yield from combinations([n for n in names if n in system.coordinate_names], 2)
+
+
+def _plan(system: System) -> Plan | None:
+    """The closed form from the actuated coordinates, else from the first that have one."""
+    for pair in _pairs(system):
         found = closed_form(system, pair)
-        if isinstance(found, Incomplete):
-            why = why or found.reason
-        elif found.signs <= MOST_SIGNS and _moves(found):
+        if not isinstance(found, Incomplete) and found.signs <= MOST_SIGNS and _moves(found):
             return found
-    raise UnsupportedError(f"{NEEDED}, with loops where dyads close them; of {system.name}: {why or 'no pair does'}")
+    return None
 
 
 def _moves(plan: Plan) -> bool:
@@ -172,6 +325,26 @@ def _moves(plan: Plan) -> bool:
     at = [plan.system.structure.velocity_names.index(n) for n in plan.known]
     low, high = (x[at] for x in sampling_box(plan.system))
     return bool(plan.all(np.random.default_rng(0).uniform(low, high, (512, 2)))[1].any())
+
+
+def _pair(system: System) -> tuple[str, ...]:
+    """The actuated coordinates where they place the others, else the first with ends that do. Errors:
+    `UnsupportedError`."""  # fmt: skip
+    q = Manifold(system, 2).drawn(np.random.default_rng(0), LOOKED)
+    if not len(q):
+        raise UnsupportedError(f"{system.name}: no closed configuration was found: there is nothing to draw")
+    N = [tangent_space(system, x)[0] for x in q]
+    names, pairs = system.structure.velocity_names, list(_pairs(system))
+    at = [[names.index(n) for n in pair] for pair in pairs]
+    # the area that rates of two coordinates span: what spins idly adds nothing
+    areas = [float(np.median([np.prod(np.linalg.svd(x[i], compute_uv=False)[:2]) for x in N])) for i in at]
+    ended = circles(system) | (np.isfinite(system.lower) & np.isfinite(system.upper))
+    driving = set(pairs[0]) == {names[i] for i in driven(system, None) or ()}
+    good = [k for k, x in enumerate(areas) if x > (FLAT if driving and k == 0 else max(SETS * max(areas), FLAT))]
+    good.sort(key=lambda k: (not (driving and k == 0), not ended[at[k]].all()))
+    if not good:
+        raise UnsupportedError(f"{NEEDED}, over two coordinates that place the others; of {system.name} no two do")
+    return pairs[good[0]]
 
 
 def _placed(system: System, frame: str) -> Plan | None:
@@ -187,29 +360,8 @@ def _placed(system: System, frame: str) -> Plan | None:
     return None if isinstance(found, Incomplete) or found.signs > MOST_SIGNS else found
 
 
-def covered(x: Array, y: Array, p: Array) -> np.ndarray:
-    """Which places of a lattice x (m,), y (n,) lie in small triangles of sheets p (n, n, k, 2); NaN is no place.
-
-    Large triangles stand where neighbours are torn apart: what is between them is not the image.
-    """
-    corners = [p[:-1, :-1], p[1:, :-1], p[1:, 1:], p[:-1, 1:]]
-    triangles = np.concatenate([np.stack([corners[i] for i in t], axis=-2).reshape(-1, 3, 2)
-                                for t in ((0, 1, 2), (0, 2, 3))])  # fmt: skip
-    edges = np.linalg.norm(np.roll(triangles, -1, axis=1) - triangles, axis=-1).max(axis=1)
-    triangles = triangles[edges < TORN * max(x[-1] - x[0], y[-1] - y[0])]  # NaN is not less
-    step = np.array([x[1] - x[0], y[1] - y[0]])
-    first = np.ceil((triangles.min(axis=1) - [x[0], y[0]]) / step).astype(int)
-    last = np.floor((triangles.max(axis=1) - [x[0], y[0]]) / step).astype(int)
-    first, last = np.maximum(first, 0), np.minimum(last, [len(x) - 1, len(y) - 1])
-    found, size = np.zeros((len(x), len(y)), dtype=bool), last - first
-    for i in range(int(size[:, 0].max(initial=-1)) + 1):
-        wide = size[:, 0] >= i
-        for j in range(int(size[wide, 1].max(initial=-1)) + 1):
-            some = np.flatnonzero(wide & (size[:, 1] >= j))
-            at = first[some] + [i, j]
-            to = triangles[some] - (np.array([x[0], y[0]]) + at * step)[:, None]
-            after = np.roll(to, -1, axis=1)
-            side = np.sign(to[..., 0] * after[..., 1] - to[..., 1] * after[..., 0])
-            within = np.abs(side.sum(axis=1)) == 3
-            found[tuple(at[within].T)] = True
-    return found
+def _nearest_node(x: Array, y: Array, p: Array) -> np.ndarray:
+    """Numbers (k,) of the nodes of a lattice x (m,), y (n,) that are nearest to places p (k, 2)."""
+    i, j = (np.clip(np.rint((p[:, k] - side[0]) / (side[1] - side[0])), 0, len(side) - 1).astype(int)
+            for k, side in enumerate((x, y)))  # fmt: skip
+    return i * len(y) + j

@@ -17,6 +17,7 @@ import numpy as np
 
 from kempe.kinematics import closure_rows
 from kempe.kinematics.common.gauss_newton import gauss_newton_of_many
+from kempe.solvers.assembly.idle import moved_by_spins, spin_rates
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -53,18 +54,33 @@ class RankLoss:
     columns: np.ndarray
     unit: Array
     further: Equations | None = None
-    """Equations that hold besides the loops."""
+    """Equations that hold besides the loops, and besides that nothing spins idly."""
 
     @cached_property
     def closed(self) -> bool:
         """Whether there are loops or relations that hold."""
         return len(closure_rows.row_names(self.system)) > 0
 
+    @cached_property
+    def counts(self) -> np.ndarray:
+        """Which velocity coordinates (nv,) idle spins leave alone."""
+        still = moved_by_spins(self.system, self.system.mid) if self.closed else np.zeros(self.system.nv, dtype=bool)
+        return ~still
+
+    @cached_property
+    def spins(self) -> bool:
+        """Whether something spins idly."""
+        return not self.counts.all()
+
     def closure(self, q: Array, with_jacobian: bool = True) -> tuple[Array, Array]:
         """What the loops and further equations miss (k, c), and the derivatives (k, c, nv), at q (k, nq)."""
         rows = np.zeros((len(q), 0)), np.zeros((len(q), 0, self.system.nv))
         if self.closed:
             rows = closure_rows.evaluate(self.system, q, with_jacobian, scaled=True)
+            if self.spins:
+                still = spin_rates(self.system, q) * self.unit
+                F = np.concatenate([rows[0], np.zeros(still.shape[:2])], axis=1)
+                rows = F, np.concatenate([rows[1], still], axis=1) if with_jacobian else rows[1]
         if self.further is None:
             return rows
         F, dF = self.further(q)

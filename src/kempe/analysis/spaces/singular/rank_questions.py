@@ -20,6 +20,7 @@ from kempe.analysis.spaces.singular.rank_loss import ZERO, Matrices, RankLoss, g
 from kempe.errors import InputError
 from kempe.kinematics import closure_rows
 from kempe.kinematics.configuration import random
+from kempe.kinematics.tasks.flat_tasks import DIRECTION, PLANES
 from kempe.solvers.common.targets import twist_rows
 from kempe.spatial import Array
 from kempe.words import counted
@@ -27,8 +28,8 @@ from kempe.words import counted
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-OF_FRAMES = ("pose", "position", "orientation")
-"""Tasks of frames whose rows are those of the ground's axes."""
+OF_FRAMES = ("pose", "position", "orientation", *PLANES, DIRECTION)
+"""Tasks of frames: "xy" is the position along x and y, "direction" that of the frame's z axis."""
 SERIAL, TYPE_1, TYPE_2, CONSTRAINT = "serial", "type 1", "type 2", "constraint"
 
 
@@ -65,7 +66,10 @@ class RankQuestions:
             raise InputError(
                 f"{system.name}: no configuration with closed loops was found in {counted(starts, 'start')}"
             )
-        self.rows = twist_rows(task, system.dim)
+        self.of_axis = task == DIRECTION
+        words = "orientation" if self.of_axis else "position" if task in PLANES else task
+        kept = PLANES[task][:2] if task in PLANES else range(6)
+        self.rows = [r for r in twist_rows(words, system.dim) if r in kept]
         self.twists = np.eye(len(self.rows))
         if frame is not None:
             _, s, Vt = np.linalg.svd(self.task_jacobians(self.starts).swapaxes(1, 2).reshape(-1, len(self.rows)))
@@ -80,8 +84,16 @@ class RankQuestions:
         """Jacobians (k, m, nv) of what counts of the frame, without unit, in the basis of what it can ever do."""
         assert self.frame is not None
         J = self.system.jacobian(q, self.frame)[:, self.rows] * self.unit
+        if self.of_axis:  # a turn about the axis does not count
+            z = self._axes(q)
+            J = J - z[..., :, None] * (z[..., None, :] @ J)
         J[:, [i for i, r in enumerate(self.rows) if r < 3]] /= self.length
         return self.twists.T @ J
+
+    def _axes(self, q: Array) -> Array:
+        """The z axis (..., 3) of the frame at q (..., nq)."""
+        assert self.frame is not None
+        return self.system.fk(q, self.frame)[..., :3, 2]
 
     def _rank_of_frame(self, q: Array) -> int:
         """How many independent twists the frame has at a closed configuration (nq,)."""
@@ -139,9 +151,10 @@ class RankQuestions:
         J = N[:0]
         if self.frame is not None:
             J = self.task_jacobians(q[None])[0]
-            U, _, Vt = np.linalg.svd(J @ N)
+            B = null_space((self.twists.T @ self._axes(q))[None], ZERO) if self.of_axis else np.eye(len(J))
+            U, _, Vt = np.linalg.svd(B.T @ J @ N)
             rank = _rank(J @ N, J)
-            lost = self.in_si(U[:, rank:]) if rank < self.frame_rank else none
+            lost = self.in_si(B @ U[:, rank:]) if rank < self.frame_rank else none
             still = (N @ Vt[rank:].T).T * self.unit
             still = still[np.abs(still[:, self.columns]).max(axis=1, initial=0.0) > ZERO]
         if self.loops and self.inputs is not None:

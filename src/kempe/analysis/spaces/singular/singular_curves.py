@@ -151,6 +151,8 @@ def singular_curves(
                 p = system.fk(way, found.frame)[:, :3, 3] if found.frame is not None else np.zeros((0, 3))
                 if len(way) >= FEW:
                     curves.append(SingularCurve(kinds, name, way, p, closed))
+                if tracer.broken is not None:
+                    raise tracer.broken
             if spend.progress is not None:
                 spend.progress(k + 1, len(starts))
     except BROKEN_OFF as error:
@@ -247,6 +249,8 @@ class _CurveTracer:
         system = problem.system
         self.circle = circles(system) if limits else system.structure.coordinates.turning
         self.idle = system.nv - len(problem.columns)
+        self.broken: BaseException | None = None
+        """What ended the last curve before its end."""
 
     def dimension(self, q: Array) -> int:
         """The dimension of the set at one of its configurations (nq,)."""
@@ -255,7 +259,8 @@ class _CurveTracer:
     def short(self, q: Array, to: Array) -> Array:
         """The shortest ways (k, n) from configurations (k, nq) to others, of the coordinates that count."""
         v = self.problem.system.structure.layout.difference(q, to)
-        return (by_short_turns(v, self.circle) / self.problem.unit)[:, self.problem.columns]
+        columns = self.problem.columns[self.problem.counts[self.problem.columns]]
+        return (by_short_turns(v, self.circle) / self.problem.unit)[:, columns]
 
     def on(self, q: Array, way: Array) -> bool:
         """Whether a configuration (nq,) is on a curve (n, nq)."""
@@ -268,7 +273,7 @@ class _CurveTracer:
         equations = _SingularCurveEquations(self.problem, (V.shape[0], V.shape[1]), self.clock)
         start = node(equations, np.concatenate([q, V.ravel()]))
         way, closed = self._walked(equations, start)
-        if not closed:
+        if not closed and self.broken is None:
             back, _ = self._walked(equations, start.reversed())
             way = [*(b.reversed() for b in back[:0:-1]), *way]
         return self._finer(equations, way), closed
@@ -281,18 +286,21 @@ class _CurveTracer:
             b = step(equations, a, h)
             return None if b is None else [b]
 
-        for b in walk(start, taken, COARSE, 0.2 * COARSE, ideal=BEND):
-            ends = np.array([way[-1].x[:nq], b.x[:nq]])
-            here = self.short(ends, np.broadcast_to(start.x[:nq], ends.shape))
-            if len(way) > FEW and _beside(here[:1], here[1:]).any():
-                x = b.x.copy()
-                x[:nq] -= self._turned(start.x[:nq], x[:nq])
-                return [*way, replace(start, x=x)], True
-            if self.limits and not inside_limits(equations.problem.system, b.x[None, :nq])[0]:
-                return way + self._end(equations, way[-1], b), False
-            way.append(b)
-            if len(way) >= MOST:
-                break
+        try:
+            for b in walk(start, taken, COARSE, 0.2 * COARSE, ideal=BEND):
+                ends = np.array([way[-1].x[:nq], b.x[:nq]])
+                here = self.short(ends, np.broadcast_to(start.x[:nq], ends.shape))
+                if len(way) > FEW and _beside(here[:1], here[1:]).any():
+                    x = b.x.copy()
+                    x[:nq] -= self._turned(start.x[:nq], x[:nq])
+                    return [*way, replace(start, x=x)], True
+                if self.limits and not inside_limits(equations.problem.system, b.x[None, :nq])[0]:
+                    return way + self._end(equations, way[-1], b), False
+                way.append(b)
+                if len(way) >= MOST:
+                    break
+        except BROKEN_OFF as error:
+            self.broken = error
         return way, False
 
     def _finer(self, equations: _SingularCurveEquations, way: list[Node]) -> Array:
@@ -313,6 +321,10 @@ class _CurveTracer:
         layout = self.problem.system.structure.layout
         at = layout.vector_q[self.circle[layout.vector_v]]
         off[at] -= 2.0 * np.pi * np.round(off[at] / (2.0 * np.pi))
+        counts = self.problem.counts  # what spins idly need not be where it was
+        off[layout.vector_q[~counts[layout.vector_v]]] = 0.0
+        for iq, iv in zip(layout.quaternion_q, layout.quaternion_v, strict=True):
+            off[iq : iq + 4] *= counts[iv]
         return off
 
     def _end(self, equations: _SingularCurveEquations, a: Node, b: Node) -> list[Node]:
@@ -336,4 +348,5 @@ def _beside(to: Array, on: Array) -> np.ndarray:
     size = np.einsum("ij,ij->i", along, along)
     t = np.einsum("ij,ij->i", to, along) / np.maximum(size, 1e-300)
     across = np.linalg.norm(to - np.clip(t, 0.0, 1.0)[:, None] * along, axis=1)
-    return across <= BESIDE * np.sqrt(size)
+    # on the far side of a turn the short way changes its sense, and what is no segment seems to be a long one
+    return (across <= BESIDE * np.sqrt(size)) & (size < np.pi**2)

@@ -109,17 +109,17 @@ class Singularities(Report):
         return NearestSingular(there, distance, local.kinds or s.kinds, s.name, local.lost, local.gained,
                                local.self_motion, distances)  # fmt: skip
 
-    def plot(self, *, ax: Any = None, **options: Any) -> tuple[Axes, ...]:
+    def plot(self, *, ax: Any = None, budget: Budget | None = None, **options: Any) -> tuple[Axes, ...]:
         """Matplotlib axes with configurations of the sets beside one another, and what is lost and gained there.
 
         Arrows show directions of the frame: of turns in the plane there is the centre with an arc, in space the axis
         (dotted). Of a planar system whose sets are curves the last axes have these. At most four configurations are
-        drawn. `ax` are as many axes to draw on; `options` are those of `System.plot`. Errors: `InputError` where no
-        set was found.
+        drawn. `ax` are as many axes to draw on, the `budget` is that of `curves`, of which what was done is drawn and
+        the rest said; `options` are those of `System.plot`. Errors: `InputError` where no set was found.
         """
         from kempe.views.singular_plot import plot_singularities
 
-        return plot_singularities(self, ax=ax, **options)
+        return plot_singularities(self, ax=ax, budget=budget, **options)
 
     def curves(
         self, *, hold: Mapping[str, float] | None = None, orientation: Any = None, budget: Budget | None = None
@@ -178,11 +178,12 @@ def singularities(
 ) -> Singularities:  # fmt: skip
     """The singular configurations of a frame, and of closed loops, that are found from random starts.
 
-    Of a chain they are those at which the Jacobian of the frame's `task` ("pose", "position", "orientation"; by
-    default the pose where three joints or, in space, four move the frame, else the position) has a smaller rank than
-    almost everywhere. Of closed loops see `kempe.analysis.spaces.singular.rank_questions`: type 1, where the frame has
-    lost directions; type 2, where it moves although all `inputs` (names of coordinates; by default what is marked as
-    actuated) are held; and constraint singularities, where the loops allow more than elsewhere.
+    Of a chain they are those at which the Jacobian of the frame's `task` has a smaller rank than almost everywhere:
+    "pose", "position", "orientation", in space also "xy", "xz", "yz" (the position along two axes) and "direction" (of
+    its z axis); by default the pose where three joints or, in space, four move the frame, else the position. Of closed
+    loops see `kempe.analysis.spaces.singular.rank_questions`: type 1, where the frame has lost directions; type 2,
+    where it moves although all `inputs` (names of coordinates; by default what is marked as actuated) are held; and
+    constraint singularities, where the loops allow more than elsewhere. What spins idly does not count.
 
     Sets are distinguished by the coordinates that decide, and of six-joint arms by the names of their branches. With
     `limits` only configurations inside them count, which hold the one-sided constraints, too. Of the `budget` are read:
@@ -244,7 +245,7 @@ def _led(
 def _task(system: System, frame: str | None, task: str | None, loops: bool) -> str:
     """The task by its name, or that which the chain is for. Errors: `InputError`."""
     if task is not None:
-        return known("task", task, OF_FRAMES)
+        return known("task", task, OF_FRAMES if system.dim == 3 else OF_FRAMES[:3])
     if frame is None or loops:
         return "pose"
     joints = np.abs(system.jacobian(system.random(0, 8), frame)).max(axis=(0, 1)) > 0.0
