@@ -846,6 +846,16 @@ def test_an_arrow_for_each_freedom(name):
         assert arc != straight
 
 
+def test_the_values_of_a_free_joint_stand_in_lines():
+    """All seven of them, three words a line."""
+    texts = [t.get_text() for t in kempe.load("joint_free").plot(labels="all").texts]
+    (one,) = (text for text in texts if "joint.x" in text)
+    lines = one.split("\n")
+    assert one.count(" = ") == 7 and max(len(line.rstrip(",").split(", ")) for line in lines) == 3
+    wide, high = labels.extent(one, 9.0)
+    assert wide < 0.6 * labels.extent(one.replace("\n", " "), 9.0)[0] and high > 2.5 * labels.extent("x", 9.0)[1]
+
+
 def test_joints_show_both_bodies():
     """A knuckle and a barrel, a socket and a ball, two forks: each half is as near to its link as it can be."""
     for name, parts in (("spherical", ("joint", "socket")), ("universal", ("joint", "fork")), ("revolute", ("joint",))):

@@ -220,6 +220,19 @@ def test_what_has_no_freedoms_is_shown_and_said():
     assert session.sliders == () and "no freedoms" in Session(m.build()).status and session.q.shape == (0,)
 
 
+@pytest.mark.parametrize(
+    "system", [kempe.load("joint_fixed"), kempe.Mechanism("nothing").build()], ids=lambda s: s.name
+)
+@pytest.mark.parametrize("kind", ["solution", "mode"])
+def test_what_cannot_move_has_no_other_solutions(system, kind):
+    """Without coordinates there is nothing to go to, and a sentence says so."""
+    session = Session(system)
+    assert session.solve(kind) == 0 and session.status
+    session.random()
+    session.next(kind)
+    assert session.q.shape == (0,)
+
+
 def test_wrong_calls_are_refused_by_name():
     arm = kempe.load("two_link")
     with pytest.raises(UnknownNameError, match="nix"):

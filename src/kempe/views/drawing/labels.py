@@ -18,8 +18,10 @@ RINGS = (1.0, 1.6, 2.4, 3.5)
 @lru_cache(maxsize=4096)
 def extent(text: str, points: float, bold: bool = False) -> tuple[float, float]:
     """Width and height of a text in points (1/72 inch) at a font size, the same for all texts of one line."""
-    box = TextPath((0.0, 0.0), text, size=points).get_extents()
-    return max(float(box.width) * (1.15 if bold else 1.0), 0.4 * points) + 0.15 * points, 0.95 * points
+    lines = text.split("\n")
+    wide = max(float(TextPath((0.0, 0.0), line, size=points).get_extents().width) for line in lines)
+    high = (0.95 + 1.2 * (len(lines) - 1)) * points
+    return max(wide * (1.15 if bold else 1.0), 0.4 * points) + 0.15 * points, high
 
 
 @dataclass

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 IN_PLACE, SHORT = 4, (2, 12)
 """Configurations whose names stand beside them, and letters of these in space and in the plane; others have a key."""
+ACROSS = 3
+"""Names and values of a joint that are written in one line."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,8 @@ class Subject:
         angles = bool(self.options.angles) and names == [joint.name]
         if "joints" not in words or angles or (with_values and names == [joint.name]):
             return ", ".join(with_values if not angles else [])
-        return ", ".join([joint.name, *with_values])
+        parts = [joint.name, *with_values]
+        return ",\n".join(", ".join(parts[k : k + ACROSS]) for k in range(0, len(parts), ACROSS))
 
     def body_text(self, link: Any) -> str:
         """Names of the bodies of a link, with their numbers where the names do not say them."""

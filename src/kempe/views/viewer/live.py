@@ -38,7 +38,7 @@ PORT = 8080
 PANEL = 324
 """Pixels that the panel takes beside the picture when a page is opened."""
 SHEET = 576
-"""Pixels below which a page is so narrow that viser lays the panel over the picture, from below, as on phones."""
+"""Pixels up to which a page is so narrow that viser lays the panel over the picture, from below, as on phones."""
 COVERED = 0.6
 """Part of the height that it covers there at most."""
 
@@ -110,7 +110,7 @@ class Viewer:
         session.lock = self.session.lock if self.share else threading.RLock()
         wide, high = client.camera.image_width, client.camera.image_height
         client.camera.max_orbit_distance, client.camera.min_orbit_distance = float("inf"), self.drawn.near
-        below = COVERED if wide < SHEET else 0.0
+        below = COVERED if wide <= SHEET else 0.0  # a width of 575 may be reported as 576
         aspect = (wide if below else wide - PANEL) / high
         if below or aspect < 1.0:
             self.drawn.look_from(client.camera, aspect, below)

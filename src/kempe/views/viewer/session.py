@@ -234,7 +234,7 @@ class Session:
         self.kind, begun = kind, time.perf_counter()
         with self._said():
             q = self._modes() if kind == "mode" else self._others()
-            self.solutions = self._apart(q.reshape(-1, self.system.nq))[:GHOSTS]
+            self.solutions = self._apart(q.reshape(int(np.prod(q.shape[:-1])), self.system.nq))[:GHOSTS]
             n, where = len(self.solutions), "" if kind == "mode" else f" with {self.frame} here"
             if n:
                 self.status = f"{n} other {KINDS[kind]}{'s' * (n > 1)}{where}: click on one"
