@@ -30,7 +30,6 @@ from kempe.cli.app import (
     say_written,
 )
 from kempe.errors import InputError
-from kempe.views import slices
 from kempe.views.terminal import INCOMPLETE, guarded, print_json
 
 
@@ -76,6 +75,8 @@ def spaces(
         found["sample"] = space.sample(sample, rng, budget=budget)
     written: list[Path] = []
     if plot is not None:
+        from kempe.views import slices
+
         with slices.paced(sys.stderr, "places") as said:
             spent = Budget(time_limit=time_limit, progress=said)
             save_picture(system.plot_spaces(frame or "", task=task, budget=spent)[0], plot)
