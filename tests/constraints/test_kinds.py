@@ -22,8 +22,8 @@ from kempe.errors import InputError
 HERE = Path(__file__).parent
 SOURCE = HERE.parents[1] / "src" / "kempe"
 ALLOWED = {p.relative_to(SOURCE).as_posix() for p in (SOURCE / "constraints").rglob("*.py")}
-ALLOWED |= {"description/constrain.py", "description/constraint_methods.py", "kinematics/tasks/flat_tasks.py"}
-"""The kinds themselves, and where the builder's sugar and the tasks of pictures are made of them."""
+ALLOWED |= {"description/constrain.py", "description/constraint_methods.py"}
+"""The kinds themselves, and where the builder's sugar names them."""
 
 
 def test_every_kind_has_an_example():

@@ -13,7 +13,7 @@ from kempe.errors import InputError, UnknownNameError, UnsupportedError
 
 pytest.importorskip("matplotlib")
 from kempe.analysis.spaces.configuration import two_freedoms as spaces
-from kempe.kinematics.tasks.flat_tasks import FlatTask
+from kempe.constraints.flat_tasks import FlatTask
 from kempe.views.space_pictures import nearest
 
 ARM = kempe.load("two_link")

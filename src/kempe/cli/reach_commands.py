@@ -40,7 +40,6 @@ from kempe.cli.app import (
     say_drawn,
 )
 from kempe.errors import InputError
-from kempe.solvers.common import clock
 from kempe.views.terminal import INCOMPLETE, guarded, leave, print_json, show
 
 if TYPE_CHECKING:
@@ -86,7 +85,9 @@ def singularities(
 
     Example: kempe singularities puma560 --frame tool --at q5=0.2
     """
-    system, time = load(file, base, root, package_dir, xacro, lenient_limits), clock.TimeLimit(time_limit)
+    from kempe.solvers.common.clock import TimeLimit
+
+    system, time = load(file, base, root, package_dir, xacro, lenient_limits), TimeLimit(time_limit)
     from kempe.views import rows
     from kempe.views.input import given
 
@@ -108,11 +109,13 @@ def singularities(
     broken = list[str]()
 
     def draw() -> tuple[Axes, ...]:
+        from kempe.views.singular_plot import curves_shown, plot_singularities
+
         with _paced(None, None, time.left, "configurations of curves") as budget:
-            axes = answer.plot(budget=budget)
-        title, *said = axes[-1].get_title().split("\n(")
-        broken.extend(f"{title}: {why.rstrip(')')}".replace("\n", " ") for why in said)
-        return axes
+            curves = curves_shown(answer, budget)
+        if curves is not None and curves.broken:
+            broken.append(curves.status)
+        return plot_singularities(answer, curves)
 
     drawing = drawn(system, each, plot, gif, html, draw=draw)
     say_drawn([out, *drawing] if out is not None else drawing)

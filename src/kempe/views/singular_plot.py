@@ -35,8 +35,14 @@ STILL = 1e-7
 """Part of a twist that counts as none."""
 
 
+def curves_shown(found: Singularities, budget: Budget | None = None) -> SingularCurves | None:
+    """The singular curves that a picture shows; None where it has none: those of a frame in the plane, if sets are."""
+    flat = found.system.dim == 2 and found.frame is not None and found.sets
+    return found.curves(budget=budget) if flat and max(s.dimension for s in found.sets) <= 1 else None
+
+
 def plot_singularities(
-    found: Singularities, *, ax: Any = None, budget: Budget | None = None, **options: Any
+    found: Singularities, curves: SingularCurves | None, *, ax: Any = None, **options: Any
 ) -> tuple[Axes, ...]:  # fmt: skip
     """Axes with singular configurations beside one another, and with the singular curves; see `Singularities.plot`."""
     picks = [row for s in found.sets for row in _picks(s)][:MOST]
@@ -44,8 +50,6 @@ def plot_singularities(
         raise InputError(f"{found.status}: there is nothing to draw")
     system, q = found.system, np.array([row[1] for row in picks])
     flat = system.dim == 2
-    lines = flat and found.frame and max(s.dimension for s in found.sets) <= 1
-    curves = found.curves(budget=budget) if lines else None
     more = curves is not None and bool(curves or curves.broken)
     count = len(q) + more
     own: Any = None if ax is None else page.axes_given(ax, count)

@@ -15,9 +15,9 @@ from kempe.analysis.motion.motion import trace
 from kempe.analysis.spaces.configuration.two_freedoms import NEEDED, TwoFreedoms, two_freedoms
 from kempe.budget import Budget, Usual
 from kempe.calls import explained, flag, numbers
+from kempe.constraints.flat_tasks import FlatTask, flat_task
 from kempe.errors import InputError, UnsupportedError, shown
 from kempe.kinematics.configuration import has_loops
-from kempe.kinematics.tasks.flat_tasks import FlatTask, flat_task
 from kempe.model.tree.coordinates import units
 from kempe.reals import is_whole
 from kempe.solvers.common.clock import TIME_LIMIT, TimeLimit, partial
@@ -157,10 +157,9 @@ def _singular_curves(space: TwoFreedoms) -> Any:
     found = system.singularities(name, kind, inputs=space.names, budget=Budget(time_limit=space.clock.left))
     if found.questions.frame_rank < 2:
         raise UnsupportedError(on_curve + hint)
-    surfaces = min((s.dimension for s in found.sets), default=0) > 1
-    return (
-        () if surfaces else found.curves(budget=Budget(time_limit=space.clock.left))
-    )  # where all is singular there are no lines
+    if min((s.dimension for s in found.sets), default=0) > 1:  # where all is singular there are no lines
+        return ()
+    return found.curves(budget=Budget(time_limit=space.clock.left))
 
 
 def _area(space: TwoFreedoms, q: Array) -> Array:

@@ -18,8 +18,8 @@ from two_freedoms_in_space import (
 import kempe
 from kempe import Budget
 from kempe.analysis.spaces.configuration import two_freedoms as spaces
+from kempe.constraints.flat_tasks import FlatTask, flat_task
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
-from kempe.kinematics.tasks.flat_tasks import FlatTask, flat_task
 
 PLANE, DIRECTION = FlatTask("xy", 2), FlatTask("direction", 3)
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from kempe.kinematics.configuration import has_loops
 from kempe.model.kept import kept
 from kempe.model.tree.own_tree import own_tree
 from kempe.spatial import Array, skew
@@ -44,6 +45,11 @@ def moved_by_spins(system: System, q: Array) -> np.ndarray:
     for iv in system.structure.layout.quaternion_v:
         out[iv : iv + 3] = out[iv : iv + 3].any()
     return np.asarray(out)
+
+
+def not_spun(system: System) -> np.ndarray:
+    """Which velocity coordinates (nv,) idle spins leave alone."""
+    return ~moved_by_spins(system, system.mid) if has_loops(system) else np.ones(system.nv, dtype=bool)
 
 
 def spin_rates(system: System, q: Array) -> Array:

@@ -13,8 +13,7 @@ import numpy as np
 
 from kempe.analysis.spaces.configuration.manifold import CLOSED, Manifold
 from kempe.kinematics.common.gauss_newton import gauss_newton_of_many
-from kempe.kinematics.configuration import has_loops
-from kempe.solvers.assembly.idle import moved_by_spins, spin_rates
+from kempe.solvers.assembly.idle import not_spun, spin_rates
 from kempe.solvers.common.clock import BROKEN_OFF, TimeLimit, TimeUp
 from kempe.spatial import Array
 from kempe.status import Status
@@ -53,13 +52,10 @@ class NodeSolver:
     """
 
     def __init__(self, manifold: Manifold):
-        self.manifold, system = manifold, manifold.system
-        self.counts = ~moved_by_spins(system, system.mid) if has_loops(system) else np.ones(system.nv, dtype=bool)
+        self.manifold, self.counts = manifold, not_spun(manifold.system)
         self.spins = not self.counts.all()
 
-    def solved(
-        self, missing: Missing, q: Array, node: np.ndarray, tries: int = TRIES
-    ) -> tuple[Array, np.ndarray]:  # fmt: skip
+    def solved(self, missing: Missing, q: Array, node: np.ndarray, tries: int = TRIES) -> tuple[Array, np.ndarray]:
         """Where Newton's method leads from q (k, nq), and whether (k,) nothing is `missing` there at the node (k,)."""
         M = self.manifold
 

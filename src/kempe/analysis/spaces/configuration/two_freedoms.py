@@ -15,10 +15,10 @@ import numpy as np
 from kempe.analysis.first_order.control import driven
 from kempe.analysis.spaces.configuration.lattices import Missing, NodeSolver, flooded, in_order
 from kempe.analysis.spaces.configuration.manifold import Manifold
+from kempe.constraints.flat_tasks import FlatTask
 from kempe.errors import InputError, UnsupportedError
-from kempe.kinematics.configuration import circles, has_loops, sampling_box
+from kempe.kinematics.configuration import by_short_turns, circles, has_loops, sampling_box
 from kempe.kinematics.one_sided import one_sided_rows
-from kempe.kinematics.tasks.flat_tasks import FlatTask
 from kempe.kinematics.tasks.packed import Packed
 from kempe.solvers.assembly.charts import tangent_space
 from kempe.solvers.common.clock import TimeLimit
@@ -121,8 +121,7 @@ class TwoFreedoms:
         rates = np.eye(self.system.nv)[self.at]
 
         def missing(q: Array, node: np.ndarray) -> tuple[Array, Array]:
-            off = q[:, self.columns] - values[node]
-            off = np.where(turning, np.mod(off + np.pi, 2.0 * np.pi) - np.pi, off)
+            off = by_short_turns(q[:, self.columns] - values[node], turning)
             return off / scale, np.broadcast_to(rates, (len(q), *rates.shape))
 
         return missing

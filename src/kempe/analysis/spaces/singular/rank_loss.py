@@ -17,7 +17,7 @@ import numpy as np
 
 from kempe.kinematics import closure_rows
 from kempe.kinematics.common.gauss_newton import gauss_newton_of_many
-from kempe.solvers.assembly.idle import moved_by_spins, spin_rates
+from kempe.solvers.assembly.idle import not_spun, spin_rates
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -64,8 +64,7 @@ class RankLoss:
     @cached_property
     def counts(self) -> np.ndarray:
         """Which velocity coordinates (nv,) idle spins leave alone."""
-        still = moved_by_spins(self.system, self.system.mid) if self.closed else np.zeros(self.system.nv, dtype=bool)
-        return ~still
+        return not_spun(self.system)
 
     @cached_property
     def spins(self) -> bool:

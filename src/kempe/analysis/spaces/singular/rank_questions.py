@@ -17,10 +17,10 @@ import numpy as np
 from kempe.analysis.continuation.continuation import Closure, close
 from kempe.analysis.first_order.null_space import null_space
 from kempe.analysis.spaces.singular.rank_loss import ZERO, Matrices, RankLoss, generic_rank
+from kempe.constraints.flat_tasks import DIRECTION, PLANES
 from kempe.errors import InputError
 from kempe.kinematics import closure_rows
 from kempe.kinematics.configuration import random
-from kempe.kinematics.tasks.flat_tasks import DIRECTION, PLANES
 from kempe.solvers.common.targets import twist_rows
 from kempe.spatial import Array
 from kempe.words import counted

@@ -117,9 +117,9 @@ class Singularities(Report):
         drawn. `ax` are as many axes to draw on, the `budget` is that of `curves`, of which what was done is drawn and
         the rest said; `options` are those of `System.plot`. Errors: `InputError` where no set was found.
         """
-        from kempe.views.singular_plot import plot_singularities
+        from kempe.views.singular_plot import curves_shown, plot_singularities
 
-        return plot_singularities(self, ax=ax, budget=budget, **options)
+        return plot_singularities(self, curves_shown(self, budget), ax=ax, **options)
 
     def curves(
         self, *, hold: Mapping[str, float] | None = None, orientation: Any = None, budget: Budget | None = None
