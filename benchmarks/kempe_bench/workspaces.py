@@ -12,7 +12,7 @@ from kempe_bench.bench import Bench
 from kempe_bench.timing import Case, Table, measure
 
 ARMS = {"puma560": "tool", "panda": "tool"}
-SAMPLES, BY_HAND, CELLS = 4_000_000, 20_000, 256
+SAMPLES, BY_HAND, CELLS = 20_000_000, 20_000, 256
 ONE, TWO, NUMPY, TORCH = "Kempe, one thread", "Kempe, two threads", "numpy, by hand", "pytorch-kinematics"
 
 

@@ -12,7 +12,7 @@ from kempe.views.drawing.style import GROUND_HALF, GROUND_HEIGHT, HATCH
 
 if TYPE_CHECKING:
     from kempe.analysis.spaces.planar.planar_workspace import SolutionRegion
-    from kempe.analysis.spaces.planar.plane_curves import PlanePiece
+    from kempe.analysis.spaces.planar.plane_curves import PlaneCurve
 
 FINE = 0.02
 """Angle between the points by which an arc is drawn."""
@@ -132,6 +132,6 @@ def region_outline(region: SolutionRegion) -> Path:
     return Path(np.concatenate(corners), codes)
 
 
-def piece_points(piece: PlanePiece) -> Array:
+def piece_points(piece: PlaneCurve) -> Array:
     """Points (k,) along a piece, close enough for a picture."""
-    return piece.at(np.linspace(0.0, 1.0, max(2, int(abs(piece.sweep) / FINE) + 2)))
+    return piece.points(FINE)

@@ -16,8 +16,8 @@ from functools import cached_property
 
 import numpy as np
 
-from kempe.analysis.spaces.planar.planar_region import NOTHING, SAME, PlanarRegion
-from kempe.analysis.spaces.planar.plane_curves import TURN, PlanePiece, meetings, merged
+from kempe.analysis.spaces.planar.planar_region import NOTHING, SAME, RegionOfArcs
+from kempe.analysis.spaces.planar.plane_curves import TURN, PlaneCurve, PlanePiece, merged
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class PlanarJoint:
 
 
 @dataclass(frozen=True)
-class PlanarChain(PlanarRegion):
+class PlanarChain(RegionOfArcs):
     """The joints of a chain from the ground on, and the point that they lead, all of them at zero.
 
     `spare` joints more move it no further than these do.
@@ -131,7 +131,7 @@ class PlanarChain(PlanarRegion):
         return PlanarChain(self.joints[1:], self.tip)
 
     @cached_property
-    def candidates(self) -> list[PlanePiece]:
+    def candidates(self) -> list[PlaneCurve]:
         """Pieces of all curves on which the workspace can end."""
         found: list[PlanePiece] = []
         options = [(None, *j.limits) for j in self.joints]
@@ -221,8 +221,8 @@ class PlanarChain(PlanarRegion):
         if curve.length < NOTHING * self.size:
             return int(self.tail.holds(p))
         if len(self.joints) == 2:
-            return len(meetings(curve, self.joints[1].curve(self.tip), 0.0))
-        t = np.concatenate([[0.0, 1.0], *[meetings(curve, end) for end in self.tail.ends]])
+            return len(curve.meets(self.joints[1].curve(self.tip), 0.0))
+        t = np.concatenate([[0.0, 1.0], *[curve.meets(end) for end in self.tail.ends]])
         t = np.unique(t.clip(0.0, 1.0))
         return int(self.tail.holds(curve.at(0.5 * (t[1:] + t[:-1]))).any())
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +12,7 @@ from kempe.analysis.spaces.kinds.legs import legs_of
 from kempe.analysis.spaces.kinds.questions import CONSTANT, REACHABLE, WorkspaceKind
 from kempe.analysis.spaces.planar.planar_chain import PlanarChain, PlanarJoint
 from kempe.analysis.spaces.planar.planar_parts import RegionOfLegs, in_all_orientations, in_one_orientation, wrist_of
+from kempe.analysis.spaces.planar.planar_platform import PlatformLeg, RegionOfPlatform
 from kempe.analysis.spaces.planar.planar_region import NOTHING, PlanarRegion
 from kempe.errors import InputError, UnsupportedError
 from kempe.model.tree.primitive_table import local_chain
@@ -20,6 +22,8 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.system import System
 
+AT_ORIGIN = 1e3 * NOTHING
+"""Distance, in sizes of a chain, from which on points are different."""
 MOST = 6
 """Joints that a chain may have: the work grows with a power of their number."""
 
@@ -38,20 +42,31 @@ def planar_region(system: System, frame: str, question: WorkspaceKind) -> Planar
         legs = (system,)
     chains = [planar_chain(leg, frame) for leg in legs]
     if question.kind == REACHABLE:
-        own = _moving(chains[0], system, frame) if len(chains) == 1 else _meeting_at_a_point(system, frame, chains)
-        return _together(own, all(p.counted for p in own))
+        if len(chains) == 1:
+            return _moving(chains[0], system, frame)
+        turned = [_turn_at_zero(leg, frame) for leg in legs]
+        return _of_platform(system, frame, chains, turned)
     if question.all_turns(2):
         return _together([_held(x, system, frame) for x in map(in_all_orientations, chains)], False)
     parts: list[PlanarRegion] = []
     for R in question.rotations:
+        turn = float(np.arctan2(R[1, 0], R[0, 0]))
         for leg, chain in zip(legs, chains, strict=True):
-            parts.append(_held(in_one_orientation(chain, _turn(leg.fk(leg.neutral, frame), R)), system, frame))
+            parts.append(_held(in_one_orientation(chain, turn - _turn_at_zero(leg, frame)), system, frame))
     return _together(parts, question.kind == CONSTANT and all(p.counted for p in parts))
 
 
-def _turn(X: Array, R: Array) -> float:
-    """The angle by which a rotation (3, 3) is turned against that of a pose."""
-    return float(np.arctan2(R[1, 0], R[0, 0]) - np.arctan2(X[1, 0], X[0, 0]))
+def _at_zero(system: System) -> Array:
+    """The configuration (nq,) with all coordinates at zero, but for those that their limits hold."""
+    q, held = system.neutral.copy(), system.lower == system.upper
+    q[held] = system.lower[held]  # planar coordinates and velocities have the same places
+    return q
+
+
+def _turn_at_zero(system: System, frame: str) -> float:
+    """The angle by which a frame is turned there."""
+    R = system.fk(_at_zero(system), frame)[:2, :2]
+    return float(np.arctan2(R[1, 0], R[0, 0]))
 
 
 def _held(part: PlanarRegion | None, system: System, frame: str) -> PlanarRegion:
@@ -63,12 +78,12 @@ def _held(part: PlanarRegion | None, system: System, frame: str) -> PlanarRegion
     return part
 
 
-def _moving(chain: PlanarChain, system: System, frame: str) -> list[PlanarChain]:
+def _moving(chain: PlanarChain, system: System, frame: str) -> PlanarChain:
     """The chain without joints that do not move the frame's origin. Errors: `InputError` where none does."""
     found = PlanarChain.of(chain.joints, chain.tip)
     if not found.joints:
         raise InputError(f"frame {frame!r} of {system.name} turns in its place: it does not move")
-    return [found]
+    return found
 
 
 def _together(parts: Sequence[PlanarRegion], counted: bool) -> PlanarRegion:
@@ -80,16 +95,44 @@ def _together(parts: Sequence[PlanarRegion], counted: bool) -> PlanarRegion:
     return RegionOfLegs(tuple(parts), counted)
 
 
-def _meeting_at_a_point(system: System, frame: str, chains: list[PlanarChain]) -> list[PlanarChain]:
-    """What is left of legs that lead to one point, whatever the orientation: one of them decides that, or none."""
-    free = [wrist_of(c) for c in chains]
-    held = [k for k, found in enumerate(free) if found is None or abs(found[1]) > NOTHING * 1e3 * chains[k].size]
-    if len(held) > 1:
-        raise UnsupportedError(f"frame {frame!r} moves with the loops of {system.name}, whose legs do not end with "
-                               "joints without limits at its origin: its workspace has other curves")  # fmt: skip
-    return [
-        c if k in held or found is None else found[0] for k, (c, found) in enumerate(zip(chains, free, strict=True))
-    ]
+def _of_platform(system: System, frame: str, chains: list[PlanarChain], turned: list[float]) -> PlanarRegion:
+    """The region of a frame at the end of legs, which are turned by angles where they are at zero.
+
+    Legs whose last joint turns without limits at the frame's origin hold that in a region whatever the orientation, so
+    that one other decides alone.
+    """
+    wrists = [wrist_of(c) for c in chains]
+    held = [k for k, found in enumerate(wrists) if found is None or abs(found[1]) > AT_ORIGIN * chains[k].size]
+    own: list[PlanarRegion] = [found[0] for k, found in enumerate(wrists) if found is not None and k not in held]
+    if len(held) == 1:
+        own.append(chains[held[0]])
+    elif held:
+        own.append(RegionOfPlatform(tuple(_platform_legs(system, frame, wrists, turned, held))))
+    return _together(own, all(p.counted for p in own))
+
+
+def _platform_legs(
+    system: System, frame: str, wrists: list[tuple[PlanarChain, complex] | None], turned: list[float], held: list[int]
+) -> list[PlatformLeg]:
+    """Legs that hold different points of the platform. Errors: `UnsupportedError`."""
+    legs: list[PlatformLeg] = []
+    for k in held:
+        if (found := wrists[k]) is None:
+            raise UnsupportedError(
+                f"frame {frame!r} moves with the loops of {system.name}, and a leg of it does not end with a joint "
+                "that turns without limits: its workspace has other curves"
+            )
+        inner, way = found
+        b = complex(-way * np.exp(-1j * turned[k]))
+        same = [i for i, leg in enumerate(legs) if abs(leg.b - b) <= AT_ORIGIN * inner.size]
+        if same:
+            legs[same[0]] = replace(legs[same[0]], region=_together([legs[same[0]].region, inner], False))
+        else:
+            legs.append(PlatformLeg(inner, b))
+    if sum(leg.region.is_curve for leg in legs) > 1:
+        raise UnsupportedError(f"frame {frame!r} of {system.name} is left a curve by two of its legs: "
+                               "`trace` follows it")  # fmt: skip
+    return legs
 
 
 def planar_chain(system: System, frame: str) -> PlanarChain:
@@ -104,9 +147,7 @@ def planar_chain(system: System, frame: str) -> PlanarChain:
         )
     if len(names) > MOST:
         raise UnsupportedError(f"the chain of {frame!r} has {len(names)} joints; it may have {MOST}")
-    q, (low, high) = system.neutral.copy(), (system.lower[v_index], system.upper[v_index])
-    held = low == high
-    q[q_index[held]] = low[held]
+    q, low, high = _at_zero(system), system.lower[v_index], system.upper[v_index]
     tip, J = complex(*system.fk(q, frame)[:2, 3]), system.jacobian(q, frame)[:, v_index]
     joints: list[PlanarJoint] = []
     for label, a, b, (vx, vy, w) in zip(names, low.tolist(), high.tolist(), J[[0, 1, 5]].T, strict=True):

@@ -11,12 +11,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, cast
 
 import numpy as np
 
 from kempe.analysis.spaces.planar.planar_chain import PlanarChain
-from kempe.analysis.spaces.planar.planar_region import NOTHING, SAME, PlanarRegion
-from kempe.analysis.spaces.planar.plane_curves import TURN, PlanePiece, meetings, merged
+from kempe.analysis.spaces.planar.planar_region import NOTHING, SAME, PlanarRegion, RegionOfArcs
+from kempe.analysis.spaces.planar.plane_curves import TURN, PlaneCurve, PlanePiece, merged
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class RegionOfLegs(PlanarRegion):
         return max(part.limited for part in self.parts)
 
     @cached_property
-    def candidates(self) -> list[PlanePiece]:
+    def candidates(self) -> list[PlaneCurve]:
         """Pieces of all curves on which it can end."""
         return merged([c for part in self.parts for c in part.candidates], SAME * self.size)
 
@@ -46,12 +47,16 @@ class RegionOfLegs(PlanarRegion):
         """In how many ways a point is reached."""
         return math.prod(part.solutions(p) for part in self.parts)
 
+    def holds(self, p: Any) -> Any:
+        """Whether points (...), which are on no boundary, are inside all parts."""
+        return np.all([part.holds(p) for part in self.parts], axis=0)
+
 
 @dataclass(frozen=True)
-class Surrounded(PlanarRegion):
+class Surrounded(RegionOfArcs):
     """The points about which a whole circle of a radius lies in the `inner` region."""
 
-    inner: PlanarRegion
+    inner: RegionOfArcs
     radius: float
     counted: bool = False
     is_curve: bool = False
@@ -67,10 +72,10 @@ class Surrounded(PlanarRegion):
         return self.inner.limited
 
     @cached_property
-    def candidates(self) -> list[PlanePiece]:
+    def candidates(self) -> list[PlaneCurve]:
         """Pieces of all curves on which it can end: beside those that bound the inner one, and about their ends."""
         found: list[PlanePiece] = []
-        for piece in self.inner.ends:
+        for piece in cast("list[PlanePiece]", self.inner.ends):
             if piece.is_arc:
                 radii = (piece.radius + self.radius, abs(piece.radius - self.radius))
                 found += [PlanePiece(piece.centre, r, 0.0, TURN) for r in radii if r > SAME * self.size]
@@ -83,7 +88,7 @@ class Surrounded(PlanarRegion):
     def solutions(self, p: complex) -> int:
         """1 for a point that it holds, else 0."""
         circle = PlanePiece(p, self.radius, 0.0, TURN)
-        t = np.unique(np.concatenate([[0.0, 1.0], *[meetings(circle, end) for end in self.inner.ends]]).clip(0.0, 1.0))
+        t = np.unique(np.concatenate([[0.0, 1.0], *[circle.meets(end) for end in self.inner.ends]]).clip(0.0, 1.0))
         return int(self.inner.holds(circle.at(0.5 * (t[1:] + t[:-1]))).all())
 
 

@@ -1,14 +1,14 @@
-"""Regions of the plane that are bounded by arcs and segments: of candidates those with the region on one side only."""
+"""Regions of the plane that are bounded by pieces of curves: of candidates those with the region on one side only."""
 
 from __future__ import annotations
 
 import itertools
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
-from kempe.analysis.spaces.planar.plane_curves import TURN, PlanePiece, meetings
+from kempe.analysis.spaces.planar.plane_curves import TURN, PlaneCurve, PlanePiece
 
 NOTHING = 1e-12
 SAME = 1e-10
@@ -25,7 +25,7 @@ class PlanarRegion:
     size: Any
     """A length of it in metres."""
     candidates: Any
-    """Pieces of all curves on which it can end: a list of `PlanePiece`."""
+    """Pieces of all curves on which it can end: a list of `PlaneCurve`."""
     counted: Any
     """Whether `solutions` counts, or else is 0 or 1."""
     is_curve: Any
@@ -41,19 +41,19 @@ class PlanarRegion:
         raise NotImplementedError
 
     @cached_property
-    def ends(self) -> list[PlanePiece]:
+    def ends(self) -> list[PlaneCurve]:
         """The boundary of the workspace: pieces that have the workspace to their left only."""
         return [p for p, left, right in self.sides if left and not right]
 
     @cached_property
-    def sides(self) -> list[tuple[PlanePiece, int, int]]:
+    def sides(self) -> list[tuple[PlaneCurve, int, int]]:
         """Pieces of the candidates, cut where these meet, with the numbers of solutions to the left and to the right.
 
         Each piece is directed so that the number to its left is no less.
         """
-        out: list[tuple[PlanePiece, int, int]] = []
-        for i, piece in enumerate(self.candidates):
-            cuts = [meetings(piece, other) for j, other in enumerate(self.candidates) if j != i]
+        out: list[tuple[PlaneCurve, int, int]] = []
+        for piece in self.candidates:
+            cuts = [piece.meets(other) for other in self.candidates]
             t = np.unique(np.concatenate([[0.0, 1.0], *cuts]).clip(0.0, 1.0))
             t = t[np.concatenate([[True], np.diff(t) * piece.length > 10.0 * SAME * self.size])]
             t[-1] = 1.0
@@ -71,9 +71,17 @@ class PlanarRegion:
         return out
 
     def holds(self, p: Any) -> Any:
+        """Whether points (...), which are not on the boundary, are inside it."""
+        raise NotImplementedError
+
+
+class RegionOfArcs(PlanarRegion):
+    """A region that is bounded by arcs and segments only."""
+
+    def holds(self, p: Any) -> Any:
         """Whether points (...), which are not on the boundary, are inside it: by how often this goes round them."""
         z = np.asarray(p)
-        turns = sum((_turn_about(piece, z) for piece in self.ends), np.zeros(z.shape))
+        turns = sum((_turn_about(cast(PlanePiece, piece), z) for piece in self.ends), np.zeros(z.shape))
         return np.round(turns / TURN) != 0
 
 

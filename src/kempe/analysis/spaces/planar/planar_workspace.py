@@ -1,7 +1,8 @@
-"""The workspace of a planar chain, exactly: boundary of arcs and segments, area, voids, and how many solutions."""
+"""The workspace of a planar chain or mechanism, exactly: its boundary, area, voids, and how many solutions."""
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -12,13 +13,13 @@ from numpy.typing import ArrayLike
 from kempe.analysis.spaces.kinds.questions import DEXTEROUS, ORIENTATION, REACHABLE, WorkspaceKind, question_of
 from kempe.analysis.spaces.planar.planar_of_systems import planar_region
 from kempe.analysis.spaces.planar.planar_region import PlanarRegion
-from kempe.analysis.spaces.planar.plane_curves import PlanePiece
+from kempe.analysis.spaces.planar.plane_curves import PlaneCurve
 from kempe.calls import brief, explained, explained_methods, numbers
 from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.common.result import Report
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import counted
+from kempe.words import counted, joined
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,8 +41,8 @@ class SolutionRegion:
 
     solutions: int | None
     area: float
-    boundary: tuple[PlanePiece, ...]
-    loops: tuple[tuple[PlanePiece, ...], ...] = field(repr=False)
+    boundary: tuple[PlaneCurve, ...]
+    loops: tuple[tuple[PlaneCurve, ...], ...] = field(repr=False)
 
 
 @explained_methods
@@ -49,8 +50,9 @@ class SolutionRegion:
 class PlanarWorkspace(Report):
     """The points of the plane that the origin of a frame reaches, within the limits, exactly.
 
-    `boundary` are arcs of circles and segments that have the workspace to their left; `regions` tell how many solutions
-    there are where. The `kind` says in which orientations, as in `System.workspace`. Lengths are in metres.
+    `boundary` are arcs of circles, segments and pieces of coupler curves that have the workspace to their left;
+    `regions` tell how many solutions there are where. The `kind` says in which orientations, as in `System.workspace`.
+    Lengths are in metres.
     """
 
     _pictured = True
@@ -64,8 +66,8 @@ class PlanarWorkspace(Report):
     code: Any = Status.SOLVED
 
     @cached_property
-    def boundary(self) -> tuple[PlanePiece, ...]:
-        """Arcs and segments that bound it; of a single joint the curve that it is."""
+    def boundary(self) -> tuple[PlaneCurve, ...]:
+        """The pieces of curves that bound it; of a single joint the curve that it is."""
         return tuple(self.region.candidates if self.region.is_curve else self.region.ends)
 
     @cached_property
@@ -95,7 +97,7 @@ class PlanarWorkspace(Report):
         return tuple(out)
 
     @cached_property
-    def voids(self) -> tuple[tuple[PlanePiece, ...], ...]:
+    def voids(self) -> tuple[tuple[PlaneCurve, ...], ...]:
         """Closed curves round holes of the workspace."""
         loops = _loops(list(self.boundary), MEET * self.region.size) if self.regions else ()
         return tuple(loop for loop in loops if _area(loop) < 0.0)
@@ -154,8 +156,8 @@ class PlanarWorkspace(Report):
             return f"{of}: a curve, without area"
         if not self.regions:
             return f"{of}: no place is reached"
-        arcs = sum(p.is_arc for p in self.boundary)
-        pieces = f"{counted(arcs, 'arc')} and {counted(len(self.boundary) - arcs, 'segment')}"
+        kinds = Counter(p.kind for p in self.boundary)
+        pieces = joined([counted(n, kind) for kind, n in sorted(kinds.items())])
         voids = f", with {counted(len(self.voids), 'void')}" if self.voids else ""
         return f"{of}: area {self.area:.9g} m^2, bounded by {pieces}{voids}"
 
@@ -165,7 +167,7 @@ class PlanarWorkspace(Report):
 
     def _data(self) -> dict[str, Any]:
         regions = [{"solutions": r.solutions, "area": r.area} for r in self.regions]
-        pieces = [_piece_data(p) for p in self.boundary]
+        pieces = [p.data() for p in self.boundary]
         return {"system": self.system.name, "frame": self.frame, "kind": self.kind, "area": self.area,
                 "regions": regions, "voids": len(self.voids), "boundary": pieces}  # fmt: skip
 
@@ -177,32 +179,20 @@ def word_of(region: SolutionRegion, kind: str) -> str:
     return "in all orientations" if kind == DEXTEROUS else "infinitely many solutions"
 
 
-def _area(loop: tuple[PlanePiece, ...]) -> float:
+def _area(loop: tuple[PlaneCurve, ...]) -> float:
     return float(sum(p.moment for p in loop))
 
 
-def _pair(z: Any) -> list[float]:
-    point = complex(z)
-    return [point.real, point.imag]
-
-
-def _piece_data(p: PlanePiece) -> dict[str, Any]:
-    ends = {"from": _pair(p.at(0.0)), "to": _pair(p.at(1.0))}
-    if not p.is_arc:
-        return {"kind": "segment"} | ends
-    return {"kind": "arc", "centre": _pair(p.centre), "radius": p.radius, "start": p.start, "sweep": p.sweep} | ends
-
-
-def _loops(pieces: list[PlanePiece], same: float) -> tuple[tuple[PlanePiece, ...], ...]:
+def _loops(pieces: list[PlaneCurve], same: float) -> tuple[tuple[PlaneCurve, ...], ...]:
     """The pieces as closed curves, each followed by one that begins where it ends."""
     left = list(pieces)
-    out: list[tuple[PlanePiece, ...]] = []
+    out: list[tuple[PlaneCurve, ...]] = []
     starts = np.array([complex(p.at(0.0)) for p in pieces])
     used = np.zeros(len(left), dtype=bool)
     for first in range(len(left)):
         if used[first]:
             continue
-        loop: list[PlanePiece] = []
+        loop: list[PlaneCurve] = []
         k = first
         while not used[k]:
             used[k] = True
@@ -227,11 +217,12 @@ def planar_workspace(
     inverse model on both sides decides which of them bound the workspace (see
     `kempe.analysis.spaces.planar.planar_chain`). Prismatic joints must have limits, revolute ones may.
 
-    Of a mechanism with legs (see `kempe.analysis.spaces.kinds.legs`) places are those that each leg leaves: in given
-    orientations, or where all legs but one end with a joint without limits at the frame's origin. Where orientations
-    count, the last joint of each chain must turn without limits. Errors: `UnsupportedError` for all else: spatial
-    systems, constraints, other loops, coupled joints, chains with more than 6 joints; `InputError` for prismatic joints
-    without limits and for frames that do not move.
+    Of a mechanism with legs (see `kempe.analysis.spaces.kinds.legs`) places are those that all legs leave. The last
+    joint of each chain must turn without limits where orientations count, and so must that of each leg, but of one
+    where all others end at the frame's origin (see `kempe.analysis.spaces.planar.planar_platform`). Errors:
+    `UnsupportedError` for all else: spatial systems, constraints, other loops, two legs that each leave a curve,
+    coupled joints, chains with more than 6 joints; `InputError` for prismatic joints without limits and for frames that
+    do not move.
     """
     name = system.structure.frame_name(frame)
     return planar_answer(system, name, question_of(system, name, kind, orientation, None))

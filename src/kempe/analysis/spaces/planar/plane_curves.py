@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 
@@ -13,8 +15,55 @@ ENDS = 1e-9
 """Part of a curve by which it is taken as longer, so that curves that end on others meet these."""
 
 
+class PlaneCurve:
+    """A piece of a curve, from its parameter 0 to 1, smooth but for its ends."""
+
+    kind: Any
+    """What it is, as a noun."""
+    length: Any
+    """Its length in metres."""
+    moment: Any
+    """Half of the integral of x dy - y dx along it: its part of the area that a closed curve has to its left."""
+    extremes: Any
+    """Its ends, and where x or y is largest or least on it (k,)."""
+
+    def at(self, t: np.ndarray | float) -> np.ndarray:
+        """Points (...) at parameters t (...)."""
+        raise NotImplementedError
+
+    def tangent(self, t: float) -> complex:
+        """The unit tangent at a parameter."""
+        raise NotImplementedError
+
+    def part(self, a: float, b: float) -> Self:
+        """The piece from the parameter a to b."""
+        raise NotImplementedError
+
+    def distance(self, p: np.ndarray) -> np.ndarray:
+        """Distances (...) of points (...) from it."""
+        raise NotImplementedError
+
+    def meets(self, other: PlaneCurve, slack: float = ENDS) -> np.ndarray:
+        """Parameters (k,) of the points in which it meets or touches another piece."""
+        raise NotImplementedError
+
+    def points(self, fine: float) -> np.ndarray:
+        """Points (k,) along it, between which it turns by less than an angle."""
+        raise NotImplementedError
+
+    def data(self) -> dict[str, Any]:
+        """Its numbers, for JSON."""
+        return {"kind": self.kind, "from": as_pair(self.at(0.0)), "to": as_pair(self.at(1.0))}
+
+
+def as_pair(z: Any) -> list[float]:
+    """A point as x and y."""
+    point = complex(z)
+    return [point.real, point.imag]
+
+
 @dataclass(frozen=True)
-class PlanePiece:
+class PlanePiece(PlaneCurve):
     """A piece of a curve, from its parameter 0 to 1: an arc about `centre` of `radius`, from the angle `start` on by
     `sweep`; where the radius is 0 a segment from `centre` by `way`."""  # fmt: skip
 
@@ -28,6 +77,20 @@ class PlanePiece:
     def is_arc(self) -> bool:
         """Whether it is an arc, not a segment."""
         return self.radius > 0.0
+
+    @property
+    def kind(self) -> str:
+        """What it is, as a noun."""
+        return "arc" if self.is_arc else "segment"
+
+    def points(self, fine: float) -> np.ndarray:
+        """Points (k,) along it, between which it turns by less than an angle."""
+        return self.at(np.linspace(0.0, 1.0, max(2, int(abs(self.sweep) / fine) + 2)))
+
+    def data(self) -> dict[str, Any]:
+        """Its numbers, for JSON."""
+        arc = {"centre": as_pair(self.centre), "radius": self.radius, "start": self.start, "sweep": self.sweep}
+        return super().data() | (arc if self.is_arc else {})
 
     @property
     def length(self) -> float:
@@ -63,6 +126,22 @@ class PlanePiece:
         turn = np.where(turn > size + 0.5 * (TURN - size), turn - TURN, turn)
         t = turn / max(size, 1e-300)  # an arc may have shrunk to a point
         return t, (t > -slack) & (t < 1.0 + slack)
+
+    def off(self, p: np.ndarray) -> np.ndarray:
+        """How far points (...) are outside its circle, or to the left of its line, in metres; negative on the other."""
+        if self.is_arc:
+            return np.abs(p - self.centre) - self.radius
+        return np.imag((p - self.centre) * np.conj(self.way)) / abs(self.way)
+
+    def meets(self, other: PlaneCurve, slack: float = ENDS) -> np.ndarray:
+        """Parameters (k,) of the points in which it meets or touches another piece; none on the same circle or line."""
+        if isinstance(other, PlanePiece):
+            p = circle_points(self, other)
+            p = p[other.parameters(p, slack)[1]] if len(p) else p
+        else:
+            p = other.at(other.meets(self, slack))
+        t, on = self.parameters(p, slack)
+        return t[on]
 
     def distance(self, p: np.ndarray) -> np.ndarray:
         """Distances (...) of points (...) from it."""
@@ -116,20 +195,15 @@ def circle_points(a: PlanePiece, b: PlanePiece) -> np.ndarray:
     return np.array([foot - half * unit, foot + half * unit])
 
 
-def meetings(a: PlanePiece, b: PlanePiece, slack: float = ENDS) -> np.ndarray:
-    """Parameters on a of the points in which two pieces meet."""
-    p = circle_points(a, b)
-    if not len(p):
-        return np.zeros(0)
-    t, on_a = a.parameters(p, slack)
-    return t[on_a & b.parameters(p, slack)[1]]
-
-
-def merged(pieces: list[PlanePiece], same: float) -> list[PlanePiece]:
-    """The pieces, of which those on the same circle or line, to `same` metres, are joined where they overlap."""
+def merged(curves: Iterable[PlaneCurve], same: float) -> list[PlaneCurve]:
+    """The curves longer than `same` metres; pieces on the same circle or line are joined where they overlap."""
     groups: list[tuple[PlanePiece, list[tuple[float, float]]]] = []
-    for piece in pieces:
+    others: list[PlaneCurve] = []
+    for piece in curves:
         if piece.length < same:
+            continue
+        if not isinstance(piece, PlanePiece):
+            others.append(piece)
             continue
         for first, spans in groups:
             if _same_curve(first, piece, same):
@@ -137,10 +211,7 @@ def merged(pieces: list[PlanePiece], same: float) -> list[PlanePiece]:
                 break
         else:
             groups.append((_whole(piece), _spans(_whole(piece), piece)))
-    out: list[PlanePiece] = []
-    for first, spans in groups:
-        out += [first.part(a, b) for a, b in _joined(spans)]
-    return out
+    return [first.part(a, b) for first, spans in groups for a, b in _joined(spans)] + others
 
 
 def _whole(piece: PlanePiece) -> PlanePiece:

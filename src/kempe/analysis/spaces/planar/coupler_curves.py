@@ -1,0 +1,348 @@
+"""Curves that points of a body describe while two others of its points move on arcs or segments: coupler curves.
+
+Source: Wunderlich, "Ebene Kinematik", Bibliographisches Institut (1970): of order six, with arcs for both points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from typing import Any
+
+import numpy as np
+
+from kempe.analysis.spaces.planar.plane_curves import ENDS, TURN, PlaneCurve, PlanePiece, as_pair
+
+SAMPLES = 257
+"""Points of a curve between which its roots and meetings are looked for."""
+HALVINGS = 50
+NODES = (16, 32, 64, 128, 256, 512, 1024)
+"""Numbers of nodes of Gauss and Legendre that are tried for an integral, until two agree."""
+NEAR = 1e-7
+"""Distance of s from the ends of an interval at which derivatives are read there: at dead centres they are 0 / 0."""
+ROUNDING = 1e-14
+FLAT = 1e-12
+"""Square of half a chord, in squares of the radius, below which circles touch at the end of an interval."""
+BESIDE = 1e-4
+"""Distance of s from a dead centre below which chords are read from there."""
+NARROW = 1e-9
+"""Width of an interval of angles below which it is rounding."""
+TOUCHING = 1e-10
+"""Distance, in lengths of a curve, below which another touches it."""
+MARGIN = 0.2
+"""By which part of its length a chord's box is widened, so that the curve is inside."""
+GROUP = 16
+"""Successive chords whose boxes are compared as one."""
+ITSELF = 0.01
+"""Difference of parameters below which a curve meets itself because it goes on."""
+
+
+def cosine_intervals(middle: float, low: float, high: float) -> list[tuple[float, float]]:
+    """Intervals of angles within one turn in which low <= cos(angle - middle) <= high."""
+    if high < -1.0 or low > 1.0 or high < low:
+        return []
+    near, far = float(np.arccos(min(high, 1.0))), float(np.arccos(max(low, -1.0)))
+    whole = [(middle - far, middle - near), (middle + near, middle + far)]
+    if near > 0.0:
+        return whole if far < np.pi else [(middle + near, middle + TURN - near)]
+    return [(middle - far, middle + far)]
+
+
+@dataclass(frozen=True)
+class FourBar:
+    """A body whose point `a` is on the circle or line of one piece, and `b` on that of another, over an interval.
+
+    Points of the body are complex numbers: at the place p, turned by the unit number u, a is at p + u a. Of the two
+    places that a turn leaves, `branch` 1 or -1 says which. If one of the pieces is a segment it is the second. Motions
+    are functions of s from 0 to 1: the angle is that of the middle between `low` and `high` less half the width times
+    cos(pi s), so that they are smooth at dead centres, where the branches meet.
+    """
+
+    first: PlanePiece
+    second: PlanePiece
+    a: complex
+    b: complex
+    branch: float
+    low: float
+    high: float
+
+    def turns(self, s: np.ndarray) -> np.ndarray:
+        """The unit numbers (...) by which the body is turned."""
+        return np.exp(1j * (0.5 * (self.low + self.high) - 0.5 * (self.high - self.low) * np.cos(np.pi * s)))
+
+    def parameter(self, angle: float) -> float:
+        """The s of an angle inside the interval."""
+        c = np.clip((0.5 * (self.low + self.high) - angle) / (0.5 * (self.high - self.low)), -1.0, 1.0)
+        return float(np.arccos(c) / np.pi)
+
+    def _chord(self, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The middle (...) and the direction of the chord in which a's circle meets b's curve, and its square."""
+        one, two, ud = self.first, self.second, turns * (self.b - self.a)
+        if two.is_arc:
+            to = two.centre - ud - one.centre
+            far = np.maximum(np.abs(to), 1e-300)
+            along = (far**2 + one.radius**2 - two.radius**2) / (2.0 * far)
+            return one.centre + along * to / far, 1j * to / far, one.radius**2 - along**2
+        w = two.way / abs(two.way)
+        foot = two.centre - ud + w * np.real((one.centre - two.centre + ud) * np.conj(w))
+        return foot, w + 0.0 * ud, one.radius**2 - np.abs(foot - one.centre) ** 2
+
+    @cached_property
+    def _dead(self) -> np.ndarray:
+        """Whether each end (2,) of the interval is a dead centre."""
+        return self._chord(self.turns(np.array([0.0, 1.0])))[2] < FLAT * self.first.radius**2
+
+    def of_first(self, s: np.ndarray) -> np.ndarray:
+        """Where the point a is (...)."""
+        u = self.turns(s)
+        if not self.first.is_arc:  # both are segments, which are not parallel
+            one, two = self.first, self.second
+            gap = two.centre - u * (self.b - self.a) - one.centre
+            return one.centre + one.way * np.imag(gap * np.conj(two.way)) / np.imag(one.way * np.conj(two.way))
+        foot, way, _ = self._chord(u)
+        # beside a dead centre the chord grows with sin(pi s): there its square is lost in rounding
+        low, high = np.where(self._dead, (BESIDE, 1.0 - BESIDE), (-1.0, 2.0))
+        inside = np.clip(s, low, high)
+        half = np.sqrt(np.maximum(self._chord(self.turns(inside))[2], 0.0))
+        moved = inside != s
+        ratio = np.divide(np.sin(np.pi * s), np.sin(np.pi * inside), out=np.ones(np.shape(s)), where=moved)
+        return foot + self.branch * half * ratio * way
+
+    def place(self, s: np.ndarray) -> np.ndarray:
+        """Where the body is (...)."""
+        return self.of_first(s) - self.turns(s) * self.a
+
+    def velocities(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives (...) by s of the place and of the angle. At dead centres they are those close to it."""
+        s = np.clip(s, NEAR, 1.0 - NEAR)
+        u, p = self.turns(s), self.place(s)
+        turning = 0.5 * (self.high - self.low) * np.sin(np.pi * s) * np.pi
+        one, two = (p + u * x - piece.centre if piece.is_arc else 1j * piece.way / abs(piece.way) + 0.0 * u
+                    for piece, x in ((self.first, self.a), (self.second, self.b)))  # fmt: skip
+        e, f = (-np.real(np.conj(n) * 1j * u * x) for n, x in ((one, self.a), (two, self.b)))
+        across = np.imag(np.conj(one) * two)
+        across = np.where(across == 0.0, np.inf, across)
+        return turning * -1j * (e * two - f * one) / across, turning
+
+
+def four_bars(first: PlanePiece, second: PlanePiece, a: complex, b: complex) -> Iterator[FourBar]:
+    """The bodies with a point a on a circle or line and b on another, over all intervals in which they assemble."""
+    for branch in (1.0, -1.0) if first.is_arc else (1.0,):
+        for low, high in _intervals(first, second, b - a):
+            if high - low > NARROW:
+                yield FourBar(first, second, a, b, branch, low, high)
+
+
+def _intervals(one: PlanePiece, two: PlanePiece, d: complex) -> list[tuple[float, float]]:
+    """Intervals of angles of a body, whose point is on `one` and another, d from it, on `two`."""
+    if not one.is_arc:
+        return [(0.0, TURN)]
+    if not two.is_arc:
+        w = two.way / abs(two.way)
+        off = ((one.centre - two.centre) * w.conjugate()).imag
+        middle = 0.5 * np.pi - float(np.angle(d * w.conjugate()))
+        return cosine_intervals(middle, (-one.radius - off) / abs(d), (one.radius - off) / abs(d))
+    base = two.centre - one.centre
+    scale, total = 2.0 * abs(base) * abs(d), abs(base) ** 2 + abs(d) ** 2
+    least, most = (one.radius - two.radius) ** 2, (one.radius + two.radius) ** 2
+    if scale <= ROUNDING * total:
+        return [(0.0, TURN)] if least <= total <= most else []
+    middle = float(np.angle(base / d))
+    found = cosine_intervals(middle, (total - most) / scale, (total - least) / scale)
+    # with equal cranks both circles may fall together there, and the branches change
+    same = abs(one.radius - two.radius) <= 1e-9 * one.radius
+    return [x for lo, hi in found for x in _cut(lo, hi, middle if same else np.nan)]
+
+
+def _cut(low: float, high: float, at: float) -> list[tuple[float, float]]:
+    """An interval, cut at an angle modulo whole turns that is inside."""
+    x = low + np.mod(at - low, TURN)
+    return [(low, float(x)), (float(x), high)] if low + 1e-12 < x < high - 1e-12 else [(low, high)]
+
+
+@cache
+def _gauss(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and weights (n,) of Gauss and Legendre for integrals from 0 to 1."""
+    x, w = np.polynomial.legendre.leggauss(n)
+    return 0.5 * (x + 1.0), 0.5 * w
+
+
+def _overlapping(one: np.ndarray, two: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs (k,), (k,) of boxes (2, 2, n) of two curves that overlap: first of groups of them, then of single ones."""
+    groups = [np.stack([b[0].reshape(2, -1, GROUP).min(axis=2), b[1].reshape(2, -1, GROUP).max(axis=2)])
+              for b in (one, two)]  # fmt: skip
+    inside = np.arange(GROUP)
+    i, j = (x[:, None] * GROUP + inside for x in np.nonzero(_overlap(groups[0][..., None], groups[1][:, :, None])))
+    i, j = np.broadcast_arrays(i[:, :, None], j[:, None, :])
+    i, j = i.ravel(), j.ravel()
+    both = _overlap(one[..., i], two[..., j])
+    return i[both], j[both]
+
+
+def _overlap(one: np.ndarray, two: np.ndarray) -> np.ndarray:
+    return ((one[0] <= two[1]) & (two[0] <= one[1])).all(axis=0)
+
+
+@dataclass(frozen=True)
+class CouplerCurve(PlaneCurve):
+    """The curve of the point `point` of a four-bar's body, with its s from `start` to `start + sweep`."""
+
+    bar: FourBar
+    point: complex = 0j
+    start: float = 0.0
+    sweep: float = 1.0
+
+    kind = "coupler curve"
+
+    def _s(self, t: np.ndarray | float) -> np.ndarray:
+        return self.start + self.sweep * np.asarray(t, dtype=float)
+
+    def turns(self, t: np.ndarray | float) -> np.ndarray:
+        """The unit numbers (...) by which the body is turned at parameters t (...)."""
+        return self.bar.turns(self._s(t))
+
+    def at(self, t: np.ndarray | float) -> np.ndarray:
+        """Points (...) at parameters t (...)."""
+        s = self._s(t)
+        return self.bar.place(s) + self.bar.turns(s) * self.point
+
+    def velocity(self, t: np.ndarray | float) -> np.ndarray:
+        """Derivatives (...) by t."""
+        s = self._s(t)
+        v, turning = self.bar.velocities(s)
+        return self.sweep * (v + turning * 1j * self.bar.turns(s) * self.point)
+
+    def of(self, point: complex) -> CouplerCurve:
+        """The curve of another point of the body, with the same parameters."""
+        return replace(self, point=point)
+
+    def part(self, a: float, b: float) -> CouplerCurve:
+        """The piece from the parameter a to b."""
+        return replace(self, start=self.start + self.sweep * a, sweep=self.sweep * (b - a))
+
+    def points(self, fine: float) -> np.ndarray:
+        """Points (k,) along it, between which it turns by less than an angle."""
+        t, p = self._fine
+        bends = np.abs(np.angle(p[2:] - p[1:-1]) - np.angle(p[1:-1] - p[:-2]))
+        total = float(np.minimum(bends, TURN - bends).sum())
+        return self.at(np.linspace(0.0, 1.0, max(len(t), int(2.0 * total / fine))))
+
+    def data(self) -> dict[str, Any]:
+        """Its numbers, for JSON: points on it."""
+        return super().data() | {"points": [as_pair(p) for p in self._fine[1][::4]]}
+
+    def tangent(self, t: float) -> complex:
+        """The unit tangent at a parameter."""
+        v = complex(self.velocity(t))
+        return v / abs(v)
+
+    @cached_property
+    def _fine(self) -> tuple[np.ndarray, np.ndarray]:
+        t = np.linspace(0.0, 1.0, SAMPLES)
+        return t, self.at(t)
+
+    @cached_property
+    def length(self) -> float:
+        """Its length in metres, as that of chords."""
+        return float(np.abs(np.diff(self._fine[1])).sum())
+
+    @cached_property
+    def moment(self) -> float:
+        """Half of the integral of x dy - y dx along it: its part of the area that a closed curve has to its left."""
+        value = np.inf
+        for n in NODES:
+            before = value
+            x, w = _gauss(n)
+            value = 0.5 * float(w @ np.imag(np.conj(self.at(x)) * self.velocity(x)))
+            if abs(value - before) <= ROUNDING * self.length**2:
+                break
+        return value
+
+    @property
+    def extremes(self) -> np.ndarray:
+        """Its ends, and where x or y is largest or least on it (k,)."""
+        t = [self.roots(lambda x, axis=axis: np.real(self.velocity(x) * axis)) for axis in (1.0, -1j)]
+        return self.at(np.concatenate([[0.0, 1.0], *t]))
+
+    def distance(self, p: np.ndarray) -> np.ndarray:
+        """Distances (...) of points (...) from it."""
+        z = np.asarray(p, dtype=complex).ravel()
+        t, fine = self._fine
+        out = np.empty(len(z))
+        for k in range(0, len(z), 4096):
+            some = z[k : k + 4096]
+            far = np.abs(some[:, None] - fine)
+            best = np.argmin(far, axis=1)
+            x, least = t[best], far[np.arange(len(some)), best]
+            for _ in range(4):  # towards the foot of the perpendicular
+                v = self.velocity(x)
+                x = np.clip(
+                    x + np.real(np.conj(v) * (some - self.at(x))) / np.maximum(np.abs(v) ** 2, 1e-300), 0.0, 1.0
+                )
+                least = np.fmin(least, np.abs(some - self.at(x)))
+            out[k : k + 4096] = least
+        return out.reshape(np.shape(p))
+
+    @cached_property
+    def _boxes(self) -> np.ndarray:
+        """Least and largest x and y (2, 2, n) of boxes about chords between samples, wide enough for the curve."""
+        z = self._fine[1]
+        corners = np.stack([z[:-1], z[1:]])
+        xy, wide = np.stack([np.real(corners), np.imag(corners)]), MARGIN * np.abs(np.diff(z))
+        return np.stack([xy.min(axis=1) - wide, xy.max(axis=1) + wide])
+
+    def roots(self, f: Callable[[np.ndarray], np.ndarray], touch: float = 0.0) -> np.ndarray:
+        """Parameters between 0 and 1 at which a function changes sign, or comes as near to 0 as `touch`."""
+        t = self._fine[0]
+        y = f(t)
+        middle = np.flatnonzero((np.abs(y[1:-1]) < np.abs(y[:-2])) & (np.abs(y[1:-1]) <= np.abs(y[2:]))) + 1
+        middle = middle[(y[middle] * y[middle - 1] > 0.0) & (y[middle] * y[middle + 1] > 0.0)]
+        falls = np.maximum(np.abs(y[middle - 1] - y[middle]), np.abs(y[middle + 1] - y[middle]))
+        middle = middle[np.abs(y[middle]) <= falls + touch]  # else it does not come to 0 between two samples
+        low, high = t[middle - 1], t[middle + 1]
+        for _ in range(HALVINGS if len(middle) else 0):  # the least of |f|, by thirds
+            a, b = low + (high - low) / 3.0, high - (high - low) / 3.0
+            left = f(a) * np.sign(y[middle]) < f(b) * np.sign(y[middle])
+            low, high = np.where(left, low, a), np.where(left, b, high)
+        nearest = 0.5 * (low + high)
+        t = np.sort(np.concatenate([t, nearest]))
+        y = f(t)
+        k = np.flatnonzero(y[:-1] * y[1:] < 0.0)
+        low, high, sign = t[k], t[k + 1], np.sign(y[k])
+        for _ in range(HALVINGS if len(k) else 0):
+            x = 0.5 * (low + high)
+            same = f(x) * sign > 0.0
+            low, high = np.where(same, x, low), np.where(same, high, x)
+        close = nearest[np.abs(f(nearest)) <= touch] if len(nearest) else nearest
+        return np.concatenate([0.5 * (low + high), t[y == 0.0], close])
+
+    def meets(self, other: PlaneCurve, slack: float = ENDS) -> np.ndarray:
+        """Parameters (k,) at which it meets or touches another curve, or crosses itself."""
+        if isinstance(other, PlanePiece):
+            near = TOUCHING * (self.length + other.length)
+            t = np.concatenate([self.roots(lambda x: other.off(self.at(x)), near), [0.0, 1.0]])
+            p = self.at(t)
+            return t[(np.abs(other.off(p)) <= 10.0 * near) & other.parameters(p, slack)[1]]
+        assert isinstance(other, CouplerCurve)
+        return self._meets_one_of_its_kind(other)
+
+    def _meets_one_of_its_kind(self, other: CouplerCurve) -> np.ndarray:
+        """The same, of two coupler curves: Newton's method from where boxes of their chords overlap."""
+        t, s = self._fine[0], other._fine[0]
+        i, j = _overlapping(self._boxes, other._boxes)
+        if not len(i):
+            return np.zeros(0)
+        x, y = 0.5 * (t[i] + t[i + 1]), 0.5 * (s[j] + s[j + 1])
+        for _ in range(12):
+            gap, v, w = other.at(y) - self.at(x), self.velocity(x), other.velocity(y)
+            across = np.imag(np.conj(v) * w)
+            across = np.where(np.abs(across) < 1e-300, 1e-300, across)
+            step = 1.0 / (SAMPLES - 1)
+            x = np.clip(x + np.clip(np.imag(np.conj(gap) * w) / across, -step, step), -step, 1.0 + step)
+            y = np.clip(y + np.clip(np.imag(np.conj(gap) * v) / across, -step, step), -step, 1.0 + step)
+        x, y = np.clip(x, 0.0, 1.0), np.clip(y, 0.0, 1.0)
+        met = np.abs(other.at(y) - self.at(x)) <= 10.0 * TOUCHING * (self.length + other.length)
+        if other is self:
+            met &= np.abs(x - y) > ITSELF
+        return x[met]

@@ -1,0 +1,321 @@
+"""Exact workspaces of planar platforms in any orientation, against closed forms and the inverse model."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hunts import Hunt
+
+import kempe
+from kempe.analysis.spaces.planar.coupler_curves import CouplerCurve, four_bars
+from kempe.analysis.spaces.planar.planar_chain import PlanarChain, PlanarJoint
+from kempe.analysis.spaces.planar.planar_platform import PlatformLeg, RegionOfPlatform
+from kempe.analysis.spaces.planar.planar_workspace import planar_workspace
+from kempe.analysis.spaces.planar.plane_curves import TURN, PlanePiece
+from kempe.errors import UnsupportedError
+
+
+def platform(legs, tool=(0.0, 0.0), turned=0.0):
+    """A platform on legs of (types of joints, base, point of the platform, two numbers, limits of two joints).
+
+    RRR has two lengths, RR one. The slide of RPR goes from one number to the other, that of PRR and PR by the second
+    along x, with a rod of the first behind it. Angles of last joints are counted from `turned` times 1, 2 and 3.
+    """
+    m = kempe.Mechanism("platform", dim=2)
+    body = m.body("body")
+    for k, (kind, base, at, (first, second), limits) in enumerate(legs):
+        parent = m.body(f"a{k}")
+        if kind[0] == "P":
+            m.prismatic(f"x{k}", m.ground, parent, at=base, axis=(1.0, 0.0), limits=(0.0, second))
+        else:
+            m.revolute(f"x{k}", m.ground, parent, at=base, limits=limits[0])
+        end = (first, 0.0)
+        if len(kind) == 3:
+            child = m.body(f"b{k}")
+            if kind == "RPR":
+                m.prismatic(f"y{k}", parent, child, axis=(1.0, 0.0), limits=(first, second))
+                end = (0.0, 0.0)
+            else:
+                m.revolute(f"y{k}", parent, child, at=(first, 0.0), limits=limits[1])
+                end = (second if kind == "RRR" else 0.3, 0.0)
+            parent = child
+        m.revolute(f"z{k}", parent, body, at=end, child_at=at, child_angle=(k + 1) * turned)
+    m.frame("tool", body, at=tool)
+    return m.build()
+
+
+FREE = (None, None)
+WIDE = ("RRR", (0.0, 0.0), (0.0, 0.0), (5.0, 5.0), FREE)
+"""A leg that holds the platform wherever the others do in the tests below."""
+
+
+@pytest.mark.parametrize(("legs", "tool", "area"), [
+    # a crank of 0.5 with the tool 0.2 off its end: an annulus
+    ([("RR", (0.1, 0.2), (0.0, 0.0), (0.5, 0.0), FREE), WIDE], (0.2, 0.0), np.pi * (0.7**2 - 0.3**2)),
+    # an annulus of radii 0.4 and 1.0, and the tool 0.1 off: wider by that on both sides
+    ([("RPR", (0.3, 0.0), (0.1, 0.0), (0.4, 1.0), FREE), WIDE], (0.0, 0.0), np.pi * (1.1**2 - 0.3**2)),
+    # the same with the tool 0.5 off: a disk
+    ([("RPR", (0.3, 0.0), (0.5, 0.0), (0.4, 1.0), FREE), WIDE], (0.0, 0.0), np.pi * 1.5**2),
+    # a slide of 0.8 with the tool 0.3 off: a stadium
+    ([("PR", (0.0, 0.0), (0.0, 0.3), (0.1, 0.8), FREE), WIDE], (0.0, 0.0), 0.8 * 0.6 + np.pi * 0.3**2),
+])  # fmt: skip
+def test_legs_of_which_one_decides(legs, tool, area):
+    """The other leg ends elsewhere on the platform, so that it is decided as one."""
+    other = (*legs[1][:2], (0.4, 0.4), *legs[1][3:])
+    w = planar_workspace(platform([legs[0], other], tool), "tool")
+    assert isinstance(w.region, RegionOfPlatform)
+    assert w.area == pytest.approx(area, abs=1e-9)
+
+
+def test_two_disks_at_two_points_of_a_rod():
+    """A rod of length d with its ends in disks of radius r whose centres are d apart: the middle has theirs between.
+
+    Without turning the middle fills a disk of radius r, and it leaves that nowhere, being the mean of two points that
+    do not leave theirs.
+    """
+    r, d = 0.3, 1.0
+    legs = [("RRR", (s * d / 2, 0.0), (s * d / 2, 0.0), (r / 2, r / 2), FREE) for s in (-1.0, 1.0)]
+    w = planar_workspace(platform(legs), "tool")
+    p = np.random.default_rng(0).uniform(-0.4, 0.4, (4000, 2))
+    far = np.hypot(*p.T)
+    inside = w.contains(p)
+    assert np.array_equal(inside, far < r) and w.area == pytest.approx(np.pi * r**2, abs=1e-8)
+
+
+def annuli(legs, tool, points, turns=20_000):
+    """Whether points are reached by RRR and RPR legs without limits, on a fine row of angles: shares nothing."""
+    u = np.exp(1j * TURN * np.arange(turns) / turns)
+    out = []
+    for p in points:
+        good = np.ones(turns, dtype=bool)
+        for kind, base, at, (first, second), _ in legs:
+            far = np.abs(complex(*p) + u * (complex(*at) - complex(*tool)) - complex(*base))
+            least, most = (first, second) if kind == "RPR" else (abs(first - second), first + second)
+            good &= (far >= least) & (far <= most)
+        out.append(good.any())
+    return np.array(out)
+
+
+THREE = {
+    "3-RRR": ([("RRR", 1.0 * np.array([np.cos(a), np.sin(a)]), 0.3 * np.array([np.cos(a), np.sin(a)]), (0.6, 0.45),
+                FREE) for a in np.deg2rad([90.0, 210.0, 330.0])], (0.0, 0.0)),
+    "3-RPR, as in Merlet, Gosselin, Mouly": ([
+        ("RPR", (0.0, 0.0), (0.0, 0.0), (8.0, 12.0), FREE), ("RPR", (15.91, 0.0), (17.04, 0.0), (5.0, 11.0), FREE),
+        ("RPR", (0.0, 10.0), (10.42, 17.3), (10.0, 17.0), FREE)], (0.0, 0.0)),
+    "3-RPR, tool aside": ([
+        ("RPR", (0.0, 0.0), (-0.2, 0.0), (0.3, 0.9), FREE), ("RPR", (1.0, 0.0), (0.2, 0.0), (0.3, 0.7), FREE),
+        ("RRR", (0.4, 1.0), (0.0, 0.3), (0.5, 0.2), FREE)], (0.35, 0.1)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", THREE)
+def test_three_legs_against_a_row_of_angles(name):
+    legs, tool = THREE[name]
+    w = planar_workspace(platform([(k, tuple(b), tuple(a), *rest) for k, b, a, *rest in legs], tool), "tool")
+    low, high = w.extent
+    points = np.random.default_rng(1).uniform(low - 0.1, high + 0.1, (500, 2))
+    clear = w.distance(points) > 1e-3 * w.region.size
+    inside = w.contains(points)
+    assert np.array_equal(inside[clear], annuli(legs, tool, points[clear]))
+    assert any(p.kind == "coupler curve" for p in w.boundary)
+    assert abs(sum(p.at(1.0) - p.at(0.0) for p in w.boundary)) < 1e-9 * w.region.size  # closed curves
+    many = np.random.default_rng(2).uniform(low, high, (200_000, 2))
+    box, share = np.prod(high - low), w.contains(many).mean()
+    assert w.area == pytest.approx(box * share, abs=4.0 * box * np.sqrt(share * (1.0 - share) / len(many)))
+
+
+def test_it_moves_with_its_base_and_scales():
+    """Turned, moved and enlarged as a whole, and with legs in another order, it has the same area, times a square."""
+    legs, tool = THREE["3-RPR, tool aside"]
+    before = planar_workspace(platform(legs, tool), "tool")
+    u, by, scale = np.exp(0.7j), 3.0 - 2.0j, 1000.0
+    moved = [(k, np.array([z.real, z.imag]), np.multiply(a, scale), np.multiply(n, scale), x)
+             for k, b, a, n, x in legs[::-1] for z in [scale * (u * complex(*b) + by)]]  # fmt: skip
+    after = planar_workspace(platform(moved, np.multiply(tool, scale)), "tool")
+    assert after.area == pytest.approx(scale**2 * before.area, rel=1e-9)
+    lengths = [sum(piece.length for piece in w.boundary) for w in (before, after)]
+    assert lengths[1] == pytest.approx(scale * lengths[0], rel=1e-4)  # those of coupler curves are sums of chords
+    assert len(after.voids) == len(before.voids)
+    p = np.random.default_rng(3).uniform(*before.extent, (2000, 2))
+    z = scale * (u * (p[:, 0] + 1j * p[:, 1]) + by)
+    assert np.array_equal(before.contains(p), after.contains(np.column_stack([z.real, z.imag])))
+
+
+def test_solutions_of_a_point_aside_of_a_five_bar():
+    """A point of one distal link is reached in as many ways as all solutions of the inverse model are found."""
+    legs = [("RR", (-0.3, 0.0), (0.0, 0.0), (0.5, 0.0), FREE),
+            ("RRR", (0.3, 0.0), (0.6, 0.0), (0.5, 0.6), (None, (-1.5, 2.5)))]  # fmt: skip
+    system = platform(legs, (0.8, 0.2))
+    w = planar_workspace(system, "tool")
+    assert w.region.counted and {r.solutions for r in w.regions} >= {1, 2}
+    low, high = w.extent
+    points = np.random.default_rng(4).uniform(low - 0.1, high + 0.1, (60, 2))
+    points = points[w.distance(points) > 1e-4]
+    every = [len(system.ik_all(p, "tool", task="position", limits=True).q) for p in points]
+    assert w.solutions(points).tolist() == every
+    total = sum(r.solutions * r.area for r in w.regions)
+    assert total > w.area > 0.0
+
+
+def test_joints_that_limits_hold_turn_the_legs():
+    """Held at other angles than zero they are as if the next joint were limited to others."""
+
+    def three(held):
+        m = kempe.Mechanism("platform", dim=2)
+        body = m.body("body")
+        for k, (base, at, angle) in enumerate(
+            [((0, 0), (-0.2, 0), 0.7), ((1, 0), (0.2, 0), -0.5), ((0.4, 0.9), (0, 0.2), -0.5)]
+        ):
+            a, b, c = m.body(f"a{k}"), m.body(f"b{k}"), m.body(f"c{k}")
+            shift = 0.0 if held else angle
+            m.revolute(f"w{k}", m.ground, a, at=base, limits=(angle - shift, angle - shift))
+            m.revolute(f"x{k}", a, b, limits=(shift - 2.0, shift + 2.0))
+            m.revolute(f"y{k}", b, c, at=(0.4, 0.0))
+            m.revolute(f"z{k}", c, body, at=(0.3, 0.0), child_at=at)
+        m.frame("tool", body, at=(0.05, 0.02))
+        return planar_workspace(m.build(), "tool")
+
+    one, two = three(True), three(False)
+    assert one.area == pytest.approx(two.area, rel=1e-9) and one.area > 0.05
+    points = np.random.default_rng(5).uniform(*one.extent, (2000, 2))
+    assert np.array_equal(one.contains(points), two.contains(points))
+
+
+def test_a_leg_that_reaches_nothing():
+    legs = [("RPR", (0.0, 0.0), (0.1, 0.0), (0.4, 1.0), FREE), ("RPR", (9.0, 0.0), (-0.1, 0.0), (0.4, 1.0), FREE)]
+    w = planar_workspace(platform(legs), "tool")
+    assert w.area == 0.0 and not w.contains([[0.5, 0.0]]).any() and "no place is reached" in w.status
+
+
+def test_what_is_left_a_curve_is_refused():
+    legs = [("RR", (0.0, 0.0), (0.1, 0.0), (0.4, 0.0), FREE), ("RR", (0.5, 0.0), (-0.1, 0.0), (0.4, 0.0), FREE)]
+    with pytest.raises(UnsupportedError, match="left a curve by two of its legs"):
+        planar_workspace(platform(legs, (0.3, 0.2)), "tool")
+
+
+# ---- coupler curves
+
+
+def bars():
+    """Four-bars of all pairs of pieces: arcs and segments, cranks that go round and such that do not."""
+    arc, small = PlanePiece(0j, 0.5, 0.3, 4.0), PlanePiece(1.0 + 0.2j, 0.8, 0.0, TURN)
+    line, other = PlanePiece(-0.4 + 0.1j, 0.0, way=1.2 + 0.3j), PlanePiece(0.6 - 0.7j, 0.0, way=0.1 + 1.4j)
+    pairs = [(arc, small), (small, arc), (arc, line), (small, other), (line, other)]
+    return [(bar, pair) for pair in pairs for bar in four_bars(*pair, 0.1 + 0.2j, -0.5 + 0.6j)]
+
+
+@pytest.mark.parametrize("number", range(len(bars())))
+def test_points_of_a_four_bar_are_on_both_curves(number):
+    """Also beside dead centres, where distances are known to rounding; and velocities are differences."""
+    bar, (first, second) = bars()[number]
+    t = np.concatenate([np.linspace(0.0, 1.0, 201), [1e-6, 1e-5, 3e-4, 1.0 - 1e-7]])
+    curve = CouplerCurve(bar, 0.3 - 0.1j)
+    for point, piece in ((bar.a, first), (bar.b, second)):
+        assert np.abs(piece.off(curve.of(point).at(t))).max() < 2e-9
+    x, h = np.linspace(0.01, 0.99, 60), 1e-6
+    differences = (curve.at(x + h) - curve.at(x - h)) / (2.0 * h)
+    assert curve.velocity(x) == pytest.approx(differences, abs=1e-6 * np.abs(differences).max())
+    backwards = curve.part(1.0, 0.0)
+    assert backwards.moment == pytest.approx(-curve.moment, abs=1e-10)
+    fine = curve.points(0.002)
+    chords = 0.5 * float(np.imag(np.conj(fine[:-1]) * fine[1:]).sum())
+    assert curve.moment == pytest.approx(chords, abs=3e-5)
+    inside = np.random.default_rng(number).uniform(-1.0, 1.0, 40) @ np.ones(40) + 0.0j
+    assert curve.distance(np.array([inside])) == pytest.approx(np.abs(fine - inside).min(), abs=1e-4)
+
+
+def test_a_trammel_draws_an_ellipse():
+    """Of Archimedes: points on two lines at right angles, and one between them at 0.3 and 0.5 of them."""
+    x, y = PlanePiece(-2.0 + 0j, 0.0, way=4.0 + 0j), PlanePiece(-2.0j, 0.0, way=4.0j)
+    (bar,) = four_bars(x, y, 0.3 + 0j, -0.5 + 0j)
+    curve = CouplerCurve(bar)
+    assert abs(curve.moment) == pytest.approx(np.pi * 0.3 * 0.5, abs=1e-12)
+    sides = curve.extremes
+    assert (np.abs(sides.real).max(), np.abs(sides.imag).max()) == pytest.approx((0.5, 0.3))
+    circle = PlanePiece(0j, 0.4, 0.0, TURN)
+    assert len(np.unique(np.round(curve.meets(circle), 9))) == 4
+
+
+def test_coupler_curves_meet_each_other_and_themselves():
+    """Two ellipses in four points; a coupler curve with a double point in that, by its two parameters."""
+    x, y = PlanePiece(-2.0 + 0j, 0.0, way=4.0 + 0j), PlanePiece(-2.0j, 0.0, way=4.0j)
+    one, two = (CouplerCurve(next(four_bars(x, y, a, a - 0.8))) for a in (0.3 + 0j, 0.5 + 0j))
+    assert len(np.unique(np.round(one.meets(two), 8))) == 4
+    first, second = PlanePiece(0j, 1.0, 0.0, TURN), PlanePiece(0.2 + 0j, 1.1, 0.0, TURN)
+    met = 0
+    for bar in four_bars(first, second, 0j, 0.5 + 0j):
+        for point in 3.0 * np.exp(1j * np.arange(6)):
+            curve = CouplerCurve(bar, point)
+            t = curve.meets(curve)
+            met += len(t) > 0
+            pairs = np.abs(curve.at(t)[:, None] - curve.at(t)) < 1e-8
+            far = np.abs(t[:, None] - t) > 0.01
+            assert (pairs & far).any(axis=1).all()
+    assert met > 0
+
+
+# ---- hunts
+
+
+def random_platform(rng):
+    """Two or three legs of all kinds, some with limits, some with one joint fewer; bases and points also on a grid."""
+    legs = []
+    for k in range(int(rng.integers(2, 4))):
+        few = k == 0 and rng.random() < 0.4
+        kind = str(rng.choice(["RR", "PR"] if few else ["RRR", "RPR", "PRR"]))
+        base, at = rng.uniform(-1.0, 1.0, 2), rng.uniform(-0.5, 0.5, 2)
+        if rng.random() < 0.2:
+            base, at = np.round(base), np.round(at, 1)
+        first = float(rng.choice([0.5, rng.uniform(0.2, 0.8)]))
+        second = (
+            first + float(rng.uniform(0.2, 1.0)) if kind == "RPR" else float(rng.choice([0.5, rng.uniform(0.2, 1)]))
+        )
+        spans = [np.sort(rng.uniform(-3.0, 3.0, 2)) + [0.0, 0.3] for _ in range(2)]
+        limits = [None if rng.random() < 0.5 else (float(low), float(high)) for low, high in spans]
+        legs.append((kind, tuple(base), tuple(at), (first, second), tuple(limits)))
+    tool = tuple(rng.uniform(-0.4, 0.4, 2)) if rng.random() < 0.8 else (0.0, 0.0)
+    return platform(legs, tool, rng.choice([0.0, 0.7]))
+
+
+def turned_about(boundary, points):
+    """Whether curves go round points, by sums of angles of short chords."""
+    total = np.zeros(len(points))
+    for piece in boundary:
+        p = piece.points(0.005)
+        for a, b in zip(p[:-1], p[1:], strict=True):
+            total += np.angle((b - points) / (a - points))
+    return np.round(total / TURN) != 0
+
+
+def test_hunt_for_platforms_that_are_decided_wrongly(hunt: Hunt):
+    """Points by common angles of the legs, by the boundary, and by the inverse model; the area by counting."""
+    rng, reached = hunt.rng(), 0
+    for _ in range(hunt.cases(40, least=6)):
+        system = random_platform(rng)
+        w = planar_workspace(system, "tool")
+        if not w.boundary:
+            assert not system.ik(rng.uniform(-1.0, 1.0, (5, 2)), "tool", task="position").success.any()
+            continue
+        reached += 1
+        low, high = w.extent
+        pad = 0.1 * (high - low)
+        points = rng.uniform(low - pad, high + pad, (3000, 2))
+        inside, clear = w.contains(points), w.distance(points) > 1e-4
+        round_it = turned_about(w.boundary, points[:, 0] + 1j * points[:, 1])
+        assert np.array_equal(inside[clear], round_it[clear])
+        some = np.flatnonzero(clear)[:25]
+        found = system.ik(points[some], "tool", task="position").success
+        assert np.array_equal(inside[some], found)
+        box, share = float(np.prod(high - low + 2.0 * pad)), inside.mean()
+        assert w.area == pytest.approx(box * share, abs=5.0 * box * np.sqrt(share * (1.0 - share) / 3000) + 1e-6)
+    assert reached > 1
+
+
+def test_regions_are_plain_parts():
+    """The parts can be put together without a system, too: a crank, and a disk about its end."""
+    crank = PlanarChain.of([PlanarJoint(0j, 1.0, 0j, -np.inf, np.inf)], 0.5 + 0j)
+    turns = [PlanarJoint(x, 1.0, 0j, -np.inf, np.inf) for x in (2.0 + 0j, 3.0 + 0j)]
+    disk = PlanarChain.of(turns, 4.0 + 0j)
+    region = RegionOfPlatform((PlatformLeg(crank, 0.1 + 0j), PlatformLeg(disk, 1.0 + 0j)))
+    assert region.curve is region.legs[0] and region.counted
+    assert region.solutions(0.45 + 0.05j) == 4 and region.solutions(3.0 + 0j) == 0
