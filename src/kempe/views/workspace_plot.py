@@ -112,7 +112,7 @@ def plot_planar(workspace: PlanarWorkspace, ax: Axes | None = None) -> Axes:
     """Matplotlib axes with the regions, darker where there are more solutions, and the boundary."""
     ax = page.new_figure().add_subplot() if ax is None else page.axes_given(ax)[0]
     for region in workspace.regions:
-        shade = 0.8 if region.solutions in (None, 1) else 0.6
+        shade = max(0.8 * 0.8 ** ((region.solutions or 1) - 1), 0.15)
         label = "reached" if region.solutions is None else f"{region.solutions} solution{'s' * (region.solutions > 1)}"
         ax.add_patch(
             PathPatch(shapes.region_outline(region), facecolor=(0.9 * shade, shade, 1.0), edgecolor="none", label=label)

@@ -112,6 +112,12 @@ class RegionOfPlatform(PlanarRegion):
 
     # ---- curves on which it can end
 
+    def _edges(self, leg: PlatformLeg) -> list[PlanePiece]:
+        """Where a leg begins or ends to hold its point, or, where solutions are counted, does so in other ways."""
+        if not self.counted or leg is self.curve:
+            return leg.ends
+        return [cast(PlanePiece, piece) for piece, left, right in leg.region.sides if left != right]
+
     @cached_property
     def candidates(self) -> list[PlaneCurve]:
         """Pieces of all curves on which it can end."""
@@ -126,14 +132,14 @@ class RegionOfPlatform(PlanarRegion):
                     yield motion, (leg,)
         for one, two in itertools.combinations(self.legs, 2):
             if self.curve in (None, one, two):
-                for first, second in itertools.product(one.ends, two.ends):
+                for first, second in itertools.product(self._edges(one), self._edges(two)):
                     for motion in _four_bars(first, second, one.b, two.b):
                         yield motion, (one, two)
 
     def _held(self, motion: Motion, held: tuple[PlatformLeg, ...]) -> Iterator[PlaneCurve]:
         """The parts of a motion's curve on which all other legs hold, and intervals of these may end."""
         path = motion.of(0j)
-        cuts = [motion.of(leg.b).meets(end) for leg in self.legs if leg not in held for end in leg.ends]
+        cuts = [motion.of(leg.b).meets(end) for leg in self.legs if leg not in held for end in self._edges(leg)]
         rates: list[Callable[..., np.ndarray]] = []
         if isinstance(motion, CouplerCurve):
             rates = [partial(_rate, motion, leg) for leg in held]
