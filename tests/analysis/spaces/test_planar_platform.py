@@ -165,6 +165,48 @@ def test_solutions_of_a_point_aside_of_a_five_bar():
     counted_alike(w, np.random.default_rng(5), 4000)
 
 
+def pantograph(unit=1.0):
+    """A five-bar whose pen is beyond the joint that the two sides share, with limits at the ground."""
+    m = kempe.Mechanism("five", dim=2)
+    a, b, c, d = (m.body(x) for x in "abcd")
+    m.revolute("A", m.ground, a, at=(-0.1 * unit, 0.0), limits=(0.5, 3.0))
+    m.revolute("E", m.ground, d, at=(0.1 * unit, 0.0), limits=(-0.2, 2.6))
+    m.revolute("B", a, b, at=(0.25 * unit, 0.0))
+    m.revolute("D", d, c, at=(0.25 * unit, 0.0))
+    m.revolute("C", b, c, at=(0.3 * unit, 0.0), child_at=(0.3 * unit, 0.0))
+    m.frame("pen", b, at=(0.36 * unit, 0.02 * unit))
+    return m.build()
+
+
+def test_areas_times_solutions_are_an_integral():
+    """Of |det J| of the pen over the angles of its side, times the ways of the other side, by 3000 x 3000 midpoints."""
+    w = planar_workspace(pantograph(), "pen")
+    n, pen = 3000, 0.36 + 0.02j
+    first = 0.5 + 2.5 * (np.arange(n) + 0.5) / n
+    total = 0.0
+    for rows in np.array_split(TURN * (np.arange(n) + 0.5) / n, 20):
+        B = rows[:, None]
+        to = -0.1 + np.exp(1j * first) * (0.25 + 0.3 * np.exp(1j * B)) - 0.1
+        cosine = (np.abs(to) ** 2 - 0.25**2 - 0.3**2) / (2.0 * 0.25 * 0.3)
+        elbow = np.arccos(np.clip(cosine, -1.0, 1.0))
+        ways = sum((np.mod(np.angle(to / (0.25 + 0.3 * np.exp(1j * e))) + 0.2, TURN) <= 2.8).astype(int)
+                   for e in (elbow, -elbow))  # fmt: skip
+        J = 0.25 * np.abs(np.imag(pen * np.exp(1j * B)))
+        total += float((J * ways * (np.abs(cosine) <= 1.0)).sum()) * 2.5 / n * TURN / n
+    assert sum(r.solutions * r.area for r in w.regions) == pytest.approx(total, rel=2e-4)
+
+
+def test_curves_that_touch_are_cut_once():
+    """Where a joint comes to its limit two coupler curves touch: no slivers are left of that, in any unit."""
+    small, large = planar_workspace(pantograph(), "pen"), planar_workspace(pantograph(1000.0), "pen")
+    for w in (small, large):
+        assert len(w.voids) == 2 and len(w.boundary) == 27
+        assert min(piece.length for piece in w.boundary) > 1e-3 * w.region.size
+        assert [len(r.loops) for r in w.regions] == [3, 5, 1, 1]
+    for one, two in zip(small.regions, large.regions, strict=True):
+        assert two.area == pytest.approx(1e6 * one.area, rel=1e-9)
+
+
 def test_joints_that_limits_hold_turn_the_legs():
     """Held at other angles than zero they are as if the next joint were limited to others."""
 
@@ -249,17 +291,16 @@ def test_coupler_curves_meet_each_other_and_themselves():
     x, y = PlanePiece(-2.0 + 0j, 0.0, way=4.0 + 0j), PlanePiece(-2.0j, 0.0, way=4.0j)
     one, two = (CouplerCurve(next(four_bars(x, y, a, a - 0.8))) for a in (0.3 + 0j, 0.5 + 0j))
     assert len(np.unique(np.round(one.meets(two), 8))) == 4
-    first, second = PlanePiece(0j, 1.0, 0.0, TURN), PlanePiece(0.2 + 0j, 1.1, 0.0, TURN)
-    met = 0
-    for bar in four_bars(first, second, 0j, 0.5 + 0j):
-        for point in 3.0 * np.exp(1j * np.arange(6)):
-            curve = CouplerCurve(bar, point)
+    rng, met = np.random.default_rng(0), 0
+    for _ in range(40):
+        radii, (c, d, point) = rng.uniform(0.3, 1.5, 2), rng.uniform(-1.0, 1.0, (3, 2)) @ [1.0, 1j]
+        for bar in four_bars(PlanePiece(0j, radii[0], 0.0, TURN), PlanePiece(c, radii[1], 0.0, TURN), 0j, d):
+            curve = CouplerCurve(bar, 2.0 * point)
             t = curve.meets(curve)
+            pairs = (np.abs(curve.at(t)[:, None] - curve.at(t)) < 1e-8) & (np.abs(t[:, None] - t) > 0.01)
+            assert pairs.any(axis=1).all()
             met += len(t) > 0
-            pairs = np.abs(curve.at(t)[:, None] - curve.at(t)) < 1e-8
-            far = np.abs(t[:, None] - t) > 0.01
-            assert (pairs & far).any(axis=1).all()
-    assert met > 0
+    assert met > 2
 
 
 # ---- hunts

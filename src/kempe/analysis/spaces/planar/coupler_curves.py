@@ -28,12 +28,16 @@ BESIDE = 1e-4
 """Distance of s from a dead centre below which chords are read from there."""
 NARROW = 1e-9
 """Width of an interval of angles below which it is rounding."""
-TOUCHING = 1e-10
-"""Distance, in lengths of a curve, below which another touches it."""
+TOUCHING = 1e-9
+"""Distance, in lengths of two curves, below which they touch."""
+CHUNK = 4096
+"""Points whose distances are found at a time."""
 MARGIN = 0.2
 """By which part of its length a chord's box is widened, so that the curve is inside."""
 GROUP = 16
 """Successive chords whose boxes are compared as one."""
+AT_END, FLAT_ANGLE = 1e-3, 1e-2
+"""Difference of parameters, and angle, within which curves that meet at an end touch there."""
 ITSELF = 0.01
 """Difference of parameters below which a curve meets itself because it goes on."""
 
@@ -265,24 +269,30 @@ class CouplerCurve(PlaneCurve):
         t = [self.roots(lambda x, axis=axis: np.real(self.velocity(x) * axis)) for axis in (1.0, -1j)]
         return self.at(np.concatenate([[0.0, 1.0], *t]))
 
+    def nearest(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Parameters (n,) of the points of it that are nearest to points (n,), and their distances."""
+        t, fine = self._fine
+        far = np.abs(p[:, None] - fine)
+        best = np.argmin(far, axis=1)
+        x, least = t[best], far[np.arange(len(p)), best]
+        for _ in range(5):  # towards the foot of the perpendicular
+            v = self.velocity(x)
+            foot = x + np.real(np.conj(v) * (p - self.at(x))) / np.maximum(np.abs(v) ** 2, 1e-300)
+            foot = np.clip(foot, 0.0, 1.0)
+            off = np.abs(p - self.at(foot))
+            x, least = np.where(off <= least, foot, x), np.minimum(off, least)
+        return x, least
+
     def distance(self, p: np.ndarray) -> np.ndarray:
         """Distances (...) of points (...) from it."""
         z = np.asarray(p, dtype=complex).ravel()
-        t, fine = self._fine
-        out = np.empty(len(z))
-        for k in range(0, len(z), 4096):
-            some = z[k : k + 4096]
-            far = np.abs(some[:, None] - fine)
-            best = np.argmin(far, axis=1)
-            x, least = t[best], far[np.arange(len(some)), best]
-            for _ in range(4):  # towards the foot of the perpendicular
-                v = self.velocity(x)
-                x = np.clip(
-                    x + np.real(np.conj(v) * (some - self.at(x))) / np.maximum(np.abs(v) ** 2, 1e-300), 0.0, 1.0
-                )
-                least = np.fmin(least, np.abs(some - self.at(x)))
-            out[k : k + 4096] = least
-        return out.reshape(np.shape(p))
+        parts = [self.nearest(z[k : k + CHUNK])[1] for k in range(0, len(z), CHUNK)]
+        return np.concatenate([np.zeros(0), *parts]).reshape(np.shape(p))
+
+    def directions(self, p: np.ndarray) -> np.ndarray:
+        """Unit tangents (n,) at the points of it that are nearest to points (n,)."""
+        v = self.velocity(self.nearest(p)[0])
+        return v / np.maximum(np.abs(v), 1e-300)
 
     @cached_property
     def _boxes(self) -> np.ndarray:
@@ -318,31 +328,43 @@ class CouplerCurve(PlaneCurve):
         return np.concatenate([0.5 * (low + high), t[y == 0.0], close])
 
     def meets(self, other: PlaneCurve, slack: float = ENDS) -> np.ndarray:
-        """Parameters (k,) at which it meets or touches another curve, or crosses itself."""
-        if isinstance(other, PlanePiece):
-            near = TOUCHING * (self.length + other.length)
-            t = np.concatenate([self.roots(lambda x: other.off(self.at(x)), near), [0.0, 1.0]])
-            p = self.at(t)
-            return t[(np.abs(other.off(p)) <= 10.0 * near) & other.parameters(p, slack)[1]]
-        assert isinstance(other, CouplerCurve)
-        return self._meets_one_of_its_kind(other)
+        """Parameters (k,) at which it meets or touches another curve, or crosses itself.
 
-    def _meets_one_of_its_kind(self, other: CouplerCurve) -> np.ndarray:
-        """The same, of two coupler curves: Newton's method from where boxes of their chords overlap."""
+        Where one touches the other with its end, rounding finds meetings beside that: they are left out.
+        """
+        near = TOUCHING * (self.length + other.length)
+        if isinstance(other, PlanePiece):
+            t = self.roots(lambda x: other.off(self.at(x)), near)
+            t = t[other.parameters(self.at(t), slack)[1]]
+        else:
+            assert isinstance(other, CouplerCurve)
+            t = self._crossed(other, near)
+        if other is self:
+            return t
+        ends = np.array([0.0, 1.0])
+        x, off = self.nearest(other.at(ends))
+        ends = np.concatenate([ends[other.distance(self.at(ends)) <= near], x[off <= near]])
+        p = self.at(t)
+        across = np.abs(np.imag(np.conj(self.directions(p)) * other.directions(p)))
+        beside = (np.abs(t[:, None] - ends) < AT_END).any(axis=1) & (across < FLAT_ANGLE)
+        return np.append(t[~beside], ends)
+
+    def _crossed(self, other: CouplerCurve, near: float) -> np.ndarray:
+        """Parameters (k,) where it comes as near as that to another one: Newton's method from where boxes overlap."""
         t, s = self._fine[0], other._fine[0]
         i, j = _overlapping(self._boxes, other._boxes)
         if not len(i):
             return np.zeros(0)
         x, y = 0.5 * (t[i] + t[i + 1]), 0.5 * (s[j] + s[j + 1])
+        step = 1.0 / (SAMPLES - 1)
         for _ in range(12):
             gap, v, w = other.at(y) - self.at(x), self.velocity(x), other.velocity(y)
             across = np.imag(np.conj(v) * w)
             across = np.where(np.abs(across) < 1e-300, 1e-300, across)
-            step = 1.0 / (SAMPLES - 1)
-            x = np.clip(x + np.clip(np.imag(np.conj(gap) * w) / across, -step, step), -step, 1.0 + step)
-            y = np.clip(y + np.clip(np.imag(np.conj(gap) * v) / across, -step, step), -step, 1.0 + step)
-        x, y = np.clip(x, 0.0, 1.0), np.clip(y, 0.0, 1.0)
-        met = np.abs(other.at(y) - self.at(x)) <= 10.0 * TOUCHING * (self.length + other.length)
+            x = np.clip(x + np.clip(np.imag(np.conj(gap) * w) / across, -step, step), 0.0, 1.0)
+            y = np.clip(y + np.clip(np.imag(np.conj(gap) * v) / across, -step, step), 0.0, 1.0)
+        met = np.abs(other.at(y) - self.at(x)) <= near
         if other is self:
-            met &= np.abs(x - y) > ITSELF
+            apart = np.abs(x - y)
+            met &= (apart > ITSELF) & ((apart < 1.0 - ITSELF) | (abs(self.at(0.0) - self.at(1.0)) > near))
         return x[met]

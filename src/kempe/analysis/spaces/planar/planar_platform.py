@@ -240,7 +240,9 @@ def _beside(leg: PlatformLeg) -> Iterator[Motion]:
             sides = (inwards,) if r < end.radius else ()
         for side in sides:
             turn = -np.sign(side) * r / leg.b
-            yield RotationAbout(end.centre, leg.b * (1.0 + end.radius / side), end.start + float(np.angle(turn)), end.sweep)
+            yield RotationAbout(
+                end.centre, leg.b * (1.0 + end.radius / side), end.start + float(np.angle(turn)), end.sweep
+            )
 
 
 def _four_bars(first: PlanePiece, second: PlanePiece, a: complex, b: complex) -> Iterator[Motion]:

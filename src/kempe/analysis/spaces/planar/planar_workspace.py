@@ -184,24 +184,24 @@ def _area(loop: tuple[PlaneCurve, ...]) -> float:
 
 
 def _loops(pieces: list[PlaneCurve], same: float) -> tuple[tuple[PlaneCurve, ...], ...]:
-    """The pieces as closed curves, each followed by one that begins where it ends."""
-    left = list(pieces)
+    """The pieces as closed curves, each followed by one that begins where it ends: of several the leftmost."""
     out: list[tuple[PlaneCurve, ...]] = []
     starts = np.array([complex(p.at(0.0)) for p in pieces])
-    used = np.zeros(len(left), dtype=bool)
-    for first in range(len(left)):
+    used = np.zeros(len(pieces), dtype=bool)
+    for first in range(len(pieces)):
         if used[first]:
             continue
         loop: list[PlaneCurve] = []
         k = first
-        while not used[k]:
+        while True:
             used[k] = True
-            loop.append(left[k])
-            end = complex(left[k].at(1.0))
-            far = np.where(used, np.inf, np.abs(starts - end))
-            if abs(starts[first] - end) <= same or not far.min(initial=np.inf) <= same:
+            loop.append(pieces[k])
+            far = np.where(used, np.inf, np.abs(starts - complex(pieces[k].at(1.0))))
+            far[first] = abs(starts[first] - complex(pieces[k].at(1.0)))
+            along, near = pieces[k].tangent(1.0), np.flatnonzero(far <= same)
+            turns = [float(np.angle(pieces[j].tangent(0.0) / along)) for j in near]
+            if not len(near) or (k := int(near[np.argmax(turns)])) == first:
                 break
-            k = int(np.argmin(far))
         out.append(tuple(loop))
     return tuple(out)
 

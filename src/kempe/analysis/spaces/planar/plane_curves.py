@@ -43,6 +43,10 @@ class PlaneCurve:
         """Distances (...) of points (...) from it."""
         raise NotImplementedError
 
+    def directions(self, p: np.ndarray) -> np.ndarray:
+        """Unit tangents (n,) at the points of it that are nearest to points (n,), which are close to it."""
+        raise NotImplementedError
+
     def meets(self, other: PlaneCurve, slack: float = ENDS) -> np.ndarray:
         """Parameters (k,) of the points in which it meets or touches another piece."""
         raise NotImplementedError
@@ -126,6 +130,13 @@ class PlanePiece(PlaneCurve):
         turn = np.where(turn > size + 0.5 * (TURN - size), turn - TURN, turn)
         t = turn / max(size, 1e-300)  # an arc may have shrunk to a point
         return t, (t > -slack) & (t < 1.0 + slack)
+
+    def directions(self, p: np.ndarray) -> np.ndarray:
+        """Unit tangents (n,) at the points of it that are nearest to points (n,), which are close to it."""
+        if not self.is_arc:
+            return np.full(np.shape(p), self.way / abs(self.way))
+        d = p - self.centre
+        return 1j * np.sign(self.sweep) * d / np.maximum(np.abs(d), 1e-300)
 
     def off(self, p: np.ndarray) -> np.ndarray:
         """How far points (...) are outside its circle, or to the left of its line, in metres; negative on the other."""
