@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import hunts
 import numpy as np
 import pytest
 import sympy
@@ -98,9 +99,10 @@ def test_growth_of_the_literature(name: str, q: tuple, here: tuple, around: tupl
     assert found.degree == here.index(here[-1]) + 1
 
 
-@pytest.mark.parametrize(
-    "name", some([pytest.param(n, marks=pytest.mark.slow) if n == "two trailers" else n for n in CHEAP], 4)
-)
+LONG = (pytest.mark.slow, pytest.mark.skipif(hunts.TIMES < 1, reason="takes half a minute: --hunt-times 1"))
+
+
+@pytest.mark.parametrize("name", some([pytest.param(n, marks=LONG) if n == "two trailers" else n for n in CHEAP], 4))
 def test_growth_is_that_of_all_brackets_of_sympy(name: str) -> None:
     """All words of the fields, symbolically, at the point of the literature and at the singular one."""
     system = SYSTEMS[name]

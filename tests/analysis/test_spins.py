@@ -6,7 +6,7 @@ import pickle
 
 import numpy as np
 import pytest
-from hunts import some
+from hunts import part, some
 from rods import Rods, engine, strut, tied
 from world_mechanisms import World, axes_with, unit
 
@@ -166,7 +166,7 @@ def test_names_of_bodies_and_joints_do_not_matter(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("driver", ["leg1", "leg2"])
+@pytest.mark.parametrize("driver", part(["leg1", "leg2"]))
 def test_a_platform_on_balls_moves_as_one_on_universal_joints(driver):
     """`stewart_sps` and `stewart` have the same geometry: five legs held, one driven, or all six driven."""
     ends, places = [], []

@@ -389,7 +389,7 @@ def test_a_task_that_sees_a_curve_only_is_refused():
 def test_a_linkage_that_spins_idly_is_drawn():
     """Each direction has two pairs of angles of the universal joint; legs may be too long or too short for them."""
     system = pointer("spherical", "spherical", (0.45, 0.7))
-    left, right = system.plot_spaces("camera", task="direction", resolution=20)
+    left, right = system.plot_spaces("camera", task="direction", resolution=14)
     assert (left.get_xlabel(), left.get_ylabel()) == ("s0 [m]", "s1 [m]") and set(shades(left)[1].ravel()) >= {2, 4}
     p, ways = shades(right)
     z, expected = directions(*np.moveaxis(p, -1, 0)), np.zeros(ways.shape)

@@ -239,7 +239,7 @@ def test_a_leg_that_reaches_nothing():
 
 def test_what_is_left_a_curve_is_refused():
     legs = [("RR", (0.0, 0.0), (0.1, 0.0), (0.4, 0.0), FREE), ("RR", (0.5, 0.0), (-0.1, 0.0), (0.4, 0.0), FREE)]
-    with pytest.raises(UnsupportedError, match="left a curve by two of its legs"):
+    with pytest.raises(UnsupportedError, match="leave frame 'tool' a curve"):
         planar_workspace(platform(legs, (0.3, 0.2)), "tool")
 
 

@@ -130,8 +130,7 @@ def _platform_legs(
         else:
             legs.append(PlatformLeg(inner, b))
     if sum(leg.region.is_curve for leg in legs) > 1:
-        raise UnsupportedError(f"frame {frame!r} of {system.name} is left a curve by two of its legs: "
-                               "`trace` follows it")  # fmt: skip
+        raise UnsupportedError(f"two of the legs of {system.name} leave frame {frame!r} a curve, which has no area")
     return legs
 
 
