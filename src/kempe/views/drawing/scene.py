@@ -15,6 +15,7 @@ from kempe.kinematics.forward import fk
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
+    from kempe.description.mechanism import Mechanism
     from kempe.model.system import System
 
 
@@ -192,9 +193,18 @@ def look(system: System, q: Array, drivers: tuple[str, ...] = ()) -> Scene:
         bodies = {b: poses[b] for b in system.body_names if number[b] == k}
         frames = {f.name: poses[f.body] @ f.X_BF.evaluate(mechanism.parameters)
                   for f in mechanism.frames.values() if f.body in bodies}  # fmt: skip
+        if k and len(mine.get(k, ())) == 1 and not frames:
+            frames = _ends(mechanism, bodies)
         particle = all(mechanism.bodies[b].particle for b in bodies)
         links.append(SeenLink(k, next(iter(bodies)), bodies, frames, tuple(mine.get(k, ())), particle))
     return Scene(system, q, tuple(links), tuple(joints), *_constraints(system, poses, number))
+
+
+def _ends(mechanism: Mechanism, bodies: dict[str, Array]) -> dict[str, Array]:
+    """The bodies at the ends of a link of several bodies, as frames: such as the tool of a file without frames."""
+    fixed = [j for j in mechanism.joints.values() if j.parent in bodies and j.child in bodies]
+    inner, outer = {j.parent for j in fixed}, {j.child for j in fixed}
+    return {name: X for name, X in bodies.items() if name in outer and name not in inner}
 
 
 def links_of(system: System) -> dict[str, int]:
