@@ -257,3 +257,21 @@ def test_the_formulas_of_a_shipped_scara():
     np.testing.assert_allclose(formulas(p, 1), q, atol=1e-9)
     with pytest.raises(InputError, match="shape"):
         formulas([0.1, 0.2, 0.3], 1)
+
+
+def test_what_is_printed_of_numbers_can_be_read():
+    """Six digits of each, while the formulas and the function keep all; slides at right angles divide by nothing."""
+    m = Mechanism("arm", dim=2)
+    m.revolute("q1", m.ground, m.body("A"))
+    m.revolute("q2", "A", m.body("B"), at=(0.3, 0))
+    m.frame("tip", "B", at=(0.25, 0))
+    system = m.build()
+    formulas, both = system.symbolic.ik("tip"), system.ik_all([0.4, 0.2], "tip")
+    assert "c2 = 6.66667*r2 - 1.01667" in str(formulas) and "6.66667 r_{2} - 1.01667" in formulas.latex()
+    assert "6.6666666666666" in formulas.code()
+    np.testing.assert_allclose([formulas([0.4, 0.2], 1)], both.q[both.named("elbow-down")], atol=1e-12)
+    t = Mechanism("table", dim=2)
+    t.prismatic("x", t.ground, t.body("A"), axis=(1, 0))
+    t.prismatic("y", "A", t.body("B"), axis=(0, -1))
+    t.frame("tip", "B", at=(0.5, 0))
+    assert [str(step.formula) for step in t.build().symbolic.ik("tip").steps] == ["p_x - 0.5", "-p_y"]

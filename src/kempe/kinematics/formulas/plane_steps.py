@@ -127,7 +127,9 @@ def turning_slide(n: Names, to: Vector, across: Any) -> tuple[list[FormulaStep],
 
 
 def two_lines(n: Names, to: Vector, one: Vector, two: Vector) -> tuple[list[FormulaStep], Any, Any]:
-    """Two slides along directions that add up to `to`: steps, and both slides."""
+    """Two slides along directions that add up to `to`: steps, none for slides at right angles, and both slides."""
     area = sympy.simplify(cross(one, two))
+    if area in (1, -1):
+        return [], area * cross(to, two), area * cross(one, to)
     steps = [FormulaStep(n.c2, area, "sine of the angle between the slides", unless_zero(area, named=n.c2))]
     return steps, cross(to, two) / n.c2, cross(one, to) / n.c2
