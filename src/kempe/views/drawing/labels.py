@@ -36,6 +36,11 @@ def shortened(text: str) -> str:
     return "\n".join(lines)
 
 
+def fitting(sentence: str) -> str:
+    """A sentence for a narrow panel: words that are too long keep both ends."""
+    return " ".join(shortened(word) for word in sentence.split(" "))
+
+
 @lru_cache(maxsize=4096)
 def extent(text: str, points: float, bold: bool = False) -> tuple[float, float]:
     """Width and height of a text in points (1/72 inch) at a font size, the same for all texts of one line."""
@@ -56,7 +61,7 @@ class Obstacles:
     bounds: tuple[Array, Array] | None = None
     """Lower left and upper right corner (2,) of the sheet, which labels should not leave."""
     _packed: Array = field(default_factory=lambda: np.zeros((0, 6)), repr=False)
-    """The segments as an array, as many as there were when they were last asked for."""
+    """The segments as an array, as many as there were when it was made."""
 
     def segment(self, a: Array, b: Array, radius: float, weight: float = 1.0) -> None:
         """Keep free of a capsule from a (2,) to b (2,)."""

@@ -193,7 +193,7 @@ def look(system: System, q: Array, drivers: tuple[str, ...] = ()) -> Scene:
         bodies = {b: poses[b] for b in system.body_names if number[b] == k}
         frames = {f.name: poses[f.body] @ f.X_BF.evaluate(mechanism.parameters)
                   for f in mechanism.frames.values() if f.body in bodies}  # fmt: skip
-        if k and len(mine.get(k, ())) == 1 and not frames:
+        if len(mine.get(k, ())) == bool(k or joints) and not frames:
             frames = _ends(mechanism, bodies)
         particle = all(mechanism.bodies[b].particle for b in bodies)
         links.append(SeenLink(k, next(iter(bodies)), bodies, frames, tuple(mine.get(k, ())), particle))
