@@ -10,11 +10,14 @@ import pytest
 import kempe
 from kempe import spatial
 from kempe.errors import InputError, UnknownNameError
-from kempe.solvers.analytic.plans.branch_names import NEITHER, SPATIAL, branch_names
+from kempe.solvers.analytic.plans.branch_names import NEITHER, SEVEN, SLIDING, SPATIAL, branch_names
 
 WORDS = [word for choice in SPATIAL for word in choice[:2]]
 LINKS = [f"link{k}" for k in range(1, 6)]
-ALL = {", ".join(words) for words in itertools.product(*(choice[:2] for choice in SPATIAL))}
+ALL, ALL_SLIDING, ALL_SEVEN = (
+    {", ".join(words) for words in itertools.product(*(choice[:2] for choice in kind))}
+    for kind in (SPATIAL, SLIDING, SEVEN)
+)
 
 
 def names_of(system: kempe.System, frame: str, Q: np.ndarray) -> list[str]:
@@ -117,7 +120,52 @@ def test_shipped_robots_have_eight_names(robot, frame, hunt):
         assert len(set(names)) == len(names) and set(names) <= ALL
 
 
-@pytest.mark.parametrize(("robot", "frame"), [("stanford", "tool"), ("so101", "tool"), ("hc10", "tool0")])
+def test_the_stanford_arm_has_eight_names(hunt):
+    """Those inside its limits have the slide ahead, as it is built."""
+    stanford = kempe.load("stanford")
+    Q = stanford.configuration_space.sample(50, hunt.rng()).q
+    a = stanford.ik_all(stanford.fk(Q, "tool"), "tool")
+    for names, inside in zip(a.names, a.inside, strict=True):
+        assert set(names) - {""} == ALL_SLIDING and all("slide ahead" in name for name in names[inside])
+    assert a.named("slide back").sum() == 4 * len(Q)
+    assert stanford.ik_all(stanford.fk([0.3, 0.7, 0.0, 0.2, 0.9, -0.4], "tool"), "tool").named("slide singular").all()
+
+
+def test_three_slides_and_a_wrist_have_flips():
+    m, body = kempe.Mechanism("gantry"), "ground"
+    for k, (kind, axis) in enumerate(zip("PPPRRR", ("x", "y", "z", "z", "y", "z"), strict=True)):
+        (m.prismatic if kind == "P" else m.revolute)(f"q{k}", body, m.body(f"b{k}"), axis=axis)
+        body = f"b{k}"
+    m.frame("tool", body, at=(0, 0, 0.1))
+    gantry = m.build()
+    q = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
+    a = gantry.ik_all(gantry.fk(q, "tool"), "tool", start=q)
+    assert a.names.tolist() == ["no flip", "flip"]
+    with pytest.raises(UnknownNameError):
+        a.named("elbow +")
+
+
+def test_arms_of_seven_joints_are_named_by_the_signs_of_three(hunt):
+    """Of iiwa 14, which is stretched at zero: of sin q2, q4 and q6; at one arm angle all eight differ."""
+    iiwa, rng = kempe.load("iiwa14"), hunt.rng()
+    for q in iiwa.random(rng, hunt.cases(5)):
+        X = iiwa.fk(q, "tool")
+        a = iiwa.ik_all(X, "tool")
+        assert len(a) and set(a.names) <= ALL_SEVEN
+        for row, name in zip(a.q, a.names, strict=True):
+            assert [word[-1] for word in name.split(", ")] == ["+-"[int(s < 0)] for s in np.sin(row[[1, 3, 5]])]
+        sweep = iiwa.inverse.sweep(X, "tool")
+        one = sweep.at(float(rng.uniform(-3, 3)))
+        names = names_of(iiwa, "tool", one.q)
+        assert len(set(names)) == len(one.q) == 8
+        for name, branch in zip(names, one.branch, strict=True):  # the same signs
+            assert [w[-1] for w in name.split(", ")] == [w[-1] for w in sweep.labels[branch].split()]
+    assert names_of(iiwa, "tool", np.array([[0.3, 0.6, -0.4, 0.0, 0.5, 0.8, 0.1]])) == [
+        "shoulder +, elbow singular, wrist +"
+    ]
+
+
+@pytest.mark.parametrize(("robot", "frame"), [("xarm6", "tool"), ("so101", "tool"), ("hc10", "tool0")])
 def test_chains_without_names(robot, frame):
     system = kempe.load(robot)
     a = system.ik_all(system.fk(system.random(1), frame), frame)
@@ -153,13 +201,22 @@ def test_words_that_do_not_exist():
 
 
 def arm_rows(rng: np.random.Generator, kind: str) -> list[dict[str, float]]:
-    """A Denavit-Hartenberg table with random numbers: a spherical wrist, or three parallel axes."""
+    """A random Denavit-Hartenberg table: a spherical wrist, three parallel axes, or a slide and a wrist."""
     right = lambda: float(rng.choice([-1, 1])) * (np.pi / 2 if rng.random() < 0.6 else rng.uniform(0.5, 2.6))  # noqa: E731
     some = lambda: float(rng.choice([0.0, rng.uniform(-0.4, 0.4)]))  # noqa: E731
     along = lambda: float(rng.choice([0.0, np.pi]))  # noqa: E731
     row1 = {"a": some(), "alpha": right(), "d": some()}
     row2 = {"a": float(rng.uniform(0.3, 1.0)), "alpha": along(), "d": some()}
     last = {"a": some(), "alpha": right(), "d": some()}
+    if kind == "slide":
+        row2 = {"a": some(), "alpha": float(rng.choice([-1, 1])) * np.pi / 2, "d": some()}
+        row3 = {
+            "type": "prismatic",
+            "a": some(),
+            "alpha": float(rng.uniform(-1, 1)),
+            "theta": float(rng.uniform(-3, 3)),
+        }
+        return [row1, row2, row3, {"alpha": right(), "d": some()}, {"alpha": right()}, last]
     if kind == "wrist":
         row3 = {"a": float(rng.uniform(-0.3, 0.3)), "alpha": right(), "d": some()}
         return [row1, row2, row3, {"alpha": right(), "d": float(rng.uniform(0.3, 1.0))}, {"alpha": right()}, last]
@@ -191,13 +248,17 @@ def seen(system: kempe.System, q: np.ndarray, kind: str) -> str:
     foot = p[0] + z[0] * np.linalg.solve(np.stack([z[0], -z[1], n], axis=1), p[1] - p[0])[0]
     offset = float((wrist - foot) @ z[1])
     side = 1.0 if abs(offset) < 1e-7 else np.sign(offset)
+    shoulder, flip = ahead * side < 0, np.cross(z[3], z[5]) @ z[4] < 0
+    if kind == "slide":
+        middle = "slide ahead" if (wrist - p[1]) @ z[2] > 0 else "slide back"
+        return f"shoulder {'left' if shoulder else 'right'}, {middle}, {'flip' if flip else 'no flip'}"
     # in the plane across axis 2, seen with the wrist to the right: is the elbow above the way from shoulder to wrist
     elbow, end = p[2] - p[1], (p[3] if kind == "parallel" else wrist) - p[1]
     above = float(np.cross(end, elbow) @ z[1]) * np.sign(ahead)
     return ", ".join([
-        "shoulder left" if ahead * side < 0 else "shoulder right",
+        "shoulder left" if shoulder else "shoulder right",
         "elbow up" if above > 0 else "elbow down",
-        "no flip" if np.cross(z[3], z[5]) @ z[4] > 0 else "flip",
+        "flip" if flip else "no flip",
     ])  # fmt: skip
 
 
@@ -208,29 +269,35 @@ def check_arm(rng: np.random.Generator, kind: str) -> int:
     q = rng.uniform(-np.pi, np.pi, 6)
     a = plain.ik_all(plain.fk(q, "tool"), "tool")
     alone = a.multiplicity == 1
-    assert len(a) and set(a.names[alone]) <= ALL
+    assert len(a) and set(a.names[alone]) <= (ALL_SLIDING if kind == "slide" else ALL)
     assert len(set(a.names[alone])) == alone.sum()
     for row, name in zip(a.q, a.names, strict=True):
         assert name == seen(plain, row, kind)
     zeros, base, tool = rng.uniform(-3, 3, 6), random_pose(rng), random_pose(rng)
-    moved = kempe.from_dh([{**r, "theta": float(x)} for r, x in zip(rows, zeros, strict=True)], base=base, tool=tool)
+    moved = kempe.from_dh(
+        [{**r, ("d" if "type" in r else "theta"): float(x)} for r, x in zip(rows, zeros, strict=True)],
+        base=base,
+        tool=tool,
+    )
     moved = moved.build()
     b = moved.ik_all(moved.fk(q - zeros, "tool"), "tool")
     assert len(b) == len(a)
+    slides = np.array(["type" in r for r in rows])
     for row, name in zip(a.q, a.names, strict=True):
-        away = np.abs(turns(b.q - (row - zeros))).max(axis=1)
+        off = b.q - (row - zeros)
+        away = np.abs(np.where(slides, off, turns(off))).max(axis=1)
         assert away.min() < 1e-5 and b.names[np.argmin(away)] == name
     return len(a)
 
 
-@pytest.mark.parametrize("kind", ["wrist", "parallel"])
+@pytest.mark.parametrize("kind", ["wrist", "parallel", "slide"])
 def test_names_of_random_arms(kind, hunt):
     rng = hunt.rng()
     assert sum(check_arm(rng, kind) for _ in range(hunt.cases(40))) > 0
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["wrist", "parallel"])
+@pytest.mark.parametrize("kind", ["wrist", "parallel", "slide"])
 def test_names_of_many_random_arms(kind, hunt):
     rng = hunt.rng()
     assert sum(check_arm(rng, kind) for _ in range(hunt.cases(1000))) > 0
@@ -242,7 +309,7 @@ def smallest(system: kempe.System, q: np.ndarray) -> float:
     return float(np.linalg.svd(J, compute_uv=False)[-1])
 
 
-@pytest.mark.parametrize("kind", ["wrist", "parallel"])
+@pytest.mark.parametrize("kind", ["wrist", "parallel", "slide"])
 def test_names_change_at_singular_configurations_only(kind, hunt):
     rng, changes = hunt.rng(), 0
     for _ in range(hunt.cases(8)):

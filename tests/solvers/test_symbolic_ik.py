@@ -186,3 +186,92 @@ def test_code_computes_what_the_formulas_say(kinds):
     lengths = [system.structure.parameters[str(s)] for s in sorted(formulas._lengths(), key=str)]
     np.testing.assert_allclose(names["inverse"](*p, 1, *lengths), formulas(p, 1), atol=1e-12)
     assert np.isfinite(formulas(p, 1)).all()
+
+
+# ---- the same with a slide along z: SCARAs, cylindrical and cartesian arms
+
+
+def lifted(kinds, rng):
+    """A chain of `chain` in which an L is a slide along z or -z; its tip looks up or down."""
+    m, here = Mechanism("lifted"), "ground"
+    for i, kind in enumerate(kinds):
+        length = m.parameter(f"l{i}", float(rng.uniform(0.2, 1.0)))
+        options = {"at": (length, *rng.uniform(-0.5, 0.5, 2)), "axis": str(rng.choice(["z", "-z"]))}
+        if kind == "P":
+            options["axis"] = (*rng.uniform(-1, 1, 2), 0.0)
+        (m.revolute if kind == "R" else m.prismatic)(f"q{i}", here, m.body(f"b{i}"), **options)
+        here = f"b{i}"
+    m.frame("tip", here, at=("l0", 0.1, 0.2), rpy=(rng.choice([0.0, np.pi]), 0, 0.4))
+    return m.build()
+
+
+LIFTED = ["RRRL", "RRLR", "RLRR", "LRRR", "RRL", "LRP", "RLP", "PLR", "LPP", "RPLR", "PRRL", "LPPR"]
+
+
+@pytest.mark.parametrize("kinds", some(LIFTED, 5))
+def test_formulas_with_a_slide_along_z_are_all_solutions(kinds, hunt):
+    """Each reaches the target, and those of `ik_all` are the same: of SCARAs, with the same names."""
+    rng = hunt.rng()
+    system, n, task = lifted(kinds, rng), len(kinds), "position" if len(kinds) == 3 else "pose"
+    X = system.fk(rng.uniform(-2, 2, (20, n)), "tip")
+    angle = np.arctan2(X[:, 1, 0], X[:, 0, 0])
+    target = X[:, :3, 3] if n == 3 else np.column_stack([X[:, :3, 3], angle])
+    formulas = system.inverse.plan("tip", task).formulas()
+    assert formulas.coordinates == system.joint_names and "from the height" in str(formulas)
+    both, turns = [formulas(target, sign) for sign in (-1, 1)], np.array(list(kinds)) == "R"
+    for q in both:
+        Y = system.fk(q, "tip")
+        np.testing.assert_allclose(*((Y, X) if n == 4 else (Y[:, :3, 3], X[:, :3, 3])), atol=1e-9)
+    found = system.ik_all(X, "tip", task=task)
+    assert found.success.all() and (found.mask.sum(axis=1) == len(formulas.signs) + 1).all()
+    for i, mask in enumerate(found.mask):
+        for q, name in zip(found.q[i, mask], found.names[i, mask], strict=True):
+            off = [np.where(turns, (x[i] - q + np.pi) % (2 * np.pi) - np.pi, x[i] - q) for x in both]
+            off = np.abs(off).max(axis=1)
+            assert off.min() < 1e-6
+            assert not name or name == ("elbow-up" if off[0] < off[1] else "elbow-down")
+
+
+@pytest.mark.parametrize("axis", [1, -1])
+def test_elbow_up_is_what_all_solutions_call_so(axis):
+    """Seen from where the axes point to, which is from below if that is down."""
+    system = arm(0.7, 0.4, axis=axis)
+    p = system.fk([0.4, 0.8], "tip")[:3, 3]
+    found, formulas = system.ik_all(p, "tip"), system.symbolic.ik("tip")
+    for sign, name in ((-1, "elbow-up"), (1, "elbow-down")):
+        np.testing.assert_allclose(found.q[found.named(name)], [formulas(p[:2], sign)], atol=1e-9)
+
+
+def test_the_formulas_of_a_shipped_scara():
+    """Craig's steps, and the printed function."""
+    scara = kempe.load("cobra600")
+    formulas, names = scara.inverse.plan("tool").formulas(), {}
+    said = {str(step.symbol): str(step.formula) for step in formulas.steps}
+    assert said["r2"] == "p_x**2 + p_y**2" and said["q3"] == "d1 - p_z" and "w_x" not in said
+    assert "q_{3} &= d_{1} - p_{z}" in formulas.latex()
+    exec(formulas.code(), names)
+    q = scara.ik_all(scara.fk([0.5, 0.9, 0.1, -0.3], "tool"), "tool", start=[0.5, 0.9, 0.1, -0.3]).q[0]
+    X, sizes = scara.fk(q, "tool"), scara.structure.parameters
+    p = [*X[:3, 3], np.arctan2(X[1, 0], X[0, 0])]
+    np.testing.assert_allclose(names["inverse"](*p, 1, *(sizes[x] for x in ("a1", "a2", "d1"))), q, atol=1e-9)
+    np.testing.assert_allclose(formulas(p, 1), q, atol=1e-9)
+    with pytest.raises(InputError, match="shape"):
+        formulas([0.1, 0.2, 0.3], 1)
+
+
+def test_what_is_printed_of_numbers_can_be_read():
+    """Six digits of each, while the formulas and the function keep all; slides at right angles divide by nothing."""
+    m = Mechanism("arm", dim=2)
+    m.revolute("q1", m.ground, m.body("A"))
+    m.revolute("q2", "A", m.body("B"), at=(0.3, 0))
+    m.frame("tip", "B", at=(0.25, 0))
+    system = m.build()
+    formulas, both = system.symbolic.ik("tip"), system.ik_all([0.4, 0.2], "tip")
+    assert "c2 = 6.66667*r2 - 1.01667" in str(formulas) and "6.66667 r_{2} - 1.01667" in formulas.latex()
+    assert "6.6666666666666" in formulas.code()
+    np.testing.assert_allclose([formulas([0.4, 0.2], 1)], both.q[both.named("elbow-down")], atol=1e-12)
+    t = Mechanism("table", dim=2)
+    t.prismatic("x", t.ground, t.body("A"), axis=(1, 0))
+    t.prismatic("y", "A", t.body("B"), axis=(0, -1))
+    t.frame("tip", "B", at=(0.5, 0))
+    assert [str(step.formula) for step in t.build().symbolic.ik("tip").steps] == ["p_x - 0.5", "-p_y"]

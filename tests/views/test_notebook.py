@@ -149,3 +149,59 @@ def test_a_short_formula_is_printed_with_what_it_stands_for():
         first = first.replace(word, str(name))
     back = sympy.sympify(first).subs({names[w]: sympy.sympify(meaning) for w, meaning in pairs})
     assert sympy.simplify(back - long) == 0
+
+
+def records() -> dict[str, object]:
+    """What the builder returns, in the plane and in space."""
+    m, s = kempe.Mechanism("arm", dim=2), kempe.Mechanism("joints")
+    m.parameter("l1", 0.3)
+    m.revolute("q1", m.ground, m.body("a", mass=2, center=(0.1, 0, 0)), at=("l1", 0), limits=(-1, 1))
+    m.prismatic("q2", "a", m.body("b"), axis=(3, 4), actuated=True, limits=(None, 0.3))
+    m.translation("q3", m.ground, m.particle("p"), limits={"x": (0, 1)})
+    m.revolute("q4", "b", m.body("c"), actuated=False)
+    m.constrain(kempe.constraints.Distance("p", "a", 0.3), name="rod")
+    m.couple("q4", {"q1": -2, "q2": 1}, "l1")
+    s.revolute("r", s.ground, s.body("r1"), axis="-z")
+    s.cylindrical("c", s.ground, s.body("c1"), rpy=(s.parameter("l", 0.3), 0, 0))
+    s.helical("h", s.ground, s.body("h1"), pitch=0.01)
+    s.universal("u", s.ground, s.body("u1"))
+    s.spherical("s", s.ground, s.body("s1"))
+    found = {**m.bodies, **m.joints, "tip": m.frame("tip", "c", at=("l1", 0)), **m.constraints, **s.joints}
+    return {**found, **{f"of {name}": x for name, x in m.couplings.items()}}
+
+
+RECORDS = {
+    "a": "a: a rigid body, 2 kg, centre of mass at (0.1, 0, 0) m",
+    "p": "p: a particle, a body without orientation",
+    "tip": "tip: a frame on c, placed by x = l1",
+    "rod": "rod: p and a are 0.3 m apart",
+    "of q4": "q4 = -2 q1 + q2 + (l1)",
+    "q1": "q1: a revolute joint between ground and a, turns about z of ground, from -1 to 1 rad; a cannot slide along "
+    "x or y of ground: 2 of 3 freedoms are taken away",
+    "q2": "q2: a prismatic joint between a and b, slides along (0.6, 0.8) of a, to 0.3 m, driven by a motor; b cannot "
+    "slide along y, nor turn about z of the frame of q2: 2 of 3 freedoms are taken away",
+    "q3": "q3: a translation joint between ground and p, which allows: slide along x and y of its frame on ground, "
+    "x from 0 to 1 m; p can move freely: 0 of 2 freedoms are taken away",
+    "q4": "q4: a revolute joint between b and c, turns about z of b, without limits, passive; c cannot slide along x "
+    "or y of b: 2 of 3 freedoms are taken away",
+    "r": "r: a revolute joint between ground and r1, turns about -z of ground, without limits; r1 cannot slide along "
+    "x, y or z, nor turn about x or y of ground: 5 of 6 freedoms are taken away",
+    "c": "c: a cylindrical joint between ground and c1, turns about and slides along z of its frame on ground, without "
+    "limits; c1 cannot slide along x or y, nor turn about x or y of the frame of c: 4 of 6 freedoms are taken away",
+    "h": "h: a helical joint between ground and h1, screws along z of ground by 0.01 m a rad, without limits; h1 "
+    "cannot slide along x or y, nor turn about x or y of ground: 5 of 6 freedoms are taken away, 1 of them by a "
+    "relation or about an axis that moves",
+    "u": "u: a universal joint between ground and u1, which allows: turn about x of F, then about y of M (F is its "
+    "frame on ground, M on u1), without limits; u1 cannot slide along x, y or z of ground: 4 of 6 freedoms are taken "
+    "away, 1 of them by a relation or about an axis that moves",
+    "s": "s: a spherical joint between ground and s1, which allows: any rotation, without limits; s1 cannot slide "
+    "along x, y or z of ground: 3 of 6 freedoms are taken away",
+}
+
+
+@pytest.mark.parametrize("name", RECORDS)
+def test_a_record_of_a_mechanism_is_a_sentence(name):
+    """Those of a planar mechanism count in the plane."""
+    record = records()[name]
+    assert record.sentence == RECORDS[name]
+    assert record._repr_html_() == f"<p>{RECORDS[name]}</p>"

@@ -55,6 +55,42 @@ def test_the_tree_of_the_seven_bodies_as_a_picture():
     assert found["label:J3"][0].get_text() == "J3  P" and found["label:J6"][0].get_color() != "black"
 
 
+def humanoid() -> kempe.System:
+    """A tree with long names, several of them beside one another."""
+    m = kempe.Mechanism("humanoid")
+    m.revolute("waist", m.ground, m.body("torso"))
+    m.revolute("neck", "torso", m.body("head"), at=(0, 0, 0.5))
+    for side, y in (("left", 0.2), ("right", -0.2)):
+        m.spherical(f"{side}_shoulder", "torso", m.body(f"{side}_upper_arm"), at=(0, y, 0.4))
+        m.revolute(f"{side}_elbow", f"{side}_upper_arm", m.body(f"{side}_forearm"), at=(0, 0, -0.3))
+        m.spherical(f"{side}_hip_of_the_leg", m.ground, m.body(f"{side}_thigh"), at=(0, 0.5 * y, 0))
+    return m.build()
+
+
+def chain_of_long_names() -> kempe.System:
+    m, name = kempe.Mechanism("chain"), "part_of_the_second_station_at_the_left_of_the_long_assembly_line"
+    m.revolute(f"{name}_joint_1", m.ground, m.body(f"{name}_body_1"))
+    m.revolute(f"{name}_joint_2", f"{name}_body_1", m.body(f"{name}_body_2"), at=(0, 0, 1))
+    return m.build()
+
+
+@pytest.mark.parametrize("make", [humanoid, chain_of_long_names])
+def test_names_in_a_tree_can_be_read(make):
+    """They stay on the paper, do not touch one another, and every circle has a number; long ones keep both ends."""
+    system = make()
+    ax = system.plot_tree()
+    draw = ax.figure.canvas.get_renderer()
+    boxes = {t.get_text(): t.get_window_extent(draw) for t in ax.texts}
+    assert {str(k) for k in range(len(system.body_names))} <= set(boxes)
+    paper, said = ax.figure.bbox, list(boxes.items())
+    for k, (text, box) in enumerate(said):
+        assert paper.x0 <= box.x0 and box.x1 <= paper.x1, text
+        for other, more in said[:k]:
+            assert not box.overlaps(more), (text, other)
+    if make is chain_of_long_names:
+        assert "part_of_the_sec…bly_line_joint_2  R" in boxes
+
+
 @pytest.mark.parametrize("name", ["stewart", "andrews_squeezer", "panda"])
 def test_circles_of_trees_lie_apart(name):
     at = overviews._places(kempe.load(name))

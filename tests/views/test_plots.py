@@ -899,3 +899,55 @@ def test_no_pose_lies_under_the_legend():
     ax = arm.reach.poses(np.array([[0.5, 0.3], [0.9, 0.9]]), "e", task="position").plot()
     ax.figure.canvas.draw()
     assert ax.get_legend().get_window_extent().x0 >= ax.get_window_extent().x1
+
+
+# ---- files without frames, long names, many labels
+
+
+TOOLED = """<robot name="arm"><link name="base"/><link name="upper"/><link name="lower"/><link name="tool"/>
+<joint name="lift" type="continuous"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/></joint>
+<joint name="elbow" type="continuous"><parent link="upper"/><child link="lower"/><origin xyz="0 0 0.5"/>
+<axis xyz="0 1 0"/></joint>
+<joint name="flange" type="fixed"><parent link="lower"/><child link="tool"/><origin xyz="0 0 0.4"/></joint></robot>"""
+
+
+def test_the_tool_of_a_file_without_frames_is_drawn(tmp_path):
+    """A body that is fixed at the end of a chain is the end of the last link, by name; not a stub."""
+    (tmp_path / "arm.urdf").write_text(TOOLED)
+    arm = kempe.load(tmp_path / "arm.urdf")
+    scene = look(arm, arm.neutral)
+    assert list(scene.links[-1].frames) == ["tool"] and np.allclose(scene.points(scene.links[-1])[-1], [0, 0, 0.9])
+    ax = arm.plot()
+    assert ax.get_zlim()[1] > 0.9 and "tool" in [t.get_text() for t in ax.texts]
+
+
+def test_labels_look_at_what_is_near_them(hunt):
+    """Which covers the same points as all segments do."""
+    rng = hunt.rng()
+    crowd = labels.Obstacles()
+    a, b = rng.uniform(0, 100, (2, 2000, 2))
+    for p, q in zip(a, b, strict=True):
+        crowd.segment(p, p + 0.02 * (q - p), float(rng.uniform(0.1, 2.0)), float(rng.uniform(0.1, 2.0)))
+    points = rng.uniform(0, 100, (40, 1, 2)) + rng.uniform(-1, 1, (40, 9, 2))
+    weights = np.zeros(points.shape[:-1])
+    for x0, y0, x1, y1, radius, weight in crowd.segments:
+        d = np.array([x1 - x0, y1 - y0])
+        t = np.clip((points - (x0, y0)) @ d / (d @ d), 0, 1)
+        gap = np.linalg.norm(points - (x0, y0) - t[..., None] * d, axis=-1)
+        weights = np.where(gap < radius, np.maximum(weights, weight), weights)
+    np.testing.assert_array_equal(crowd.covered(points), weights)
+    assert len(crowd._near(points[0])) < 100
+
+
+def test_long_names_are_shortened_in_pictures():
+    name = "manipulator_of_the_second_station_on_the_left_hand_side"
+    for dim in (2, 3):
+        m = Mechanism("long", dim=dim)
+        m.revolute(f"{name}_joint", m.ground, m.body("a"))
+        m.frame(f"{name}_tip", "a", at=(0.5, 0))
+        said = [t.get_text() for t in m.build().plot().texts]
+        assert {"manipulator_of_…_hand_side_joint", "manipulator_of_…ft_hand_side_tip"} <= set(said)
+    assert labels.shortened("$x_{0}$" * 9) == "$x_{0}$" * 9
+    assert labels.shortened("a.qw = 1, a.qx = 0, a.qy = 0, a.qz = 0, b.rx = 0") == (
+        "a.qw = 1, a.qx = 0, a.qy = 0, a.qz = 0,\nb.rx = 0"
+    )

@@ -9,8 +9,10 @@ from hunts import some
 import kempe
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.measure import judge
+from kempe.views.drawing.labels import fitting
 from kempe.views.viewer.motions import possible
 from kempe.views.viewer.overlays import Overlay, offered, rounds
+from kempe.views.viewer.rigid_parts import RigidParts
 from kempe.views.viewer.session import Session
 
 NAMES = (
@@ -243,3 +245,27 @@ def test_wrong_calls_are_refused_by_name():
         Session(arm).set("nix", 0.0)
     with pytest.raises(UnknownNameError):
         Session(arm).go("nix")
+
+
+# ---- systems that are hard to show
+
+
+def test_what_has_no_freedoms_is_shown_and_says_so():
+    """A body that is fixed to the ground is in the picture; overlays end with the reason."""
+    m = kempe.Mechanism("statue")
+    m.fixed("screws", m.ground, m.body("figure"), at=(0, 0, 1))
+    statue = m.build()
+    session = Session(statue)
+    assert np.allclose(RigidParts(statue, statue.neutral).middle[:2], 0.0, atol=0.1)
+    assert RigidParts(statue, statue.neutral).middle[2] > 0.4 and session.frame == "figure"
+    with pytest.raises(InputError, match="does not move"):
+        list(rounds(session, "singular configurations"))
+
+
+def test_only_what_closes_is_called_closed():
+    """Rolling is no equation of positions: nothing is said of a car, the error of loops is."""
+    assert "closed" not in Session(kempe.load("car")).said() and "closed to" in Session(kempe.load("four_bar")).said()
+
+
+def test_long_words_fit_the_panel():
+    assert fitting(f"{'a' * 40} is singular here") == f"{'a' * 15}…{'a' * 16} is singular here"

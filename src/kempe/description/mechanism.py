@@ -153,7 +153,7 @@ class Mechanism(ConstraintMethods):
             checks.bounds(subject, "velocity", velocity, names, where),
             checks.bounds(subject, "effort", effort, names, where),
             actuated if actuated is None else flag(actuated, f"actuated of {subject}"),
-            flag(cut, f"cut of {subject}"), where,
+            flag(cut, f"cut of {subject}"), where, dim=self.dim, of_particle=to.particle,
         )  # fmt: skip
         return self.joints[name]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NoReturn
@@ -10,11 +11,14 @@ import numpy as np
 
 from kempe.constraints.base import Constraint, Op, content, one_sided, position_rows, with_numbers
 from kempe.errors import Where
-from kempe.joints import JointType, P
+from kempe.joints import Helical, JointType, P, R, Translation
 from kempe.placement import Placement
 from kempe.spatial import Array
-from kempe.values import Value
-from kempe.words import verb
+from kempe.values import Expression, Value
+from kempe.words import joined, paragraphs, verb
+
+MOVES = {R: "turns about", P: "slides along"}
+"""What elementary motions do to an axis."""
 
 Limits = tuple[float, float]
 """Lower and upper bound of one velocity coordinate; an infinity where there is none."""
@@ -33,8 +37,20 @@ class ReadOnlyDict(dict[Any, Any]):
         return ReadOnlyDict, (dict(self),)
 
 
+class InSentence:
+    """Base of records: a notebook shows their `sentence`; `repr` has their fields."""
+
+    @property
+    def sentence(self) -> str:
+        """What the record says, as one sentence."""
+        raise NotImplementedError
+
+    def _repr_html_(self) -> str:
+        return paragraphs([self.sentence])
+
+
 @dataclass(frozen=True)
-class Body:
+class Body(InSentence):
     """A rigid body, or a particle: a body without orientation (3 degrees of freedom in space, 2 in the plane)."""
 
     name: str
@@ -44,18 +60,28 @@ class Body:
     visuals: tuple[str, ...] = ()
     where: Where | None = field(default=None, compare=False, repr=False)
 
+    @property
+    def sentence(self) -> str:
+        """The body in words: "forearm: a rigid body, 2 kg, centre of mass at (0.1, 0, 0) m"."""
+        kind = "a particle, a body without orientation" if self.particle else "a rigid body"
+        mass = "" if self.mass is None else f", {self.mass:.6g} kg"
+        at = "" if self.center is None else f", centre of mass at ({', '.join(f'{x:.6g}' for x in self.center)}) m"
+        meshes = f", drawn with {joined(self.visuals)}" if self.visuals else ""
+        return f"{self.name}: {kind}{mass}{at}{meshes}"
+
     def __str__(self) -> str:
         return self.name
 
 
 @dataclass(frozen=True)
-class Joint:
+class Joint(InSentence):
     """A joint of any type between any two bodies: its frame F sits at `X_PF` on the parent, M at `X_CM` on the child.
 
     `limits`, `velocity_limits` and `effort_limits` are by the joint's velocity coordinate names ('' where there is
     one). `actuated` says that a motor drives it (True), that it is passive (False), or nothing (None); `cut` asks
     that, in a loop, this joint be left out of the spanning tree, over which `fk` goes; no answer of solvers depends on
-    it. `unstated` marks limits that a file does not give, and that are zero by the rules of its format.
+    it. `unstated` marks limits that a file does not give, and that are zero by the rules of its format. `dim` is that
+    of its mechanism, and `of_particle` says that the child is a particle.
     """
 
     name: str
@@ -71,13 +97,27 @@ class Joint:
     cut: bool = False
     where: Where | None = field(default=None, compare=False, repr=False)
     unstated: bool = field(default=False, compare=False, repr=False)
+    dim: int = field(default=3, compare=False, repr=False)
+    of_particle: bool = field(default=False, compare=False, repr=False)
 
-    def forbids(self, dim: int = 3, particle: bool = False) -> str:
+    @property
+    def sentence(self) -> str:
+        """The joint in words: its type, the bodies, the axis, the limits, who drives it, and what it forbids."""
+        limits = "" if not self.type.dof(self.dim, self.of_particle) else f", {self._limits_said()}"
+        driven = {True: ", driven by a motor", False: ", passive", None: ""}[self.actuated]
+        return (
+            f"{self.name}: a {self.type.type_name} joint between {self.parent} and {self.child}{self._motion_said()}"
+            f"{limits}{driven}; {self.forbids()}"
+        )
+
+    def forbids(self, dim: int | None = None, particle: bool | None = None) -> str:
         """What the joint forbids in words: "B5 cannot slide along y or z, nor turn about x, y or z of B0: ...".
 
         Axes are those of the parent where the joint is aligned with them, else those of the joint's frame F. `dim` is
-        2 in a planar system; `particle` says that the child is a particle. `JointType.forbids` has the names alone.
+        2 in a planar system; `particle` says that the child is a particle; without them it is as in the joint's
+        mechanism. `JointType.forbids` has the names alone.
         """
+        dim, particle = self.dim if dim is None else dim, self.of_particle if particle is None else particle
         taken, whole = self.type.constraints(dim, particle), dim if particle else 3 * (dim - 1)
         names = [name for name in self.type.forbids(dim) if not (particle and name[0] == "r")]
         axes, of = self._axes(dim)
@@ -107,6 +147,45 @@ class Joint:
             return {name: name for name in "xyz"}, f"the frame of {self.name}"
         return {name: "xyz"[k] for name, k in zip("xyz", nearest.argmax(axis=0).tolist(), strict=True)}, self.parent
 
+    def _motion_said(self) -> str:
+        """About or along which axis it moves: ", turns about -z of ground"; of several axes what they do."""
+        kinds = [p.kind for p in self.type.layout(self.dim, self.of_particle)[1]]
+        axes = {p.axis for p in self.type.layout(self.dim, self.of_particle)[1]}
+        if not kinds:
+            return ""
+        if axes != {"z"} or not set(kinds) <= set(MOVES):
+            moves = self.type.summary
+            if isinstance(self.type, Translation):
+                moves = "slide along x and y" if self.dim == 2 else "slide along x, y and z"
+            ends = f" (F is its frame on {self.parent}, M on {self.child})" if "of F" in moves else ""
+            frame = "" if ends or "any" in moves.split() else f" of its frame on {self.parent}"
+            return f", which allows: {moves}{ends}{frame}"
+        if isinstance(self.type, Helical):
+            return f", screws along {self._axis_said()} by {self.type.pitch:.6g} m a rad"
+        return f", {' and '.join(MOVES[kind] for kind in kinds)} {self._axis_said()}"
+
+    def _axis_said(self) -> str:
+        """The axis z of frame F as the parent sees it: "-z of ground", "(0.6, 0.8, 0) of arm"."""
+        turns = Placement(tuple(step for step in self.X_PF.steps if step[0] not in ("x", "y", "z")))
+        if turns.names:
+            return f"z of its frame on {self.parent}"
+        z = turns.evaluate({})[:3, 2]
+        k = int(np.abs(z).argmax())
+        if abs(z[k]) > 1.0 - 1e-12:
+            return f"{'-' if z[k] < 0 else ''}{'xyz'[k]} of {self.parent}"
+        return f"({', '.join(f'{x + 0.0:.4g}' for x in z[: self.dim].round(12).tolist())}) of {self.parent}"
+
+    def _limits_said(self) -> str:
+        """The limits: "from -1 to 1 rad", by coordinate where there are several; "without limits"."""
+        names, primitives = self.type.layout(self.dim, self.of_particle)
+        turning = {names[p.coordinate] for p in reversed(primitives) if p.kind == R}
+        out: list[str] = []
+        for name, (low, high) in self.limits.items():
+            unit = "rad" if name in turning else "m"
+            ends = [f"{word} {x:.6g}" for word, x in (("from", low), ("to", high)) if math.isfinite(x)]
+            out += [f"{name} {' '.join(ends)} {unit}".lstrip()] if ends else []
+        return joined(out) if out else "without limits"
+
     def __str__(self) -> str:
         return self.name
 
@@ -115,7 +194,7 @@ class Joint:
 
 
 @dataclass(frozen=True)
-class Frame:
+class Frame(InSentence):
     """A named frame on a body."""
 
     name: str
@@ -123,12 +202,18 @@ class Frame:
     X_BF: Placement = Placement()
     where: Where | None = field(default=None, compare=False, repr=False)
 
+    @property
+    def sentence(self) -> str:
+        """The frame in words: "tip: a frame on hand, placed by x = l1, rz = 0.5"."""
+        at = f"placed by {self.X_BF}" if self.X_BF.steps else "in its origin"
+        return f"{self.name}: a frame on {self.body}, {at}"
+
     def __str__(self) -> str:
         return self.name
 
 
 @dataclass(frozen=True)
-class Declared:
+class Declared(InSentence):
     """A constraint that a mechanism always holds: its kind with its numbers, `of`, and where its ends are.
 
     Frame A sits at `X_PF` on the body `parent`, frame B at `X_CM` on the body `child`; a constraint on coordinates has
@@ -142,6 +227,11 @@ class Declared:
     X_PF: Placement = Placement()
     X_CM: Placement = Placement()
     where: Where | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def sentence(self) -> str:
+        """The constraint in words."""
+        return f"{self.name}: {self.of.sentence}"
 
     @property
     def kind(self) -> str:
@@ -201,13 +291,24 @@ class Declared:
 
 
 @dataclass(frozen=True)
-class Coupling:
+class Coupling(InSentence):
     """A linear relation of joint coordinates: coordinate `of` = sum of multiplier * source + `offset`."""
 
     of: str
     sources: dict[str, Value]
     offset: Value = 0.0
     where: Where | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def sentence(self) -> str:
+        """The relation as an equation: "q2 = 2 q1 - 0.1"."""
+        out: list[str] = []
+        for name, x in [*self.sources.items(), ("", self.offset)]:
+            size = f"({x.text})" if isinstance(x, Expression) else "" if name and abs(x) == 1 else f"{abs(x):.6g}"
+            if name or x != 0:
+                minus = not isinstance(x, Expression) and x < 0
+                out += [("- " if minus else "+ ") * bool(out) + "-" * (minus and not out) + f"{size} {name}".strip()]
+        return f"{self.of} = {' '.join(out) or '0'}"
 
     def __hash__(self) -> int:
         return hash(self.of)

@@ -83,7 +83,7 @@ def _expand(m: Mechanism, joint: Joint, parts: list[_SingleJoint]) -> None:
         m.joints[name] = Joint(
             name, Revolute() if motion.kind == R else Prismatic(), here, there, X @ axis,
             (joint.X_CM if last else Placement()) @ axis, *own, actuated=None if follows else joint.actuated,
-            cut=joint.cut and last, where=joint.where,
+            cut=joint.cut and last, where=joint.where, dim=joint.dim, of_particle=joint.of_particle and last,
         )  # fmt: skip
         here, X = there, Placement()
 

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 MOST_LINES, MOST_DRAWN = 40, 60
 """Lines of a tree that a notebook shows, and bodies up to which it shows a picture."""
+INCHES, BELOW = 0.8, 0.58
+"""Inches of one unit of a drawn tree, and the part of a line at which its joint is named: there siblings are apart."""
 
 
 # ---- the tree
@@ -85,16 +87,19 @@ def plot_tree(system: System, ax: Axes | None = None) -> Axes:
     factors.
     """
     from kempe.views.drawing import page, style
+    from kempe.views.drawing.labels import shortened
 
-    at, names, joints = 1.4 * _places(system), system.body_names, system.structure.joints
+    names, joints = system.body_names, system.structure.joints
+    at = _places(system) * (_apart(system), 1.4)
     span = np.ptp(at, axis=0)
     if ax is None:
-        ax = page.new_figure(*np.clip(0.8 * span + (1.6, 1.4), (3.2, 2.4), (16.0, 14.0))).add_axes((0, 0, 1, 1))
+        wide = INCHES * (max(1.0, _beyond(system)) + max(1.0, 0.5 * _widest(system) + 0.1))
+        ax = page.new_figure(*np.clip(INCHES * span + (wide, 1.4), (3.2, 2.4), (16.0, 14.0))).add_axes((0, 0, 1, 1))
     ax = page.axes_given(ax)[0]
     for body, parent in enumerate(system.parent, 1):
         joint = joints[system.structure.parent_joints[body - 1]]
         ax.plot(*at[[parent, body]].T, color=style.INK, lw=1.3, zorder=style.BARS, gid=f"edge:{joint.name}")
-        _edge_text(ax, joint, at[parent], at[body], style.INK)
+        _edge_text(ax, joint, at[parent], at[body], style.INK, BELOW)
     number, lowest = {name: k for k, name in enumerate(names)}, float(at[:, 1].min())
     for name in system.structure.closures:
         joint = joints[name]
@@ -106,26 +111,65 @@ def plot_tree(system: System, ax: Axes | None = None) -> Axes:
         ax.plot(*line.T, color=style.OPEN, lw=1.3, ls=(0, (4, 3)), zorder=style.RAILS, gid=f"cut:{name}")
         _edge_text(ax, joint, line[20], line[20], style.OPEN)
     for k, (p, name) in enumerate(zip(at, names, strict=True)):
-        short = name if len(name) <= 3 else str(k)
+        short = name if len(name) <= 3 and name.endswith(str(k)) else str(k)
         colour = style.mix(style.link_colour(k), style.PAPER, 0.55)
         ax.plot(*p, "o", ms=25, mfc=colour, mec=style.INK, mew=1.2, zorder=style.PINS, gid=f"body:{name}")
         ax.text(p[0], p[1], short, ha="center", va="center", size=style.FONT, zorder=style.TEXT, gid=f"label:{name}")
         if short != name:
-            ax.text(p[0] + 0.34, p[1], name, va="center", size=style.FONT - 1.5, zorder=style.TEXT, color=style.GROUND)
-    ax.set_xlim(at[:, 0].min() - 1.0, at[:, 0].max() + 1.6)
+            ax.text(
+                p[0] + 0.34,
+                p[1],
+                shortened(name),
+                va="center",
+                size=style.FONT - 1.5,
+                zorder=style.TEXT,
+                color=style.GROUND,
+            )
+    ax.set_xlim(at[:, 0].min() - max(1.0, 0.5 * _widest(system) + 0.1), at[:, 0].max() + max(1.0, _beyond(system)))
     ax.set_ylim(lowest - 1.2, at[:, 1].max() + 0.6)
     ax.text(at[:, 0].min() - 0.7, lowest - 0.9, connectivity(system), size=style.FONT, gid="connectivity")
     ax.set_axis_off()
     return ax
 
 
-def _edge_text(ax: Axes, joint: Any, a: np.ndarray, b: np.ndarray, colour: str) -> None:
-    """Write the name and the letter of a joint at the middle of its line."""
+def _edge_said(joint: Any) -> str:
+    """The name and the letter of a joint."""
+    from kempe.views.drawing.labels import shortened
+
+    return f"{shortened(joint.name)}  {joint.type.letter}".rstrip()
+
+
+def _beyond(system: System) -> float:
+    """The room of the widest name of a body from the middle of its circle on, in the units of the tree."""
+    from kempe.views.drawing import style
+    from kempe.views.drawing.labels import extent, shortened
+
+    widest = max(extent(shortened(name), style.FONT - 1.5)[0] for name in system.body_names)
+    return 0.34 + widest / 72.0 / INCHES + 0.1
+
+
+def _apart(system: System) -> float:
+    """How far leaves are from one another: no name of a body or joint reaches the next one, where there is room."""
+    if len(system.parent) < 2 or max(map(len, children(system))) < 2:
+        return 1.4
+    return float(np.clip(max(_beyond(system) + 0.36, (_widest(system) + 0.15) / BELOW), 1.4, 4.0))
+
+
+def _widest(system: System) -> float:
+    """The width of the widest name of a joint, in the units of the tree."""
+    from kempe.views.drawing import style
+    from kempe.views.drawing.labels import extent
+
+    said = [_edge_said(system.structure.joints[name]) for name in system.structure.parent_joints]
+    return max((extent(text, style.FONT - 1)[0] for text in said), default=0.0) / 72.0 / INCHES
+
+
+def _edge_text(ax: Axes, joint: Any, a: np.ndarray, b: np.ndarray, colour: str, part: float = 0.5) -> None:
+    """Write the name and the letter of a joint on its line, at some part of the way."""
     from kempe.views.drawing import style
 
-    text = f"{joint.name}  {joint.type.letter}".rstrip()
-    middle = 0.5 * (a + b)
-    ax.text(middle[0], middle[1], text, ha="center", va="center", size=style.FONT - 1, color=colour, zorder=style.TEXT,
+    x, y = a + part * (b - a)
+    ax.text(x, y, _edge_said(joint), ha="center", va="center", size=style.FONT - 1, color=colour, zorder=style.TEXT,
             bbox={"fc": style.PAPER, "ec": "none", "pad": 1.0}, gid=f"label:{joint.name}")  # fmt: skip
 
 

@@ -135,6 +135,15 @@ def test_a_capability_map_with_rolls_counts_solutions():
         assert found.solutions[i, j, k] == pytest.approx(np.mean(counts))
 
 
+def test_a_capability_map_says_that_a_chain_cannot_choose_a_direction():
+    """A SCARA reaches cells, but none in the directions of a sphere, as its tool does not tilt."""
+    scara = kempe.load("cobra600")
+    found = scara.reach.capability("tool", [[0.1, 0.1, 0.1], [0.4, 0.4, 0.3]], 3, 4)
+    assert found.status.endswith("in all 4 directions: a position with a direction needs 5 freedoms, tool has 4")
+    puma = kempe.load("puma560").reach.capability("tool", [[3, 3, 3], [4, 4, 4]], 2, 4)
+    assert puma.status.endswith("in all 4 directions")
+
+
 def test_a_planar_capability_map_is_inside_the_exact_workspace():
     """Of the arm of three turns: a cell is reached in all directions if the wrist gets to a circle about it."""
     m = kempe.Mechanism("three", dim=2)

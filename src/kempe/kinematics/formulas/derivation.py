@@ -59,10 +59,11 @@ class Derivation:
         return np.stack(columns, axis=-1).astype(float)
 
     def latex(self) -> str:
-        """The formulas in LaTeX, one line each, with plus and minus in the place of signs."""
+        """The formulas in LaTeX, one line each, with plus and minus in the place of signs; numbers have six digits."""
         names = {s: r"\pm" + (f"_{{{k}}}" if len(self.signs) > 1 else "") for k, s in enumerate(self.signs, 1)}
         lines = (
-            f"{sympy.latex(step.symbol)} &= {sympy.latex(step.formula, symbol_names=names)}" for step in self.steps
+            f"{sympy.latex(step.symbol)} &= {sympy.latex(_readable(step.formula), symbol_names=names)}"
+            for step in self.steps
         )
         return aligned(line.replace(r"- \pm", r"\mp") for line in lines)
 
@@ -90,11 +91,16 @@ class Derivation:
 
     def __str__(self) -> str:
         return "\n".join(
-            f"{step.symbol} = {step.formula}"
+            f"{step.symbol} = {_readable(step.formula)}"
             + f": {step.says}" * bool(step.says)
             + (f", if {step.condition}" if step.condition else "")
             for step in self.steps
         )
+
+
+def _readable(formula: Any) -> Any:
+    """A formula with six digits of each number, as it is printed."""
+    return formula.xreplace({x: sympy.Float(f"{float(x):.6g}") for x in formula.atoms(sympy.Float)})
 
 
 def _variable(name: str, taken: set[str]) -> str:

@@ -77,16 +77,18 @@ class Names(NamedTuple):
         return cls(*(sympy.Symbol(f"{name}{end}") for name in cls._fields))
 
 
-def two_circles(n: Names, to: Vector, l1: Any, l2: Any, says: str) -> tuple[list[FormulaStep], Any, Any]:
+def two_circles(
+    n: Names, to: Vector, l1: Any, l2: Any, says: str, sense: int = 1
+) -> tuple[list[FormulaStep], Any, Any]:  # fmt: skip
     """Two bars of lengths l1, l2 that end at `to`: steps, the angle of the first, and that from it to the second.
 
-    Where `sign` is +1 the second is turned to the left against the first.
+    Where `sign` times `sense` is +1 the second is turned to the left against the first.
     """
     x, y = to
     steps = [
         FormulaStep(n.r2, x**2 + y**2, "both parts of the position squared and summed"),
         FormulaStep(n.c2, (n.r2 - l1**2 - l2**2) / (2 * l1 * l2), "the law of cosines", unless_zero(l1, l2)),
-        FormulaStep(n.s2, n.sign * sympy.sqrt(1 - n.c2**2), says, f"-1 <= {n.c2} <= 1"),
+        FormulaStep(n.s2, sense * n.sign * sympy.sqrt(1 - n.c2**2), says, f"-1 <= {n.c2} <= 1"),
         FormulaStep(n.alpha, sympy.atan2(y, x), "angle to the target", f"{n.r2} != 0"),
         FormulaStep(n.beta, sympy.atan2(l2 * n.s2, l1 + l2 * n.c2), "angle from the first link to the target"),
     ]
@@ -125,7 +127,9 @@ def turning_slide(n: Names, to: Vector, across: Any) -> tuple[list[FormulaStep],
 
 
 def two_lines(n: Names, to: Vector, one: Vector, two: Vector) -> tuple[list[FormulaStep], Any, Any]:
-    """Two slides along directions that add up to `to`: steps, and both slides."""
+    """Two slides along directions that add up to `to`: steps, none for slides at right angles, and both slides."""
     area = sympy.simplify(cross(one, two))
+    if area in (1, -1):
+        return [], area * cross(to, two), area * cross(one, to)
     steps = [FormulaStep(n.c2, area, "sine of the angle between the slides", unless_zero(area, named=n.c2))]
     return steps, cross(to, two) / n.c2, cross(one, to) / n.c2

@@ -15,6 +15,32 @@ RINGS = (1.0, 1.6, 2.4, 3.5)
 """Distances from the point that are tried, in clearances."""
 
 
+MOST, WIDEST = 32, 44
+"""Letters of one name in a picture, and of one line of several."""
+
+
+def shortened(text: str) -> str:
+    """A text as a picture has room for it: names that are too long keep both ends, several have lines."""
+    if "$" in text or len(text) <= MOST:
+        return text
+    lines: list[str] = []
+    for given in text.split("\n"):
+        names = [x if len(x) <= MOST else f"{x[: MOST // 2 - 1]}…{x[-MOST // 2 :]}" for x in given.split(", ")]
+        lines.append(names[0])
+        for name in names[1:]:
+            if len(lines[-1]) + len(name) + 2 <= WIDEST or not name:
+                lines[-1] += f", {name}"
+            else:
+                lines[-1] += ","
+                lines.append(name)
+    return "\n".join(lines)
+
+
+def fitting(sentence: str) -> str:
+    """A sentence for a narrow panel: words that are too long keep both ends."""
+    return " ".join(shortened(word) for word in sentence.split(" "))
+
+
 @lru_cache(maxsize=4096)
 def extent(text: str, points: float, bold: bool = False) -> tuple[float, float]:
     """Width and height of a text in points (1/72 inch) at a font size, the same for all texts of one line."""
@@ -34,6 +60,8 @@ class Obstacles:
     boxes: list[tuple[float, float, float, float]] = field(default_factory=list[tuple[float, float, float, float]])
     bounds: tuple[Array, Array] | None = None
     """Lower left and upper right corner (2,) of the sheet, which labels should not leave."""
+    _packed: Array = field(default_factory=lambda: np.zeros((0, 6)), repr=False)
+    """The segments as an array, as many as there were when it was made."""
 
     def segment(self, a: Array, b: Array, radius: float, weight: float = 1.0) -> None:
         """Keep free of a capsule from a (2,) to b (2,)."""
@@ -48,15 +76,27 @@ class Obstacles:
 
     def covered(self, points: Array) -> Array:
         """For points (..., 2), the weight (...) of the heaviest segment that covers each."""
-        if not self.segments:
+        if points.ndim > 2:  # one group after the other: each has few segments near it
+            return np.array([self.covered(group) for group in points]).reshape(points.shape[:-1])
+        s = self._near(points.reshape(-1, 2))
+        if not len(s):
             return np.zeros(points.shape[:-1])
-        s = np.array(self.segments)
         a, d = s[:, 0:2], s[:, 2:4] - s[:, 0:2]
         length2 = np.maximum((d * d).sum(axis=1), 1e-300)
         rel = points[..., None, :] - a
         t = np.clip((rel * d).sum(axis=-1) / length2, 0.0, 1.0)
         gap = np.linalg.norm(rel - t[..., None] * d, axis=-1)
         return (np.where(gap < s[:, 4], s[:, 5], 0.0)).max(axis=-1)
+
+    def _near(self, points: Array) -> Array:
+        """The segments (k, 6) that can cover one of the points (n, 2), by the boxes around both."""
+        if len(self._packed) != len(self.segments):
+            self._packed = np.array(self.segments)
+        s = self._packed
+        if not len(s) or not len(points):
+            return s[:0]
+        low, high = np.minimum(s[:, 0:2], s[:, 2:4]) - s[:, 4:5], np.maximum(s[:, 0:2], s[:, 2:4]) + s[:, 4:5]
+        return s[((low <= points.max(axis=0)) & (high >= points.min(axis=0))).all(axis=1)]
 
     def place(self, p: Array, size: tuple[float, float], clearance: float, outward: Array) -> Array:
         """Centre (2,) for a box of a size (width, height) near p (2,), which is then an obstacle itself.

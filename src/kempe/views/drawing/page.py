@@ -106,7 +106,7 @@ def finish(sheet: Sheet, lower: Array, upper: Array, with_axes: bool) -> None:
     middle = 0.5 * (lower + upper)
     sheet.obstacles.bounds = lower, upper
     for text, p, clearance, look in sheet.labels:
-        size = look.get("size", FONT)
+        size, text = look.get("size", FONT), labels.shortened(text)
         width, height = labels.extent(text, size, "weight" in look)
         outward = (p - middle) / max(float(np.linalg.norm(upper - lower)), 1e-300)
         box = (width * metres_a_point, height * metres_a_point)

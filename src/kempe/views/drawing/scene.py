@@ -15,6 +15,7 @@ from kempe.kinematics.forward import fk
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
+    from kempe.description.mechanism import Mechanism
     from kempe.model.system import System
 
 
@@ -192,9 +193,24 @@ def look(system: System, q: Array, drivers: tuple[str, ...] = ()) -> Scene:
         bodies = {b: poses[b] for b in system.body_names if number[b] == k}
         frames = {f.name: poses[f.body] @ f.X_BF.evaluate(mechanism.parameters)
                   for f in mechanism.frames.values() if f.body in bodies}  # fmt: skip
+        if len(mine.get(k, ())) == bool(k or joints) and not frames:
+            frames = _end(mechanism, bodies)
         particle = all(mechanism.bodies[b].particle for b in bodies)
         links.append(SeenLink(k, next(iter(bodies)), bodies, frames, tuple(mine.get(k, ())), particle))
     return Scene(system, q, tuple(links), tuple(joints), *_constraints(system, poses, number))
+
+
+def _end(mechanism: Mechanism, bodies: dict[str, Array]) -> dict[str, Array]:
+    """The body at the end of a link of several bodies, as a frame: such as the tool of a file without frames.
+
+    Of several, such as cameras of a head, the one farthest from the body that the others are fixed to.
+    """
+    fixed = [j for j in mechanism.joints.values() if j.parent in bodies and j.child in bodies]
+    inner, outer = {j.parent for j in fixed}, {j.child for j in fixed}
+    ends = [name for name in bodies if name in outer and name not in inner]
+    head = next(iter(bodies.values()))[:3, 3]
+    far = max(ends, key=lambda name: float(np.linalg.norm(bodies[name][:3, 3] - head)), default=None)
+    return {} if far is None else {far: bodies[far]}
 
 
 def links_of(system: System) -> dict[str, int]:

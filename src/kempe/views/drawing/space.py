@@ -13,7 +13,7 @@ import numpy as np
 from kempe.errors import InputError
 from kempe.spatial import Array
 from kempe.views.drawing import measured, page, style, symbols
-from kempe.views.drawing.labels import Obstacles, extent
+from kempe.views.drawing.labels import Obstacles, extent, shortened
 from kempe.views.drawing.scene import Scene
 from kempe.views.drawing.solids import Solids
 from kempe.views.drawing.style import FAINT, FONT, INK
@@ -262,12 +262,13 @@ def _labels(
     halo = [withStroke(linewidth=2.2, foreground=style.PAPER)]
     for p, names, look in groups:
         text = ", ".join(names)
-        width, height = (metres_a_point * x for x in extent(text, look["size"], "weight" in look))
+        said = shortened(text)
+        width, height = (metres_a_point * x for x in extent(said, look["size"], "weight" in look))
         c = eye[:2] @ p
         outward = eye[:2] @ (p - middle) / scene.size
         place = obstacles.place(c, (width, height), 2.1 * radius, outward)
         where = p + eye[:2].T @ (place - c)
-        ax.text(*where, text, ha="center", va="center", zorder=style.TEXT, path_effects=halo,
+        ax.text(*where, said, ha="center", va="center", zorder=style.TEXT, path_effects=halo,
                 **{"gid": f"label:{text}", **look})  # fmt: skip
 
 

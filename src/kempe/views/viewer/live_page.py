@@ -14,6 +14,7 @@ from kempe import spatial
 from kempe.errors import KempeError
 from kempe.kinematics.configuration import has_loops
 from kempe.views.drawing import style
+from kempe.views.drawing.labels import fitting, shortened
 from kempe.views.drawing.solids import rgb
 from kempe.views.viewer.beside import Action, Beside
 from kempe.views.viewer.overlays import Overlay, offered, rounds
@@ -125,7 +126,7 @@ class Page:
             if self.dragging != "gizmo":
                 self.gizmo.wxyz, self.gizmo.position = poses_as(session.pose)
             self._miss()
-            said = session.said()
+            said = fitting(session.said())
             if self.said.content != said:
                 self.said.content = said
 
@@ -207,7 +208,7 @@ class Page:
         self.sliders = {}
         with self.folder:
             for s in wanted:
-                handle = gui.add_slider(f"{s.name} [{s.unit}]", s.low, s.high, _step(s), s.value)
+                handle = gui.add_slider(f"{shortened(s.name)} [{s.unit}]", s.low, s.high, _step(s), s.value)
                 self.sliders[s.name] = handle
                 handle.on_update(self.by_hand(s.name, lambda n=s.name, h=handle: session.set(n, float(h.value))))
 

@@ -78,6 +78,7 @@ class Session:
         self.solutions, self.kind, self.took = np.empty((0, system.nq)), "solution", 0.0
         self.progress: Callable[..., None] | None = None
         self._bare = not (has_loops(system) or system.mechanism.constraints)
+        self._closes = not self._bare and bool(evaluate(system, system.neutral, False, True)[0].size)
         self._units, self.rng = units(system), np.random.default_rng(0)
         if q is not None and has_loops(system) and not judge(system, self.q):
             self._take(system.assemble(start=self.q), "closed from the q given")
@@ -386,9 +387,8 @@ class Session:
 
     def said(self) -> str:
         """The live sentences: residual, singularity, and what the last thing done led to; Markdown."""
-        lines = [f"closed to {self.residual():.1e}" if not self._bare else "", self.singular(),
-                 self.status]  # fmt: skip
-        return "\n\n".join(line for line in lines if line)
+        closed = f"closed to {self.residual():.1e}" if self._closes else ""
+        return "\n\n".join(line for line in (closed, self.singular(), self.status) if line)
 
 
 def _by_use(system: System) -> tuple[str, ...]:
@@ -397,4 +397,4 @@ def _by_use(system: System) -> tuple[str, ...]:
     own = [(number[f.body] > 0, True, name) for name, f in system.structure.frames.items()]
     bodies = [(number[name] > 0, False, name) for name in system.body_names[1:]]
     order = sorted([*reversed(own), *reversed(bodies)], key=lambda x: (not x[0], not x[1]))
-    return tuple(name for *_, name in order) or system.frame_names
+    return tuple(x[2] for x in order) or system.frame_names

@@ -76,7 +76,19 @@ class CapabilityMap(Report):
             counted(len(self.directions), "direction"),
         )
         tail = partial(self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME)
-        return f"{self.system.name}, {self.frame}: {some} of {cells} reached, {whole} in all {directions}{tail}"
+        why = "" if some else self._short_of()
+        return f"{self.system.name}, {self.frame}: {some} of {cells} reached, {whole} in all {directions}{why}{tail}"
+
+    def _short_of(self) -> str:
+        """Of a chain with too few freedoms for a position with a direction, that it cannot choose both."""
+        system, dim = self.system, self.system.dim
+        if system.structure.closures:
+            return ""
+        needed = 3 if dim == 2 else 5 if self.rolls is None else 6
+        J = system.jacobian(system.random(0, 4), self.frame)
+        has = int(np.linalg.matrix_rank(J).max(initial=0)) if system.nv else 0
+        target = "a position with a direction" if self.rolls is None else "a pose"
+        return f": {target} needs {counted(needed, 'freedom')}, {self.frame} has {has}" if has < needed else ""
 
     def plot(self, ax: Axes | None = None, height: float | None = None) -> Axes:
         """Matplotlib axes with the fraction over x and y, at the layer of cells nearest to a height (the middle)."""

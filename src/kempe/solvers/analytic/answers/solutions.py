@@ -198,9 +198,9 @@ class Solutions(ConfigurationList, Answer):
         """Name of the branch of each, (k,) or (..., K): "elbow-up", or "shoulder left, elbow up, no flip".
 
         A name depends on the configuration alone, and says "singular" on the border of two branches. It is "" where
-        there is none: for other chains than planar arms, SCARAs and those of six turns, the second and third about
+        there is none: for other chains than planar arms, SCARAs, those of six turns, the second and third about
         parallel axes, with a wrist of three axes that meet in a point, or with a fourth axis parallel to the second
-        and axes 5 and 6 that meet.
+        and axes 5 and 6 that meet, Stanford arms, and seven turns with a spherical shoulder and wrist ("elbow +").
         """
         lines, out = self.plan.lines, np.full(self._used.shape, "", dtype=object)
         if self._kind is not None and self._used.any():

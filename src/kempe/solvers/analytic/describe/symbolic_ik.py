@@ -1,4 +1,4 @@
-"""The inverse model of a planar arm as formulas, in the steps in which it is derived on paper."""
+"""The inverse model of a planar arm or a SCARA as formulas, in the steps in which it is derived on paper."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from kempe.kinematics.formulas.plane_steps import (
     two_lines,
 )
 from kempe.kinematics.formulas.symbolic import SymbolLeaves
-from kempe.kinematics.formulas.symbolic_dh import joint_lines
+from kempe.kinematics.formulas.symbolic_dh import JointLine, joint_lines
 from kempe.kinematics.formulas.symbolic_turns import sympy
 from kempe.reals import is_whole
 from kempe.spatial import Array
@@ -36,28 +36,30 @@ if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
 
 TASKS = {2: "position", 3: "pose"}
-"""What a planar chain of so many joints can reach."""
-OWN = ("p_x", "p_y", "phi", "w_x", "w_y")
+"""What a chain of so many joints that move in the plane can reach."""
+OWN = ("p_x", "p_y", "p_z", "phi", "w_x", "w_y")
 """Names of the target, and of the place of the last joint."""
+PLACES = ("first", "second", "third", "fourth")
 ELBOW = "-1 is elbow up, +1 elbow down"
 
 
 @dataclass(frozen=True, eq=False)
 class InverseFormulas(Derivation):
-    """Formulas of the solutions; the symbol `sign` is -1 for elbow up and +1 for elbow down.
+    """Formulas of the solutions; the symbol `sign` is -1 for elbow up and +1 for elbow down, as `ik_all` names them.
 
     Of an arm with a slide it is +1 where that is farther than where both solutions meet; two slides have one solution.
     """
 
     @property
     def target(self) -> tuple[Any, ...]:
-        """Symbols of the wanted position, p_x and p_y, and of a pose the angle phi."""
+        """Symbols of the wanted position, p_x and p_y, with a slide along z p_z, and of a pose the angle phi."""
         return self.given
 
     def __call__(self, p: ArrayLike, sign: int = 1) -> Array:
         """The coordinates (..., n), radians and metres, for positions (..., 2) or x, y and angle (..., 3).
 
-        They are nan where the target is out of reach.
+        Where a joint slides along z the height comes after x and y: (..., 3) or x, y, z and angle (..., 4). The angle
+        is that of the frame's x axis. They are nan where the target is out of reach.
         """
         at = numbers(p, "p", len(self.given))
         if not is_whole(sign) or sign not in (-1, 1):
@@ -72,7 +74,8 @@ def symbolic_ik(
 ) -> InverseFormulas:  # fmt: skip
     """Formulas of the inverse model of a planar arm: two joints to a "position", three to a "pose" x, y, angle.
 
-    Joints turn about z or -z of the ground, or slide across it. Of two turns, the position is squared and summed, which
+    Joints turn about z or -z of the ground, or slide across it. One more may slide along it, at any place, as of a
+    SCARA, which then reaches a height, too. Of two turns, the position is squared and summed, which
     leaves the second angle; its sine has two signs, the two elbows; the first is the difference of two angles
     (Siciliano, Sciavicco, Villani, Oriolo 2009, section 2.12.1); slides make lines of circles. A pose fixes where the
     last joint is, from which on it is the same. Limits are not regarded. `ik_all` gives the solutions of other
@@ -90,36 +93,36 @@ def symbolic_ik(
         raise UnsupportedError(f"formulas for {name!r} need an open chain; ik_all gives numbers")
     leaves = SymbolLeaves(system, symbols or {}, snap)
     joints, tip = joint_lines(system, name, leaves, f"formulas for {name!r} need two or three joints that move it")
-    what = task or TASKS.get(len(joints), "position")
-    planar = all(bool(j.along[0] == 0 == j.along[1]) if j.turns else bool(j.along[2] == 0) for j in joints)
-    if TASKS.get(len(joints)) != what or not planar or tuple(tip[2, :3]) != (0, 0, 1) and what == "pose":
+    arm, lifts = [j for j in joints if not _lifts(j)], [j for j in joints if _lifts(j)]
+    what = task or TASKS.get(len(arm), "position")
+    planar = all(bool(j.along[0] == 0 == j.along[1]) if j.turns else bool(j.along[2] == 0) for j in arm)
+    upright = tip[2, 0] == 0 == tip[2, 1]
+    if TASKS.get(len(arm)) != what or not planar or len(lifts) > 1 or (what == "pose" and not upright):
         raise UnsupportedError(
             f"formulas for {name!r} need two joints to a position, or three to a pose, that turn about z of the ground "
-            "or slide across it; ik_all gives numbers"
+            "or slide across it, and at most one that slides along it; ik_all gives numbers"
         )
     taken: set[Any] = {sympy.Symbol(j.name) for j in joints} | set(tip.free_symbols)
     taken = taken.union(*(j.point.free_symbols for j in joints))
     words = (*Names._fields, *OWN)
     end = next(e for e in endings() if not any(sympy.Symbol(f"{word}{e}") in taken for word in words))
-    own: list[Any] = [sympy.Symbol(f"{word}{end}") for word in OWN]
-    n, inputs, last = Names.ending(end), own[: len(joints)], own[3:]
-    arm = [_PlaneJoint.of(j) for j in joints]
-    reached: Vector = (tip[0, 3], tip[1, 3])
-    steps, angle = list[FormulaStep](), None
-    target: Vector = (inputs[0], inputs[1])
-    if what == "pose":
-        angle = inputs[2] - sympy.atan2(tip[1, 0], tip[0, 0])
-        if arm[-1].turns:  # the place of the last joint
-            to = minus(target, turned(minus(reached, arm[-1].at), angle))
-            steps += [FormulaStep(s, x, "the target, less the last link") for s, x in zip(last, to, strict=True)]
-            target, reached = (steps[0].symbol, steps[1].symbol), arm[-1].at
-    more, found = _solved(n, arm, target, reached, angle)
-    steps += more
-    order = ("first", "second", "third")
-    for j, x, place in zip(arm, found, order, strict=False):
-        steps.append(FormulaStep(sympy.Symbol(j.name), x, f"the {place} coordinate"))
+    x, y, z, phi, *last = (sympy.Symbol(f"{word}{end}") for word in OWN)
+    inputs: list[Any] = [x, y, *([z] if lifts else []), *([phi] if what == "pose" else [])]
+    n, angle = Names.ending(end), phi - sympy.atan2(tip[1, 0], tip[0, 0]) if what == "pose" else None
+    flat = [_PlaneJoint.of(j) for j in arm]
+    steps, coordinates = _in_plane(n, flat, (x, y), (tip[0, 3], tip[1, 3]), angle, last)
+    found: dict[str, Any] = {j.name: x for j, x in zip(flat, coordinates, strict=True)}
+    found |= {j.coordinate: j.along[2] * (z - tip[2, 3]) for j in lifts}  # no other joint changes the height
+    for j, place in zip(joints, PLACES, strict=False):
+        says = f"the {place} coordinate" + ", from the height" * _lifts(j)
+        steps.append(FormulaStep(sympy.Symbol(j.coordinate), found[j.coordinate], says))
     signs = (n.sign,) if any(s.formula.has(n.sign) for s in steps) else ()
-    return InverseFormulas(system, tuple(steps), tuple(inputs), signs, tuple(j.name for j in arm))
+    return InverseFormulas(system, tuple(steps), tuple(inputs), signs, tuple(j.coordinate for j in joints))
+
+
+def _lifts(joint: JointLine) -> bool:
+    """Whether a joint slides along z of the ground."""
+    return not joint.turns and bool(joint.along[0] == 0 == joint.along[1])
 
 
 class _PlaneJoint(NamedTuple):
@@ -139,6 +142,21 @@ class _PlaneJoint(NamedTuple):
                    (joint.along[0], joint.along[1]))  # fmt: skip
 
 
+def _in_plane(
+    n: Names, arm: list[_PlaneJoint], to: Vector, end: Vector, angle: Any, names: list[Any]
+) -> tuple[list[FormulaStep], list[Any]]:
+    """Steps and coordinates as `_solved`; of a pose from the place of a last joint that turns, called `names`."""
+    steps = list[FormulaStep]()
+    if angle is not None and arm[-1].turns:
+        place = minus(to, turned(minus(end, arm[-1].at), angle))
+        if place != to:
+            steps = [FormulaStep(s, x, "the target, less the last link") for s, x in zip(names, place, strict=True)]
+            to = (steps[0].symbol, steps[1].symbol)
+        end = arm[-1].at
+    more, found = _solved(n, arm, to, end, angle)
+    return steps + more, found
+
+
 def _solved(
     n: Names, arm: list[_PlaneJoint], to: Vector, end: Vector, angle: Any
 ) -> tuple[list[FormulaStep], list[Any]]:
@@ -149,7 +167,7 @@ def _solved(
         raise UnsupportedError("two turns are about one axis, which leaves a joint to spare; ik_all gives families")
     if kinds in ("RR", "RRR"):
         (l1, at1), (l2, at2) = polar(minus(two.at, one.at)), polar(minus(end, two.at))
-        steps, first, bend = two_circles(n, minus(to, one.at), l1, l2, ELBOW)
+        steps, first, bend = two_circles(n, minus(to, one.at), l1, l2, ELBOW, one.sense)
         turns = [first - at1, bend - (at2 - at1)]
         return steps, _turns(arm, turns, angle)
     if kinds in ("RP", "RPR"):
