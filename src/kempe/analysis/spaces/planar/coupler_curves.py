@@ -34,6 +34,8 @@ CHUNK = 4096
 """Points whose distances are found at a time."""
 MARGIN = 0.2
 """By which part of its length a chord's box is widened, so that the curve is inside."""
+CONVERGED = 1e-13
+"""Step of a parameter below which a nearest point is found."""
 GROUP = 16
 """Successive chords whose boxes are compared as one."""
 AT_END, FLAT_ANGLE = 1e-3, 1e-2
@@ -279,8 +281,10 @@ class CouplerCurve(PlaneCurve):
             v = self.velocity(x)
             foot = x + np.real(np.conj(v) * (p - self.at(x))) / np.maximum(np.abs(v) ** 2, 1e-300)
             foot = np.clip(foot, 0.0, 1.0)
-            off = np.abs(p - self.at(foot))
+            off, still = np.abs(p - self.at(foot)), np.abs(foot - x).max(initial=0.0)
             x, least = np.where(off <= least, foot, x), np.minimum(off, least)
+            if still < CONVERGED:
+                break
         return x, least
 
     def distance(self, p: np.ndarray) -> np.ndarray:
@@ -333,6 +337,8 @@ class CouplerCurve(PlaneCurve):
         Where one touches the other with its end, rounding finds meetings beside that: they are left out.
         """
         near = TOUCHING * (self.length + other.length)
+        if self._passes(other):
+            return np.zeros(0)
         if isinstance(other, PlanePiece):
             t = self.roots(lambda x: other.off(self.at(x)), near)
             t = t[other.parameters(self.at(t), slack)[1]]
@@ -348,6 +354,15 @@ class CouplerCurve(PlaneCurve):
         across = np.abs(np.imag(np.conj(self.directions(p)) * other.directions(p)))
         beside = (np.abs(t[:, None] - ends) < AT_END).any(axis=1) & (across < FLAT_ANGLE)
         return np.append(t[~beside], ends)
+
+    def _passes(self, other: PlaneCurve) -> bool:
+        """Whether it is seen at once that it does not come near another curve."""
+        if isinstance(other, CouplerCurve):
+            one, two = ((b[0].min(axis=1), b[1].max(axis=1)) for b in (self._boxes, other._boxes))
+            return bool((one[0] > two[1]).any() or (two[0] > one[1]).any())
+        assert isinstance(other, PlanePiece)
+        off, chord = np.abs(other.off(self._fine[1])), np.abs(np.diff(self._fine[1])).max()
+        return bool(off.min() > chord)
 
     def _crossed(self, other: CouplerCurve, near: float) -> np.ndarray:
         """Parameters (k,) where it comes as near as that to another one: Newton's method from where boxes overlap."""
