@@ -173,16 +173,26 @@ def _show_all(ax: Any, points: Array) -> None:
 
 
 def plot_placement(found: BasePlacement, ax: Axes | None = None) -> Axes:
-    """Matplotlib axes with the fraction over the first two axes, the others where they are at the best place."""
+    """Matplotlib axes with the fraction over the first two axes, the others where they are at the best place.
+
+    Of a map over one axis it is a curve.
+    """
     names = list(found.axes)
-    if len(names) < 2:
-        raise UnsupportedError(f"a map over {names[0]!r} alone has no picture: plot its fraction")
     index = np.unravel_index(int(found.order[0]), found.fraction.shape)
     units = [f"{n} [{'rad' if n == 'yaw' else 'm'}]" for n in names]
-    x, y = (found.axes[n] for n in names[:2])
-    ax = _picture(ax, x, y, found.fraction[(slice(None), slice(None), *index[2:])], (units[0], units[1]))
-    ax.plot(x[index[0]], y[index[1]], "o", color="white", markeredgecolor="black", label="best place")
-    ax.legend(loc="upper right")
+    x = found.axes[names[0]]
+    if len(names) == 1:
+        ax = page.new_figure().add_subplot() if ax is None else page.axes_given(ax)[0]
+        ax.plot(x, found.fraction, ".-", color=style.MOTION)
+        ax.set(xlabel=units[0], ylabel="fraction reached", ylim=(-0.05, 1.05))
+        best = (x[index[0]], found.fraction[index])
+    else:
+        y = found.axes[names[1]]
+        ax = _picture(ax, x, y, found.fraction[(slice(None), slice(None), *index[2:])], (units[0], units[1]))
+        best = (x[index[0]], y[index[1]])
+    if found.fraction[index] > 0.0:
+        ax.plot(*best, "o", color="white", markeredgecolor="black", label="best place")
+        ax.legend(loc="upper right")
     if names[:2] == ["x", "y"]:
         ax.set_aspect("equal")
     return ax
