@@ -145,7 +145,8 @@ def plot_reach(study: ReachStudy, ax: Axes | None = None) -> Axes:
     points = study.targets[:, :3, 3] if shape == (4, 4) else study.targets
     if points.ndim != 2 or points.shape[1] < dim:
         raise UnsupportedError("orientations have no places to draw")
-    drawn: Any = system.plot(study.q[int(np.argmax(best))] if study.reached.any() else None, ax=ax)
+    marked = [study.frame] if study.frame in system.body_names else []  # frames of their own are drawn anyway
+    drawn: Any = system.plot(study.q[int(np.argmax(best))] if study.reached.any() else None, ax=ax, frames=marked)
     marks = (("reached", "o", study.reached & study.tried), ("not reached", "x", ~study.reached & study.tried),
              ("not tried", "$\\circ$", ~study.tried))  # fmt: skip
     for name, mark, which in marks:
