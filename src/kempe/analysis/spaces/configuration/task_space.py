@@ -110,7 +110,8 @@ def task_space(
     `tasks` is a frame, whose pose counts (or, with ``task="position"``, its position), a task of `kempe.tasks` or a
     list of them. Ranks are those of the task's rates by the velocities that loops leave, at `q` (nq,) (by default a
     configuration that was drawn) and, for the generic rank, at random configurations; the image of a tree is that of
-    10 000 more. Of the `budget` are read: starts (64 random configurations), rng (0). Errors: `InputError`, `UnknownNameError`.
+    10 000 more. Of the `budget` are read: starts (64 random configurations), rng (0). Errors: `InputError`,
+    `UnknownNameError`.
 
     >>> from kempe import load
     >>> print(task_space(load("two_link"), "e", task="position").status)
