@@ -79,3 +79,30 @@ def test_what_is_not_drawn_says_so():
         ARM.singularities("e", budget=FEW).plot(ax=Figure().subplots())
     dead = kempe.load("four_bar").singularities(inputs=["A"], budget=FEW)
     assert not dead.sets or len(dead.plot())  # without a frame there are no arrows
+
+
+def offset_arm():
+    """Six turns with offsets, whose elbow is singular at two angles."""
+    m, before = kempe.Mechanism("offset arm"), "ground"
+    places = [(0, 0, 0.3), (0.1, 0, 0.1), (0.05, 0, 0.4), (0.1, 0, 0.05), (0.3, 0, 0), (0, 0, 0)]
+    for k, (axis, at) in enumerate(zip("zyyxyx", places, strict=True)):
+        m.revolute(f"j{k}", before, m.body(f"b{k}"), at=at, axis=axis, limits=(-2.8, 2.8))
+        before = f"b{k}"
+    m.fixed("flange", before, m.body("tcp"), at=(0.5, 0, 0))
+    return m.build()
+
+
+def test_each_set_is_drawn_before_a_second_of_one():
+    found = offset_arm().singularities("tcp", budget=Budget(starts=64))
+    assert len(found.sets) == 4 and len(found.sets[2].values) == 2
+    heads = [ax.get_title().split("\n")[0].split(",")[0] for ax in found.plot()]
+    assert heads == [s.name for s in found.sets]
+
+
+def test_the_frame_is_in_view_where_it_is_a_body_beyond_the_last_joint():
+    system = offset_arm()
+    found = system.singularities("tcp", budget=FEW)
+    for ax, s in zip(found.plot(), found.sets, strict=False):
+        for x, name in zip(system.fk(s.q[0], "tcp")[:3, 3], "xyz", strict=True):
+            low, high = getattr(ax, f"get_{name}lim")()
+            assert low < x < high

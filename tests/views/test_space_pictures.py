@@ -96,6 +96,31 @@ def test_points_have_their_solutions_or_their_distance():
     assert artists(right)["distance:1:text"][0].get_text() == "0.4 m away"
 
 
+@pytest.mark.parametrize("small", [False, True])
+def test_texts_do_not_cover_each_other(small):
+    """Numbers of points and distances, and what stands at the axes, also of systems of millimetres."""
+    m = kempe.Mechanism("arm", dim=2)
+    if small:
+        m.revolute("q1", m.ground, m.body("a"), limits=(0.0, 0.05))
+        m.revolute("q2", "a", m.body("b"), at=(6e-4, 1e-4), limits=(1.0, 1.04))
+        m.frame("e", "b", at=(4e-4, 0))
+        places = [[8e-4, 4e-4]]
+    else:
+        m.revolute("q1", m.ground, m.body("a"), limits=(-1.0, 1.0))
+        m.revolute("q2", "a", m.body("b"), at=(0.6, 0.1), limits=(-1.0, 1.0))
+        m.frame("e", "b", at=(0.4, 0))
+        places = [[0.8, 0.1], [2.0, 2.0]]
+    left, right = m.build().plot_spaces("e", points=places)
+    right.figure.canvas.draw()
+    for ax in (left, right):
+        texts = [t for t in (*ax.texts, *ax.get_xticklabels()) if t.get_text()]
+        boxes = [t.get_window_extent() for t in texts]
+        for i, a in enumerate(boxes):
+            for t, b in zip(texts[:i], boxes[:i], strict=True):
+                assert not a.overlaps(b), f"{texts[i].get_text()!r} covers {t.get_text()!r}"
+    assert sum("away" in t.get_text() for t in right.texts) == len(places)
+
+
 def test_the_nearest_place_within_limits_is_that_of_a_fine_grid():
     grid = np.stack(np.meshgrid(np.linspace(-0.5, 2.0, 700), np.linspace(-1.0, 2.5, 700), indexing="ij"), axis=-1)
     p = LIMITED.fk(grid, "e")[..., :2, 3]

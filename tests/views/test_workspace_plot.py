@@ -23,9 +23,8 @@ def test_a_plane_is_drawn_in_metres():
     assert np.array_equal(np.ma.filled(shown, 0).T, FLAT.map.counts)
     assert np.allclose(image.get_extent(), [FLAT.map.grid.low[0], FLAT.map.grid.high[0],
                                             FLAT.map.grid.low[1], FLAT.map.grid.high[1]])  # fmt: skip
-    lines = [p.vertices for c in ax.collections for p in c.get_paths() if len(p.vertices)]
-    away = np.linalg.norm(np.concatenate(lines), axis=1)
-    assert np.minimum(np.abs(away - 0.9), np.abs(away - 0.1)).max() < 3 * FLAT.resolution
+    away = np.linalg.norm(np.concatenate([line.get_xydata() for line in ax.lines]), axis=1)
+    assert np.minimum(np.abs(away - 0.9), np.abs(away - 0.1)).max() < 1e-9
     assert ax.get_xlabel() == "x [m]" and ax.get_ylabel() == "y [m]"
 
 
@@ -48,6 +47,39 @@ def test_slices_go_through_the_point():
         assert np.array_equal(np.ma.filled(ax.images[0].get_array(), 0).T, layer)
         assert ax.get_title().startswith(f"{name} = ")
         assert math.isclose(float(ax.get_title()[4:-2]), x, abs_tol=SPACE.resolution)
+
+
+def test_a_line_goes_around_cells_where_no_boundary_is_known():
+    part = kempe.load("two_link").workspace("e", n=200_000, cells=64, box=[(-2, 0.8), (-2, 2)])
+    assert part.exact is None
+    lines = [p.vertices for c in part.plot().collections for p in c.get_paths() if len(p.vertices)]
+    edge = np.concatenate(lines)
+    away = np.linalg.norm(edge[edge[:, 0] < 0.75], axis=1)
+    assert np.minimum(np.abs(away - 0.9), np.abs(away - 0.1)).max() < 3 * part.resolution
+
+
+def test_where_each_cell_has_one_place_there_is_nothing_to_count():
+    """A place is reached or not: a scale of samples from 1 to 2 would say nothing."""
+    one = kempe.load("puma560").workspace("tool", at=(0.3, 0.1, 0.5), cells=6)
+    assert one.map.counts.max() == 1 and len(one.plot()[0].figure.axes) == 3
+    several = kempe.load("three_rrr").workspace("tool", orientation=0.2, cells=8, n=400)
+    assert several.map.counts.max() in range(2, 10)
+    *_, bar = several.plot().figure.axes
+    assert bar.get_ylabel() == "places reached in a cell"
+    assert all(float(t).is_integer() for t in bar.get_yticks())
+    for axes in (FLAT.plot(), SPACE.plot()[0]):
+        assert axes.figure.axes[-1].get_ylabel() == "samples in a cell"
+
+
+def test_numbers_at_the_axes_of_small_systems_have_a_common_power():
+    m = Mechanism("small", dim=2)
+    m.revolute("q1", m.ground, m.body("a"), limits=(-1, 1))
+    m.revolute("q2", "a", m.body("b"), at=(6e-4, 1e-4), limits=(-1, 1))
+    m.frame("tip", "b", at=(4e-4, 0))
+    ax = m.build().workspace("tip", n=10_000).plot()
+    ax.figure.canvas.draw()
+    boxes = [t.get_window_extent() for t in ax.get_xticklabels() if t.get_text()]
+    assert not any(a.overlaps(b) for a, b in zip(boxes, boxes[1:], strict=False)) and len(boxes) > 2
 
 
 def test_it_is_written(tmp_path):

@@ -45,7 +45,9 @@ def plot_singularities(
     found: Singularities, curves: SingularCurves | None, *, ax: Any = None, **options: Any
 ) -> tuple[Axes, ...]:  # fmt: skip
     """Axes with singular configurations beside one another, and with the singular curves; see `Singularities.plot`."""
-    picks = [row for s in found.sets for row in _picks(s)][:MOST]
+    rows = [_picks(s) for s in found.sets]
+    shown = sorted((k, i) for i, own in enumerate(rows) for k in range(len(own)))[:MOST]  # of each set first one
+    picks = [rows[i][k] for i, k in sorted((i, k) for k, i in shown)]
     if not picks:
         raise InputError(f"{found.status}: there is nothing to draw")
     system, q = found.system, np.array([row[1] for row in picks])
@@ -56,7 +58,8 @@ def plot_singularities(
     if own is None and flat:
         own = np.ravel(np.array(page.new_figure(4.2 * count, 4.4).subplots(1, count), dtype=object))
     titles = [title for title, _, _ in picks]
-    show: dict[str, Any] = {"labels": False, "side_by_side": True, "titles": titles} | options
+    marked = [found.frame] if found.frame in system.body_names else []  # frames of their own are drawn anyway
+    show: dict[str, Any] = {"labels": False, "side_by_side": True, "titles": titles, "frames": marked} | options
     axes = system.plot(q, ax=None if own is None else own[: len(q)], **show)
     if found.frame is not None:
         for one, (_, x, local) in zip(axes, picks, strict=True):

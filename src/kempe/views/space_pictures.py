@@ -299,8 +299,9 @@ def _draw_point(
         )
         _draw_arm(space, right, q, colour, f"arm:{k}:0", "-")
         right.plot(*np.stack([at, target]).T, color=colour, lw=1.2, ls=":", gid=f"distance:{k}", zorder=style.TEXT)
-        right.annotate(f"{said} away", 0.5 * (at + target), xytext=(6, -10),
-                       textcoords="offset points", size=style.FONT, color=colour, gid=f"distance:{k}:text")  # fmt: skip
+        side = -1 if target[0] > np.mean(right.get_xlim()) else 1  # towards the middle, below the number
+        right.annotate(f"{said} away", target, xytext=(11 * side, -13), textcoords="offset points", size=style.FONT,
+                       color=colour, ha={1: "left", -1: "right"}[side], gid=f"distance:{k}:text")  # fmt: skip
 
 
 def _values(space: TwoFreedoms, q: Array) -> Array:
@@ -347,6 +348,7 @@ def _finish(space: TwoFreedoms, left: Any, right: Any, curves: Any) -> None:
     unit = units(space.system)
     for ax in (left, right):
         page.light_axes(ax)
+        ax.ticklabel_format(style="sci", scilimits=(-3, 4))
     for i, (limits, label) in enumerate(((left.set_xlim, left.set_xlabel), (left.set_ylim, left.set_ylabel))):
         room = 0.04 * (space.high[i] - space.low[i])
         limits(space.low[i] - room, space.high[i] + room)

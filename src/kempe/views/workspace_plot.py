@@ -8,8 +8,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.colors import LogNorm
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.patches import PathPatch
+from matplotlib.ticker import MaxNLocator
 
 from kempe.calls import numbers
 from kempe.errors import InputError, UnsupportedError
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 
 COLOURS = "cividis_r"
 """Darker is more often: it reads in grey, and for those who see fewer colours."""
+FEW = 10
+"""Samples in a cell from which on the colours are logarithmic."""
 PAIRS = ((0, 1, 2), (0, 2, 1), (1, 2, 0))
 """For each slice the axis to the right, the one upwards, and the one that is cut."""
 
@@ -34,7 +37,8 @@ PAIRS = ((0, 1, 2), (0, 2, 1), (1, 2, 0))
 def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
     """Axes with the counts of a workspace, white where no sample fell; ``.figure.savefig("name.png")`` writes it.
 
-    In the plane one axes, with the exact boundary in red where it is known; in space an array of three, slices through
+    Samples that are places or orientations count where they are reached. In the plane one axes, with the exact boundary
+    in red where it is known, else with a line around the cells with samples; in space an array of three, slices through
     the point `at` (3,) [m], by default the middle of what is reached (of orientations azimuth, height, roll). `ax` are
     the axes to draw on, as many. Errors: `InputError`.
     """
@@ -49,7 +53,7 @@ def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
             raise InputError("at is for slices of a workspace in space")
         axes = page.new_figure(5.6, 4.6).add_subplot() if ax is None else page.axes_given(ax)[0]
         _slice(workspace, axes, counts, 0, 1, counts.max(initial=1))
-        _bar(axes, [axes])
+        _bar(workspace, axes, [axes])
         for piece in () if workspace.exact is None else workspace.exact.boundary:
             p = shapes.piece_points(piece)
             axes.plot(np.real(p), np.imag(p), color=style.OPEN, linewidth=1.2, gid="boundary")
@@ -69,8 +73,9 @@ def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
     for one, layer, (right, up, cut) in zip(axes, layers, PAIRS, strict=True):
         _slice(workspace, one, layer, right, up, most)
         name, here = grid.axes[cut], grid.centres(grid.axes[cut])[place[cut]]
-        one.set_title(f"{name} = {here:.3g}{_unit(workspace, name)}", size=style.FONT, color=style.INK)
-    _bar(axes[0], list(axes))
+        here = here if abs(here) > 1e-6 * grid.size[cut] else 0.0  # what rounding leaves of a middle at zero
+        one.set_title(f"{name} = {here:.3g}{_unit(workspace, name)}", size=style.FONT, color=style.INK, pad=11)
+    _bar(workspace, axes[0], list(axes))
     return axes
 
 
@@ -80,16 +85,17 @@ def _slice(workspace: Workspace, ax: Axes, counts: np.ndarray, right: int, up: i
     shown = np.ma.masked_equal(counts, 0).T
     low, high = (np.array(x)[grid.kept] for x in (grid.low, grid.high))
     extent = (low[right], high[right], low[up], high[up])
-    ax.imshow(shown, origin="lower", extent=extent, cmap=COLOURS, norm=LogNorm(1, max(int(most), 2)),
-              interpolation="nearest", gid="counts")  # fmt: skip
+    norm = LogNorm(1, most) if most > FEW else Normalize(int(most > 1), max(most, 2))
+    ax.imshow(shown, origin="lower", extent=extent, cmap=COLOURS, norm=norm, interpolation="nearest", gid="counts")
     filled = np.pad(counts > 0, 1).astype(float).T
     x, y = (_around(grid.centres(names[k]), float(grid.size[k])) for k in (right, up))
-    if filled.any():
+    if filled.any() and workspace.exact is None:
         ax.contour(x, y, filled, levels=[0.5], colors=style.INK, linewidths=0.8)
     units = {name: f" [{unit}]" if (unit := _unit(workspace, name).strip()) else "" for name in names}
     ax.set_xlabel(f"{names[right]}{units[names[right]]}", size=style.FONT, color=style.INK)
     ax.set_ylabel(f"{names[up]}{units[names[up]]}", size=style.FONT, color=style.INK)
     ax.tick_params(labelsize=style.FONT - 1, colors=style.GROUND)
+    ax.ticklabel_format(style="sci", scilimits=(-3, 4))
     ax.set_aspect("equal" if workspace.map.unit == "m" else "auto")
 
 
@@ -102,10 +108,19 @@ def _around(middles: Array, size: float) -> Array:
     return np.concatenate([[middles[0] - size], middles, [middles[-1] + size]])
 
 
-def _bar(first: Axes, axes: list[Any]) -> None:
-    bar = first.figure.colorbar(first.images[0], ax=axes, shrink=0.85)
-    bar.set_label("samples in a cell", size=style.FONT, color=style.INK)
+def _bar(workspace: Workspace, first: Axes, axes: list[Any]) -> None:
+    """A bar that says what colours mean; none where a place is reached or not."""
+    question, shown = workspace.question, first.images[0]
+    low, high = shown.get_clim()
+    if question.tried and low == 0.0:
+        return
+    bar = first.figure.colorbar(shown, ax=axes, shrink=0.85)
+    what = f"{question.noun}s reached in a cell" if question.tried else "samples in a cell"
+    bar.set_label(what, size=style.FONT, color=style.INK)
     bar.ax.tick_params(labelsize=style.FONT - 1)
+    if high <= FEW:
+        bar.locator = MaxNLocator(integer=True)
+        bar.update_ticks()
 
 
 def plot_planar(workspace: PlanarWorkspace, ax: Axes | None = None) -> Axes:
@@ -145,7 +160,8 @@ def plot_reach(study: ReachStudy, ax: Axes | None = None) -> Axes:
     points = study.targets[:, :3, 3] if shape == (4, 4) else study.targets
     if points.ndim != 2 or points.shape[1] < dim:
         raise UnsupportedError("orientations have no places to draw")
-    drawn: Any = system.plot(study.q[int(np.argmax(best))] if study.reached.any() else None, ax=ax)
+    marked = [study.frame] if study.frame in system.body_names else []  # frames of their own are drawn anyway
+    drawn: Any = system.plot(study.q[int(np.argmax(best))] if study.reached.any() else None, ax=ax, frames=marked)
     marks = (("reached", "o", study.reached & study.tried), ("not reached", "x", ~study.reached & study.tried),
              ("not tried", "$\\circ$", ~study.tried))  # fmt: skip
     for name, mark, which in marks:
@@ -173,16 +189,26 @@ def _show_all(ax: Any, points: Array) -> None:
 
 
 def plot_placement(found: BasePlacement, ax: Axes | None = None) -> Axes:
-    """Matplotlib axes with the fraction over the first two axes, the others where they are at the best place."""
+    """Matplotlib axes with the fraction over the first two axes, the others where they are at the best place.
+
+    Of a map over one axis it is a curve.
+    """
     names = list(found.axes)
-    if len(names) < 2:
-        raise UnsupportedError(f"a map over {names[0]!r} alone has no picture: plot its fraction")
     index = np.unravel_index(int(found.order[0]), found.fraction.shape)
     units = [f"{n} [{'rad' if n == 'yaw' else 'm'}]" for n in names]
-    x, y = (found.axes[n] for n in names[:2])
-    ax = _picture(ax, x, y, found.fraction[(slice(None), slice(None), *index[2:])], (units[0], units[1]))
-    ax.plot(x[index[0]], y[index[1]], "o", color="white", markeredgecolor="black", label="best place")
-    ax.legend(loc="upper right")
+    x = found.axes[names[0]]
+    if len(names) == 1:
+        ax = page.new_figure().add_subplot() if ax is None else page.axes_given(ax)[0]
+        ax.plot(x, found.fraction, ".-", color=style.MOTION)
+        ax.set(xlabel=units[0], ylabel="fraction reached", ylim=(-0.05, 1.05))
+        best = (x[index[0]], found.fraction[index])
+    else:
+        y = found.axes[names[1]]
+        ax = _picture(ax, x, y, found.fraction[(slice(None), slice(None), *index[2:])], (units[0], units[1]))
+        best = (x[index[0]], y[index[1]])
+    if found.fraction[index] > 0.0:
+        ax.plot(*best, "o", color="white", markeredgecolor="black", label="best place")
+        ax.legend(loc="upper right")
     if names[:2] == ["x", "y"]:
         ax.set_aspect("equal")
     return ax

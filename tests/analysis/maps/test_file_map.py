@@ -340,6 +340,15 @@ def test_a_damaged_description_is_made_again(tmp_path, whole, name):
     assert mapped(whole[0], path).redone == 1 and same(arrays(path), whole[1])
 
 
+def test_names_along_an_axis_that_were_changed_are_made_again(tmp_path, whole):
+    """They say which column is which joint."""
+    path = tmp_path / "out.zarr"
+    mapped(whole[0], path)
+    names = zarr.open_group(str(path), mode="r+")["coordinate"]
+    names[...] = names[...][::-1].copy()
+    assert mapped(whole[0], path).redone == 1 and same(arrays(path), whole[1])
+
+
 @pytest.mark.parametrize(("line", "redone"), [(-1, 0), (2, 1), (0, 1)], ids=["torn", "one", "first"])
 def test_a_damaged_list_costs_what_it_says(tmp_path, whole, line, redone):
     path = tmp_path / "out.zarr"

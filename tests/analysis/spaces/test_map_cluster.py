@@ -141,6 +141,14 @@ def test_the_time_limit_gives_tasks_up(cluster):
     assert workspace.late and workspace.map.counts.sum() == workspace.samples < 3 * 10**8
 
 
+def test_what_is_no_address_is_refused_before_a_client_is_made(monkeypatch):
+    """A client that has no scheduler lets the process wait for half a minute at its end."""
+    monkeypatch.setattr(distributed, "Client", lambda *a, **k: pytest.fail("a client was made"))
+    for address in ("rubbish", "tcp://nowhere", ""):
+        with pytest.raises(InputError, match="no scheduler answers at .*port"):
+            made(10**6, client=address)
+
+
 @pytest.mark.slow
 def test_schedulers_that_are_not_there(monkeypatch):
     from kempe.analysis.maps import cluster

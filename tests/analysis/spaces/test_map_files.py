@@ -141,6 +141,34 @@ def test_a_damaged_map_is_found_and_made_again(tmp_path):
     assert np.array_equal(kempe.open_workspace(path).map.counts, again.map.counts)
 
 
+@pytest.mark.parametrize("what", ["box", "samples", "system", "axis", "axis cut", "axis gone"])
+def test_what_is_said_of_a_map_is_guarded_like_its_counts(tmp_path, what):
+    """A digit of the box or of the number of samples, or an axis that xarray would read, makes another map."""
+    path = tmp_path / "map.zarr"
+    made(path)
+    if what.startswith("axis"):
+        file = path / "x" / "c" / "0"
+        data = bytearray(file.read_bytes())
+        data[len(data) // 2] ^= 16
+        file.unlink() if what == "axis gone" else file.write_bytes(data[:-9] if what == "axis cut" else data)
+    else:
+        words = json.loads((path / "zarr.json").read_text())
+        said = json.loads(words["attributes"]["kempe"])
+        if what == "box":
+            said["low"][0] *= 0.5
+        elif what == "samples":
+            said["samples"] += 100_000
+        else:
+            said["toml"] = said["toml"].replace("0.5", "0.6", 1)
+        words["attributes"]["kempe"] = json.dumps(said)
+        (path / "zarr.json").write_text(json.dumps(words))
+    with pytest.raises(DamagedError, match="make it again"):
+        kempe.open_workspace(path)
+    again = made(path)
+    assert again.redone == 1 and np.array_equal(again.map.counts, made().map.counts)
+    assert kempe.open_workspace(path).samples == N
+
+
 def test_a_full_disk_midway_loses_nothing(tmp_path, monkeypatch):
     path, write, written = tmp_path / "map.zarr", np.save, []
 

@@ -135,15 +135,6 @@ def test_a_capability_map_with_rolls_counts_solutions():
         assert found.solutions[i, j, k] == pytest.approx(np.mean(counts))
 
 
-def test_a_capability_map_says_that_a_chain_cannot_choose_a_direction():
-    """A SCARA reaches cells, but none in the directions of a sphere, as its tool does not tilt."""
-    scara = kempe.load("cobra600")
-    found = scara.reach.capability("tool", [[0.1, 0.1, 0.1], [0.4, 0.4, 0.3]], 3, 4)
-    assert found.status.endswith("in all 4 directions: a position with a direction needs 5 freedoms, tool has 4")
-    puma = kempe.load("puma560").reach.capability("tool", [[3, 3, 3], [4, 4, 4]], 2, 4)
-    assert puma.status.endswith("in all 4 directions")
-
-
 def test_a_planar_capability_map_is_inside_the_exact_workspace():
     """Of the arm of three turns: a cell is reached in all directions if the wrist gets to a circle about it."""
     m = kempe.Mechanism("three", dim=2)
@@ -200,7 +191,75 @@ def test_what_was_done_stays_where_a_map_is_broken_off(budget, code, monkeypatch
     assert not {*part.reasons} & {8, 9, 10, 11}, "poses that were not tried are not blocked"
 
 
+def test_a_search_can_be_broken_off_before_many_poses_are_tried():
+    """A slice is short work, also where most poses are searched for in vain, or loops have to close."""
+    for name, frame, most in (("puma560", "tool", 2048), ("five_bar", "tip", 128)):
+        system = kempe.load(name)
+        targets = np.tile([2.0, 2.0, 0.0][: system.dim], (3000, 1))
+        said = list[int]()
+
+        def stop(done, of, said=said):
+            said.append(done)
+            raise KeyboardInterrupt
+
+        study = system.reach.poses(targets, frame, task="position", budget=Budget(starts=1, progress=stop))
+        assert said == [most] and study.code == Status.INTERRUPTED and study.tried.sum() == most
+
+
+def scara():
+    m = kempe.Mechanism("scara")
+    m.revolute("q1", m.ground, m.body("a"), axis="z")
+    m.revolute("q2", "a", m.body("b"), at=(0.3, 0, 0), axis="z")
+    m.prismatic("q3", "b", m.body("c"), at=(0.2, 0, 0), axis="z", limits=(-0.2, 0))
+    m.revolute("q4", "c", m.body("d"), axis="z")
+    m.frame("tool", "d")
+    return m.build()
+
+
+def test_a_capability_map_says_why_no_direction_is_reached():
+    box = [[0.1, 0.1, -0.1], [0.3, 0.3, 0.0]]
+    none, some = (scara().reach.capability("tool", box, 2, d) for d in (8, [[0, 0, 1]]))
+    assert not none.fraction.any() and some.fraction.any()
+    assert "a position and a direction have 5 equations, and this frame moves in 3 freedoms only" in none.status
+    assert "only" not in some.status
+    turned = scara().reach.capability("tool", box, 2, 8, rolls=2)
+    assert "a pose has 6 equations, and this frame moves in 4 freedoms only" in turned.status
+    far = PUMA.reach.capability("tool", [[8, 8, 8], [9, 9, 9]], 2, 8)
+    assert not far.fraction.any() and "only" not in far.status
+
+
+def test_where_nothing_is_reached_there_is_no_best_place():
+    pytest.importorskip("matplotlib")
+    found = UR.reach.place(FAR, "tool", {"x": (-1, 1), "y": (-1, 1)}, 3, budget=Budget(starts=1))
+    assert "none of 12 poses reached from any of 9 places" in found.status and "best" not in found.status
+    assert found.plot().get_legend() is None
+
+
+def test_the_map_over_one_coordinate_is_a_curve():
+    pytest.importorskip("matplotlib")
+    found = UR.reach.place(UR.fk(UR.mid, "tool")[None], "tool", {"x": (-2.0, 2.0)}, 9, budget=Budget(starts=8))
+    ax = found.plot()
+    np.testing.assert_allclose(ax.lines[0].get_xydata(), np.column_stack([found.axes["x"], found.fraction]))
+    assert ax.lines[1].get_xydata().tolist() == [[found.place()["x"], 1.0]] and ax.get_xlabel() == "x [m]"
+
+
 # ---- wrong calls
+
+
+@pytest.mark.parametrize(("how", "why"), [
+    ("scaled", "last row"), ("stretched", "orthonormal"), ("mirrored", "orthonormal"), ("far", "below"),
+])  # fmt: skip
+def test_what_is_no_pose_is_refused_and_named(how, why):
+    bad = X.copy()
+    if how == "scaled":
+        bad[3] *= 2.0
+    elif how == "far":
+        bad[3, 0, 3] = 1e200
+    else:
+        bad[3, :3, 0] *= 2.0 if how == "stretched" else -1.0
+    for ask in (lambda: PUMA.reach.poses(bad, "tool"), lambda: PUMA.reach.place(bad, "tool", {"x": (0, 1)}, 2)):
+        with pytest.raises(InputError, match=f"pose 3: target .*{why}"):
+            ask()
 
 
 def test_what_cannot_be_done_is_said():

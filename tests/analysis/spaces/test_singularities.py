@@ -189,6 +189,20 @@ def test_a_five_bar():
     assert one.dimension == two.dimension == 1
 
 
+def test_of_a_planar_frame_with_two_freedoms_the_place_is_asked_for():
+    """Its pose has three equations, of which one is never met: what is lost is counted from two."""
+    arm = kempe.load("five_bar")
+    found = arm.singularities("tip", budget=FEW)
+    assert found.task == "position"
+    (one,) = (s for s in found.sets if s.kinds == ("type 1",))
+    assert np.median([len(lost) for lost in one.lost]) == 1
+    asked = arm.singularities("tip", "position", budget=FEW)
+    assert all(np.array_equal(a.q, b.q) for a, b in zip(found.sets, asked.sets, strict=True))
+    for name, frame in (("five_bar", "crank1"), ("three_rrr", "tool"), ("four_bar", "coupler")):
+        assert kempe.load(name).singularities(frame, inputs=["A"] * (name == "four_bar") or None, budget=FEW).task == (
+            "pose"), f"{frame} of {name} has one freedom, or three"  # fmt: skip
+
+
 @pytest.mark.slow
 def test_dead_centres_of_a_four_bar():
     """Where crank and coupler are in line, the rocker is at rest: by the law of cosines."""
@@ -269,7 +283,20 @@ def test_what_was_found_stays_where_the_search_is_broken_off(limit, progress, co
     assert seen == [(16, 40), (32, 40), (40, 40)]
 
 
+def test_memory_grows_with_the_starts_and_not_with_their_square():
+    m = kempe.Mechanism("pair", dim=2)
+    m.revolute("A", m.ground, m.body("a"))
+    m.revolute("B", "a", m.body("b"), at=(1, 0))
+    m.frame("tip", "b", at=(1, 0))
+    found = m.build().singularities("tip", budget=Budget(starts=60_000, time_limit=1e-9))
+    assert found.code == Status.OUT_OF_TIME
+
+
 def test_what_cannot_be_done_is_said():
+    still = kempe.Mechanism("still")
+    still.fixed("weld", still.ground, still.body("b"))
+    with pytest.raises(InputError, match="'b' of still does not move"):
+        still.build().singularities("b")
     with pytest.raises(InputError, match="is a chain: name a frame"):
         PUMA.singularities()
     with pytest.raises(UnknownNameError, match="task"):

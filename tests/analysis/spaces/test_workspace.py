@@ -135,6 +135,38 @@ def test_distances_are_those_from_two_circles():
     assert np.abs(given - truth)[sure].max() < 2.5 * workspace.resolution and sure.sum() > 300
 
 
+@pytest.mark.parametrize(("n", "most"), [(2_000, 20), (100_000, 60)])
+def test_cells_that_lack_samples_are_no_boundary(n, most):
+    """Where most cells inside are empty the distance is that from the two spheres all the same."""
+    workspace = shell(0.5, 0.3).workspace("tip", n=n)
+    points = np.random.default_rng(0).normal(size=(most, 3))
+    rho = np.random.default_rng(1).uniform(0.25, 0.75, most)
+    points *= (rho / np.linalg.norm(points, axis=1))[:, None]
+    truth = np.minimum(rho - 0.2, 0.8 - rho)
+    assert np.abs(workspace.distance(points) - truth).max() < workspace.resolution
+
+
+def test_what_is_reached_is_inside_and_what_is_not_finite_is_nowhere():
+    workspace = shell(0.5, 0.3).workspace("tip", n=500)
+    points = np.random.default_rng(0).uniform(-1.0, 1.0, (60, 3))
+    inside, far = workspace.contains(points), workspace.distance(points)
+    assert (far[inside] >= 0.0).all() and (far[~inside] < 0.0).all() and inside.any() and not inside.all()
+    points[3, 0], points[4, 1] = np.nan, np.inf
+    far[3:5] = np.nan, -np.inf
+    np.testing.assert_array_equal(workspace.distance(points), far)
+
+
+def test_the_measure_in_a_huge_box_is_between_its_bounds():
+    """What lengths and limits prove to be empty does not count in the error."""
+    for edge in (100.0, 1e4):
+        workspace = shell(0.5, 0.3).workspace("tip", n=1e4, box=[(-edge, edge)] * 3)
+        (value, error), (low, high) = workspace.volume, workspace.bounds
+        assert low <= SHELL <= high and abs(value - SHELL) <= error <= high
+    for n in (1, 10):
+        workspace = shell(0.5, 0.3).workspace("tip", n=n)
+        assert workspace.volume[0] <= workspace.bounds[1]
+
+
 def test_boundaries():
     pytest.importorskip("skimage")
     workspace = two_bars(0.5, 0.3).workspace("tip", n=1e6, cells=128)
@@ -248,7 +280,8 @@ def test_a_box_where_nothing_is_reached(kind):
     system, name, _ = SYSTEMS[kind]
     workspace = system.workspace("tip", n=1000, cells=8, box=[(5, 6)] * system.dim)
     value, error = getattr(workspace, name)
-    assert value == 0.0 < error < 0.02 and workspace.outside == 1000 and not len(workspace.map.points)
+    assert value == error == 0.0 and "0 m^" in str(workspace) and "proven by lengths" in str(workspace)
+    assert workspace.outside == 1000 and not len(workspace.map.points)
     assert workspace.distance(np.zeros(system.dim)) == -math.inf and not workspace.contains(np.full(system.dim, 5.5))
     assert not any(map(len, workspace.boundary))
 

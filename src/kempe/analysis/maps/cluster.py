@@ -9,6 +9,8 @@ from kempe.kernels.compiled import VARIANT
 
 LOOK = 0.5
 """Seconds between two looks at the clock."""
+HOSTS = ("tcp", "tls")
+"""Ways to a scheduler that name a host and a port."""
 PATIENCE = 10.0
 """Seconds in which a scheduler must answer."""
 
@@ -17,10 +19,14 @@ def connected(client: Any) -> Any:
     """The client, or a new one for the address of a scheduler. Errors: `InputError` where nobody answers there."""
     try:
         from distributed import Client
+        from distributed.comm.addressing import parse_address, parse_host_port
     except ImportError:
         raise MissingExtraError("distributed", "scale") from None
     if isinstance(client, str):
         try:
+            scheme, place = parse_address(client)
+            if scheme in HOSTS:
+                parse_host_port(place)  # a client for what is no address waits long until it goes
             return Client(client, timeout=PATIENCE, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
             raise InputError(f"no scheduler answers at {client!r} within {PATIENCE:g} s: {error}") from None

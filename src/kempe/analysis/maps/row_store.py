@@ -88,6 +88,8 @@ class RowStore(PartLog):
         refuse_other(self.header, self.said, str(self.path), self.keys)
         try:
             sums = [np.asarray(group[name][...]) for name in SUMS]
+            if any(group[name][...].tolist() != words for name, words in self._words()):
+                raise ValueError("the names along an axis are not those that were written")
             self._open(self.path, "r")
         except DAMAGED:
             self.damaged = 1
@@ -159,11 +161,15 @@ class RowStore(PartLog):
             packed = "auto" if empty.itemsize == 1 else None  # configurations do not get smaller
             self.arrays[name] = add_array(group, name, (n, *tail), empty.dtype, (self.chunk, *tail),
                                           axes_of(name, empty), packed, **more)  # fmt: skip
-        used = {axis for name, empty in job.layout.items() for axis in axes_of(name, empty)}
-        for name, words in job.axes().items():
-            if name in used or (name == "unit" and "coordinate" in used):
-                dims = ("coordinate",) if name == "unit" else (name,)
-                add_array(group, name, (len(words),), str, (len(words),), dims)[...] = np.array(words)
+        for name, words in self._words():
+            dims = ("coordinate",) if name == "unit" else (name,)
+            add_array(group, name, (len(words),), str, (len(words),), dims)[...] = np.array(words)
+
+    def _words(self) -> list[tuple[str, list[str]]]:
+        """The axes that have words, such as names of coordinates, and these."""
+        used = {axis for name, empty in self.job.layout.items() for axis in axes_of(name, empty)}
+        return [(name, words) for name, words in self.job.axes().items()
+                if name in used or (name == "unit" and "coordinate" in used)]  # fmt: skip
 
     # ---- what is done
 

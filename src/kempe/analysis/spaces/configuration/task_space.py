@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 FULL = 1e-7
 """Singular value, as a part of the largest, up to which a direction of the task counts as lost."""
+SEEN = 10_000
+"""Further configurations of a tree, which cost next to nothing, that bound the image."""
 OF_FRAMES = ("pose", "position")
 """Kinds of constraints that a frame alone stands for."""
 USUAL = Usual("task_space", starts=64, rng=0)
@@ -107,8 +109,9 @@ def task_space(
 
     `tasks` is a frame, whose pose counts (or, with ``task="position"``, its position), a task of `kempe.tasks` or a
     list of them. Ranks are those of the task's rates by the velocities that loops leave, at `q` (nq,) (by default a
-    configuration that was drawn) and, for the generic rank, at random configurations. Of the `budget` are read: starts
-    (64 random configurations), rng (0). Errors: `InputError`, `UnknownNameError`.
+    configuration that was drawn) and, for the generic rank, at random configurations; the image of a tree is that of
+    10 000 more. Of the `budget` are read: starts (64 random configurations), rng (0). Errors: `InputError`,
+    `UnknownNameError`.
 
     >>> from kempe import load
     >>> print(task_space(load("two_link"), "e", task="position").status)
@@ -116,7 +119,8 @@ def task_space(
     """
     spend = USUAL.of(budget)
     wanted, name, frame = _wanted(system, tasks, task)
-    drawn = _drawn(system, start_count(spend.starts) or 1, generator(spend.rng))
+    rng = generator(spend.rng)
+    drawn = _drawn(system, start_count(spend.starts) or 1, rng)
     at = drawn[0] if q is None else as_q(system, q)
     if at.shape != (system.nq,) or not np.isfinite(at).all():
         raise InputError(f"q has shape {at.shape}; it must be one configuration ({system.nq},) of finite numbers")
@@ -124,7 +128,8 @@ def task_space(
     rank, generic = int(ranks[0]), int(ranks.max())
     image = {}
     if frame is not None:
-        p = system.fk(drawn, frame)[:, :3, 3]
+        seen = drawn if has_loops(system) else np.concatenate([drawn, random(system, rng, SEEN)])
+        p = system.fk(seen, frame, form="position")
         image = {axis: (float(p[:, i].min()), float(p[:, i].max())) for i, axis in enumerate("xyz"[: system.dim])}
     return TaskSpace(system, name, m, n, rank, generic, at.copy(), image, len(drawn))
 

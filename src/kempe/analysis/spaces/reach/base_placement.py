@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from kempe import spatial
 from kempe.analysis.spaces.reach.map_slices import sliced
-from kempe.analysis.spaces.reach.reached_poses import reached
+from kempe.analysis.spaces.reach.reached_poses import checked_poses, reached
 from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods, known, numbers
 from kempe.errors import InputError
@@ -89,7 +89,10 @@ class BasePlacement(Report):
         return base_pose(np.array([list(self.place().values())]))[0]
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Matplotlib axes with the fraction over the first two axes, the others where they are at the best place."""
+        """Matplotlib axes with the fraction over the first two axes, the others where they are at the best place.
+
+        Over a single axis it is a curve.
+        """
         from kempe.views.workspace_plot import plot_placement
 
         return plot_placement(self, ax)
@@ -99,10 +102,12 @@ class BasePlacement(Report):
         """How many poses are reached from the best place, and where that is."""
         of, n = f"{self.system.name}, {self.frame}", round(float(np.nanmax(self.fraction)) * self.poses)
         where = ", ".join(f"{k} = {v:.4g}" for k, v in self.place().items() if k in self.axes)
-        full = int((self.fraction == 1.0).sum())
+        full, tried = int((self.fraction == 1.0).sum()), counted(int(np.isfinite(self.fraction).sum()), "place")
         tail = partial(self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME)
+        if not n:
+            return f"{of}: none of {counted(self.poses, 'pose')} reached from any of {tried}{tail}"
         return (f"{of}: {n} of {counted(self.poses, 'pose')} reached from the best place ({where}); all from "
-                f"{full} of {counted(int(np.isfinite(self.fraction).sum()), 'place')}{tail}")  # fmt: skip
+                f"{full} of {tried}{tail}")  # fmt: skip
 
     def _data(self) -> dict[str, Any]:
         own = {n: getattr(self, n) for n in ("poses", "axes", "fixed", "fraction", "margin", "manipulability")}
@@ -133,6 +138,7 @@ def place_base(
     X = numbers(targets, "targets")
     if X.ndim != 3 or X.shape[1:] != (4, 4) or not len(X) or not np.isfinite(X).all():
         raise InputError(f"targets have shape {X.shape}; they must be finite poses (n, 4, 4), at least one")
+    X = checked_poses(X)
     axes, fixed = _axes(system, box, cells)
     shape = tuple(len(v) for v in axes.values())
     total = int(np.prod(shape)) * len(X)
@@ -151,7 +157,7 @@ def place_base(
         hit, far, w = own
         return [hit.mean(axis=1), far.min(axis=1), w.min(axis=1)]
 
-    found, broken = sliced(work, len(places), len(X), spend)
+    found, broken = sliced(system, work, len(places), len(X), spend)
     fraction, far, w = (x.reshape(shape) for x in found)
     return BasePlacement(system, name, len(X), axes, fixed, fraction, far, w, broken)
 

@@ -6,16 +6,19 @@ Source: Zacharias, Borst, Hirzinger, "Capturing robot workspace structure: repre
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.analysis.spaces.configuration.task_space import task_space
 from kempe.analysis.spaces.reach.base_placement import MOST
 from kempe.analysis.spaces.reach.map_slices import sliced
 from kempe.analysis.spaces.reach.reached_poses import UNKNOWN, reached
 from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods, numbers
+from kempe.constraints.kinds import Pointing, Position
 from kempe.errors import InputError
 from kempe.kinematics.common.result import Report
 from kempe.reals import is_sequence, is_whole
@@ -76,19 +79,20 @@ class CapabilityMap(Report):
             counted(len(self.directions), "direction"),
         )
         tail = partial(self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME)
-        why = "" if some else self._short_of()
-        return f"{self.system.name}, {self.frame}: {some} of {cells} reached, {whole} in all {directions}{why}{tail}"
+        said = f"{self.system.name}, {self.frame}: {some} of {cells} reached, {whole} in all {directions}{tail}"
+        return said if some or not self._too_few else f"{said}; {self._too_few}"
 
-    def _short_of(self) -> str:
-        """Of a chain with too few freedoms for a position with a direction, that it cannot choose both."""
-        system, dim = self.system, self.system.dim
-        if system.structure.closures:
+    @cached_property
+    def _too_few(self) -> str:
+        """Why directions that are drawn are not reached anywhere, where the frame has too few freedoms for them."""
+        system, name, free = self.system, self.frame, self.rolls is None and self.system.dim == 3
+        asked: Any = [Position(name, (0.0,) * 3), Pointing(name, (0.0, 0.0, 1.0))] if free else name
+        found = task_space(system, asked)
+        if found.generic_rank >= found.m:
             return ""
-        needed = 3 if dim == 2 else 5 if self.rolls is None else 6
-        J = system.jacobian(system.random(0, 4), self.frame)
-        has = int(np.linalg.matrix_rank(J).max(initial=0)) if system.nv else 0
-        target = "a position with a direction" if self.rolls is None else "a pose"
-        return f": {target} needs {counted(needed, 'freedom')}, {self.frame} has {has}" if has < needed else ""
+        what = "a position and a direction have" if free else "a pose has"
+        return (f"{what} {found.m} equations, and this frame moves in {counted(found.generic_rank, 'freedom')} only: "
+                "give the directions that it can have")  # fmt: skip
 
     def plot(self, ax: Axes | None = None, height: float | None = None) -> Axes:
         """Matplotlib axes with the fraction over x and y, at the layer of cells nearest to a height (the middle)."""
@@ -146,7 +150,7 @@ def capability_map(
         own = (found.reached, found.solutions, found.manipulability, found.margin)
         return [x.reshape(len(p), len(R)) for x in own]
 
-    (share, solutions, w, far), broken = sliced(work, len(centres), len(R), spend)
+    (share, solutions, w, far), broken = sliced(system, work, len(centres), len(R), spend)
     hit = share == 1.0
     mean = np.where((solutions == UNKNOWN).any(axis=1), np.nan, solutions.mean(axis=1))
     best = [np.where(hit.any(axis=1), np.max(np.where(hit, x, -np.inf), axis=1), np.nan) for x in (w, far)]

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kempe.budget import Budget
+from kempe.kinematics.configuration import has_loops
 from kempe.solvers.common.clock import BROKEN_OFF, TimeLimit, TimeUp
 from kempe.spatial import Array
 from kempe.status import Status
 
-SLICE = 20_000
-"""Poses that are tried at once."""
+if TYPE_CHECKING:
+    from kempe.model.system import System
+
+SLICE, LOOP_SLICE = 2048, 128
+"""Poses that are tried at once, of a system with closed loops, where each takes longer: less than a second's work."""
 
 
 def sliced(
-    work: Callable[[int, int, Budget], list[Array]], count: int, poses: int, spend: Budget
+    system: System, work: Callable[[int, int, Budget], list[Array]], count: int, poses: int, spend: Budget
 ) -> tuple[list[Array], Status | None]:
     """What `work` finds of the places 0 to `count`, each of so many `poses`, and what broke it off (None: nothing).
 
@@ -24,7 +29,7 @@ def sliced(
     that were not reached before the time limit or an interrupt are NaN; the first slice is always done.
     """
     clock, each = TimeLimit(spend.time_limit), Budget(starts=spend.starts, rng=spend.rng, threads=spend.threads)
-    at_once, broken = max(1, SLICE // poses), None
+    at_once, broken = max(1, (LOOP_SLICE if has_loops(system) else SLICE) // poses), None
     rows: list[list[Array]] = []
     try:
         for first in range(0, max(count, 1), at_once):

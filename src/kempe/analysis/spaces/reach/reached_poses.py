@@ -14,9 +14,10 @@ from kempe.calls import brief, explained, explained_methods, numbers
 from kempe.errors import InputError
 from kempe.kinematics.closure_rows import characteristic_length
 from kempe.kinematics.common.result import Report
+from kempe.rigid import EXACT, rotation_error, sound
 from kempe.solvers.analytic.ik_analytic import plan_of
 from kempe.solvers.common.clock import partial
-from kempe.solvers.common.targets import axis_for, task_and_axis, task_of, twist_rows
+from kempe.solvers.common.targets import LARGEST, axis_for, not_a_pose, task_and_axis, task_of, twist_rows
 from kempe.spatial import Array
 from kempe.status import Status, named
 from kempe.words import counted
@@ -47,6 +48,24 @@ class ReachedPoses:
     margin: Array
     q: Array
     code: np.ndarray
+
+
+def checked_poses(X: Array) -> Array:
+    """Targets (n, ...), of which poses (n, 4, 4) that are off by rounding are the nearest ones.
+
+    Errors: `InputError` that says which one has entries that are not finite, or is no pose.
+    """
+    if not np.isfinite(X).all():
+        bad = int(np.argwhere(~np.isfinite(X))[0, 0])
+        raise InputError(f"pose {bad} has entries that are not finite")
+    if X.ndim == 3 and X.shape[1:] == (4, 4):
+        X = sound(X, "targets")
+        wrong = (X[:, 3] != [0.0, 0.0, 0.0, 1.0]).any(axis=1) | (rotation_error(X[:, :3, :3]) > EXACT)
+        wrong |= np.abs(X).max(axis=(1, 2), initial=0.0) >= LARGEST
+        if wrong.any():
+            bad = int(np.argmax(wrong))
+            raise InputError(f"pose {bad}: {not_a_pose(X[bad])}")
+    return X
 
 
 def manipulability(system: System, frame: str, q: Array, task: str) -> Array:
@@ -206,14 +225,12 @@ def reach_poses(
     X = numbers(targets, "targets")
     if X.ndim < 2 or (X.ndim == 2 and X.shape == (4, 4)):
         X = X[None]
-    if not np.isfinite(X).all():
-        bad = int(np.argwhere(~np.isfinite(X))[0, 0])
-        raise InputError(f"pose {bad} has entries that are not finite")
+    X = checked_poses(X)
 
     def work(first: int, last: int, each: Budget) -> list[Array]:
         return list(vars(reached(system, X[first:last], name, task, each)).values())
 
-    (hit, solutions, w, far, q, codes), broken = sliced(work, len(X), 1, spend)
+    (hit, solutions, w, far, q, codes), broken = sliced(system, work, len(X), 1, spend)
     left, each = np.isnan(codes), replace(spend, time_limit=None, progress=None)
     if broken is not None:
         codes[left], solutions[left] = int(broken), UNKNOWN

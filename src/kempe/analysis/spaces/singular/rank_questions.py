@@ -72,8 +72,9 @@ class RankQuestions:
         self.rows = [r for r in twist_rows(words, system.dim) if r in kept]
         self.twists = np.eye(len(self.rows))
         if frame is not None:
-            _, s, Vt = np.linalg.svd(self.task_jacobians(self.starts).swapaxes(1, 2).reshape(-1, len(self.rows)))
-            self.twists = Vt[: int(np.sum(s > ZERO * s.max(initial=1e-300)))].T
+            seen = self.task_jacobians(self.starts).swapaxes(1, 2).reshape(-1, len(self.rows))
+            _, s, Vt = np.linalg.svd(seen, full_matrices=False)
+            self.twists = Vt[: int(np.sum(s > ZERO * max(s.max(initial=0.0), 1e-300)))].T
             if not self.twists.size:
                 raise InputError(f"frame {frame!r} of {system.name} does not move: nothing of it can be lost")
         moving = np.abs(self.task_jacobians(self.starts)).max(axis=(0, 1)) > 0.0 if frame is not None else False

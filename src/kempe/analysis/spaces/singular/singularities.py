@@ -180,10 +180,11 @@ def singularities(
 
     Of a chain they are those at which the Jacobian of the frame's `task` has a smaller rank than almost everywhere:
     "pose", "position", "orientation", in space also "xy", "xz", "yz" (the position along two axes) and "direction" (of
-    its z axis); by default the pose where three joints or, in space, four move the frame, else the position. Of closed
-    loops see `kempe.analysis.spaces.singular.rank_questions`: type 1, where the frame has lost directions; type 2,
-    where it moves although all `inputs` (names of coordinates; by default what is marked as actuated) are held; and
-    constraint singularities, where the loops allow more than elsewhere. What spins idly does not count.
+    its z axis); by default the pose where three joints or, in space, four move the frame, else the position; with
+    closed loops the pose, but of planar frames with two freedoms the position. Of closed loops see
+    `kempe.analysis.spaces.singular.rank_questions`: type 1, where the frame has lost directions; type 2, where it moves
+    although all `inputs` (names of coordinates; by default what is marked as actuated) are held; and constraint
+    singularities, where the loops allow more than elsewhere. What spins idly does not count.
 
     Sets are distinguished by the coordinates that decide, and of six-joint arms by the names of their branches. With
     `limits` only configurations inside them count, which hold the one-sided constraints, too. Of the `budget` are read:
@@ -198,9 +199,7 @@ def singularities(
     driving = driven(system, inputs)
     if loops and name is None and not driving:
         raise InputError(f"{system.name} has no actuated joint: name inputs, or a frame")
-    task = _task(system, name, task, loops)
-    questions = RankQuestions(system, name, task, driving if loops else None, generator(spend.rng),
-                              start_count(spend.starts))  # fmt: skip
+    task, questions = _asked(system, name, task, driving if loops else None, spend)
     problems = questions.problems()
     found: Found = {}
     clock, done, broken = TimeLimit(spend.time_limit), 0, None
@@ -240,6 +239,26 @@ def _led(
             key = (local.kinds, word, () if questions.loops else _deciding(problem, at, questions.columns))
             rows.append((key, (at, local)))
     return rows
+
+
+def _asked(
+    system: System, frame: str | None, task: str | None, driving: list[int] | None, spend: Budget
+) -> tuple[str, RankQuestions]:  # fmt: skip
+    """The task by its name and what is asked: of a planar frame with loops and two freedoms its place, if that moves.
+
+    Its pose has three equations, and so lacks a direction everywhere.
+    """
+    loops, starts = has_loops(system), start_count(spend.starts)
+    word = _task(system, frame, task, loops)
+    questions = RankQuestions(system, frame, word, driving, generator(spend.rng), starts)
+    if task is None and loops and system.dim == 2 and questions.frame_rank == 2:
+        try:
+            place = RankQuestions(system, frame, "position", driving, generator(spend.rng), starts)
+        except InputError:  # it turns about its origin
+            return word, questions
+        if place.frame_rank == 2:
+            return "position", place
+    return word, questions
 
 
 def _task(system: System, frame: str | None, task: str | None, loops: bool) -> str:

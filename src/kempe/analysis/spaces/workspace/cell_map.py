@@ -128,6 +128,14 @@ class CellMap:
         at = np.argwhere(self.occupied & ~np.asarray(within, dtype=bool))
         return KDTree(np.array(self.grid.low)[self.grid.kept] + (at + 0.5) * self.grid.size)
 
+    @cached_property
+    def empty(self) -> tuple[KDTree, np.ndarray]:
+        """The middles (k, d) of cells without samples and of the cells around the box, and which (k,) are these."""
+        occupied = np.pad(self.occupied, 1)
+        at = np.argwhere(~occupied) - 1
+        around = np.asarray(((at < 0) | (at >= self.grid.shape)).any(axis=1))
+        return KDTree(np.array(self.grid.low)[self.grid.kept] + (at + 0.5) * self.grid.size), around
+
     @property
     def cell(self) -> tuple[float, ...]:
         """Edges of a cell [m], by the axes."""

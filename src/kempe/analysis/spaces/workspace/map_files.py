@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 from dataclasses import dataclass
@@ -18,6 +19,8 @@ from kempe.errors import DamagedError, DiskError, InputError
 FORMAT = "kempe workspace 1"
 CHUNK = 64
 """Cells of a chunk along each axis, at most."""
+SAME = 1e-9
+"""Part of a cell by which the middles of an axis may be off, which rounding makes so."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +64,14 @@ def write_map(path: Path, stored: Stored) -> None:
 
 def _attributes(stored: Stored) -> dict[str, Any]:
     numbers = {"samples": stored.samples, "outside": stored.outside, "left_out": stored.left_out}
-    made = {**stored.said, **numbers, "checksum": checksum_of(stored.map.counts), "toml": stored.toml}
+    made = {**stored.said, **numbers, "toml": stored.toml}
+    made["checksum"] = _checksum(stored.map.counts, made)
     return {"title": f"workspace of {stored.said['frame']}", "format": FORMAT, "kempe": json.dumps(made)}
+
+
+def _checksum(counts: np.ndarray, made: dict[str, Any]) -> str:
+    """A checksum of counts and of what made them."""
+    return hashlib.sha256(f"{checksum_of(counts)} {json.dumps(made, sort_keys=True)}".encode()).hexdigest()
 
 
 def read_map(path: Path) -> Stored:
@@ -78,11 +87,16 @@ def read_map(path: Path) -> Stored:
         made = json.loads(group.attrs["kempe"])
         counts = np.asarray(group["counts"][...])
         grid = Grid(**{k: tuple(made[k]) for k in ("low", "high", "cells", "axes", "names")})
+        middles = {name: np.asarray(group[name][...]) for name in grid.axes}
+        checksum = made.pop("checksum")
     except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
         raise DamagedError(f"{path} is damaged ({type(error).__name__}: {error}); {again}") from error
-    if counts.shape != grid.shape or checksum_of(counts) != made["checksum"]:
-        raise DamagedError(f"{path} is damaged: the counts are not those that were written; {again}")
+    if counts.shape != grid.shape or _checksum(counts, made) != checksum:
+        raise DamagedError(f"{path} is damaged: the counts, or what made them, are not what was written; {again}")
+    cells = CellMap(grid, counts)
+    for (name, written), edge in zip(cells.axes.items(), cells.cell, strict=True):
+        found = middles[name]
+        if found.shape != written.shape or not (np.abs(found - written) < SAME * edge).all():
+            raise DamagedError(f"{path} is damaged: its axis {name!r} is not what was written; {again}")
     samples, outside, left_out = (int(made.pop(k)) for k in ("samples", "outside", "left_out"))
-    made.pop("checksum")
-    toml = made.pop("toml")
-    return Stored(CellMap(grid, counts), samples, outside, left_out, made, toml)
+    return Stored(cells, samples, outside, left_out, made, made.pop("toml"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -19,18 +20,25 @@ POINTS = {"inner": 500, "near": 2000, "far": 500}
 """Random points of each kind of cells whose places the inverse model is to reach, for the measure."""
 SIGMAS = 2.0
 """Standard errors that the error of a measure is."""
+UNASKED, REACHED, UNREACHED = range(3)
+"""What is known of a cell without samples."""
+FIRST, AT_ONCE = 4, 256
+"""Empty cells of which the nearest that is not reached is looked for first; points that are looked at together."""
 
 
-def measured(system: System, frame: str, cells: CellMap, seed: int, question: WorkspaceKind) -> tuple[float, float]:
+def measured(
+    system: System, frame: str, cells: CellMap, seed: int, question: WorkspaceKind, possible: np.ndarray
+) -> tuple[float, float]:  # fmt: skip
     """The measure of what is reached inside the box, and `SIGMAS` standard errors of it.
 
     Random points in three layers of the map are decided by the inverse model; the layers make the error small, they
-    prove nothing (stratified sampling: Cochran 1977, chapter 5; variances after Agresti and Coull 1998).
+    prove nothing (stratified sampling: Cochran 1977, chapter 5; variances after Agresti and Coull 1998). Cells that are
+    not `possible` are proven not to be reached, and left out.
     """
     rng, cell = np.random.default_rng([seed, 1]), math.prod(cells.cell)
     value, variance = 0.0, 0.0
     for name, mask in cells.layers.items():
-        chosen = np.flatnonzero(mask)
+        chosen = np.flatnonzero(mask & possible)
         if len(chosen):
             points = _within(cells, rng.choice(chosen, POINTS[name]), rng)
             hits, n = int(question.reached(system, frame, points, seed).sum()), POINTS[name]
@@ -52,6 +60,9 @@ def counted(cells: CellMap, samples: int, hits: int) -> tuple[float, float]:
 
 def together(found: list[tuple[float, float]]) -> tuple[float, float]:
     """One value and its error of several that do not depend on each other, weighed by their errors."""
+    proven = [x for x in found if x[1] == 0.0]
+    if proven:
+        return proven[0]
     values, weights = np.array([v for v, _ in found]), np.array([e**-2.0 for _, e in found])
     return float(values @ weights / weights.sum()), float(weights.sum() ** -0.5)
 
@@ -77,12 +88,52 @@ def decided(
     return out
 
 
-def to_boundary(cells: CellMap, points: Array) -> Array:
-    """Distance [m] of points (n, d) from the middle of the nearest boundary cell, negative outside."""
-    grid, occupied = cells.grid, cells.occupied
-    far: Array = cast(Any, cells.edge).query(points)[0]
-    at, inside = grid.places(points)
-    return np.where(inside & occupied[tuple(at.T)], far, -far)
+def to_boundary(
+    system: System, frame: str, cells: CellMap, points: Array, inside: np.ndarray, seed: int, question: WorkspaceKind
+) -> Array:  # fmt: skip
+    """Distance [m] of points (n, 3) from the boundary, negative where they are not `inside`; of NaN it is NaN.
+
+    Outside it is that from the nearest cell with samples. Inside it is that from the nearest cell whose middle is not
+    reached: a cell may be empty for lack of samples only, so the inverse model decides.
+    """
+    at = points[:, cells.grid.kept]
+    finite = np.isfinite(at).all(axis=1)
+    out, edge = np.where(np.isnan(at).any(axis=1), np.nan, -np.inf), cast(Any, cells.edge)
+    far = finite & ~inside
+    out[far] = -edge.query(at[far])[0]
+    near = np.flatnonzero(finite & inside)
+    if question.tried:  # a place of each cell was decided
+        out[near] = edge.query(at[near])[0]
+        return out
+    known = np.where(cells.empty[1], UNREACHED, UNASKED)
+    for k in range(0, len(near), AT_ONCE):
+        which = near[k : k + AT_ONCE]
+        out[which] = _to_unreached(
+            cells, at[which], known, lambda p: question.reached(system, frame, cells.grid.whole(p), seed)
+        )
+    return out
+
+
+def _to_unreached(
+    cells: CellMap, points: Array, known: np.ndarray, reached: Callable[[Array], np.ndarray]
+) -> Array:  # fmt: skip
+    """Distance (n,) of points (n, d) from the nearest empty cell that is not reached, less half its diagonal.
+
+    `known` says of each empty cell what is known of it, and is filled in. That of the nearest middle is at most a
+    diagonal too large, where the boundary is flat, and never too small.
+    """
+    tree, half = cast(Any, cells.empty[0]), 0.5 * math.hypot(*cells.cell)
+    out, left, many = np.zeros(len(points)), np.arange(len(points)), FIRST
+    while len(left):
+        far, cell = (x.reshape(len(left), -1) for x in tree.query(points[left], k=min(many, tree.n)))
+        before = np.cumsum(known[cell] == UNREACHED, axis=1) == 0
+        asked = np.unique(cell[before & (known[cell] == UNASKED)])
+        known[asked] = np.where(reached(tree.data[asked]), REACHED, UNREACHED)
+        gone = known[cell] == UNREACHED
+        done = gone.any(axis=1)
+        out[left[done]] = far[done, gone[done].argmax(axis=1)]
+        left, many = left[~done], many * FIRST
+    return np.maximum(out - half, 0.0)
 
 
 def boundary_of(cells: CellMap) -> Any:

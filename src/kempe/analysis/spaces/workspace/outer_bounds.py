@@ -41,6 +41,12 @@ ROUNDING = 1e-9
 def outer_measure(system: System, frame: str, grid: Grid) -> float:
     """Measure of the cells of a box, made finer, of which no bound proves that the frame's origin is never there."""
     finer = max(1, int((FINE / grid.count) ** (1.0 / len(grid.axes))))
+    left = np.count_nonzero(possible_cells(system, frame, grid, finer))
+    return float(left) * float(np.prod(grid.size)) / finer ** len(grid.axes)
+
+
+def possible_cells(system: System, frame: str, grid: Grid, finer: int = 1) -> np.ndarray:
+    """Cells of a box, made finer along each axis, of which no bound proves that the frame's origin is never there."""
     near: list[tuple[Array, Array]] = []
     for k, (low, high, cells) in enumerate(zip(grid.low, grid.high, grid.cells, strict=True)):
         ends = np.linspace(low, high, cells * finer + 1) if k in grid.kept else np.full(2, 0.5 * (low + high))
@@ -54,7 +60,7 @@ def outer_measure(system: System, frame: str, grid: Grid) -> float:
         for shell in shells:
             least, most = (_squares(near, shell.centre, far) for far in (False, True))
             left &= (least <= (shell.largest + slack) ** 2) & (most >= max(shell.smallest - slack, 0.0) ** 2)
-    return float(np.count_nonzero(left)) * float(np.prod(grid.size)) / finer ** len(grid.axes)
+    return left.reshape([n * finer for n in grid.shape])
 
 
 def _squares(near: list[tuple[Array, Array]], centre: Array, far: bool) -> Array:

@@ -18,7 +18,7 @@ from kempe.analysis.spaces.planar.planar_workspace import PlanarWorkspace, plana
 from kempe.analysis.spaces.workspace import map_measures
 from kempe.analysis.spaces.workspace.cell_map import CellMap
 from kempe.analysis.spaces.workspace.map_files import Stored, read_map, write_map
-from kempe.analysis.spaces.workspace.outer_bounds import outer_measure
+from kempe.analysis.spaces.workspace.outer_bounds import outer_measure, possible_cells
 from kempe.calls import explained, explained_methods
 from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.common.result import Cells, Report
@@ -121,15 +121,27 @@ class Workspace(Report):
         """The measure by samples, and two standard errors of it.
 
         The inverse model decides random points, more of them where the map changes. What it does not find counts as not
-        reached, so that but for chance the value is too small rather than too large.
+        reached, so that but for chance the value is too small rather than too large. Cells that lengths and limits
+        prove not to be reached are left out; where these are all, the error is 0.
         """
         wanted = self.question
         found: list[tuple[float, float]] = []
         if wanted.tried:
             found.append(map_measures.counted(self.map, self.samples, int(self.map.counts.sum())))
         if wanted.kind != DEXTEROUS:  # there one point costs as much as hundreds of others
-            found.append(map_measures.measured(self.system, self.frame, self.map, self.seed, wanted))
-        return map_measures.together(found)
+            possible = np.ones(self.map.counts.shape, dtype=bool)
+            if wanted.kind != ORIENTATION:
+                possible = possible_cells(self.system, self.frame, self.map.grid)
+            found.append(map_measures.measured(self.system, self.frame, self.map, self.seed, wanted, possible))
+        value, error = map_measures.together(found)
+        return min(value, self._outer), error
+
+    @cached_property
+    def _outer(self) -> float:
+        """An upper bound of the measure in the box, by lengths and limits."""
+        if self.kind == ORIENTATION:
+            return math.prod(self.map.cell) * self.map.counts.size
+        return outer_measure(self.system, self.frame, self.map.grid)
 
     @cached_property
     def bounds(self) -> tuple[float, float]:
@@ -139,11 +151,10 @@ class Workspace(Report):
         points were drawn, makes it too large (in one of 40 cases). The upper one is proven, by lengths and limits, or
         rounding away from an exact measure.
         """
-        whole, (value, error) = math.prod(self.map.cell) * self.map.counts.size, self.measure
+        value, error = self.measure
         if self.exact is not None:
             return value - error, value + error
-        outer = whole if self.kind == ORIENTATION else outer_measure(self.system, self.frame, self.map.grid)
-        return max(value - error, 0.0), max(outer, value - error)
+        return max(value - error, 0.0), self._outer
 
     def _measured(self, dimension: int) -> tuple[float, float]:
         axes = self.map.grid.axes
@@ -189,15 +200,19 @@ class Workspace(Report):
     def distance(self, points: ArrayLike) -> Array:
         """Distance (...) [m] of points (..., d) from the boundary, negative outside: of the `exact` one, or of the map.
 
-        Of the map it is that of the middle of the nearest boundary cell, so it may be off by half the diagonal of a
-        cell (`resolution`), and by what the samples missed. Errors: `UnsupportedError` for orientations.
+        Which points are inside says `contains`. Of the map the distance is that of the nearest cell that is not
+        reached, outside of the nearest that is, so it may be off by half the diagonal of a cell (`resolution`), and
+        outside by what the samples missed; inside, the inverse model decides cells without samples. Errors:
+        `UnsupportedError` for orientations.
         """
         if self.kind == ORIENTATION:
             raise UnsupportedError("distances are those of places, not of orientations")
         flat, lead = self._points(points)
         if self.exact is not None:
             return (self.exact.distance(flat) * np.where(self.exact.contains(flat), 1.0, -1.0)).reshape(lead)
-        return map_measures.to_boundary(self.map, flat[:, self.map.grid.kept]).reshape(lead)
+        question, inside = self.question, np.asarray(self.contains(points)).reshape(-1)
+        far = map_measures.to_boundary(self.system, self.frame, self.map, flat, inside, self.seed, question)
+        return far.reshape(lead)
 
     @property
     def resolution(self) -> float:
@@ -267,6 +282,8 @@ class Workspace(Report):
                         for a, k in zip(grid.axes, grid.kept, strict=True))  # fmt: skip
         if self.exact is not None:
             said = [(name, f"{value:.9g} {unit}, exact but for rounding")]
+        elif not high:
+            said = [(name, f"0 {unit}, proven by lengths and limits")]
         else:
             least, most = (
                 f"at least {low:.6g} {unit} but for chance",
