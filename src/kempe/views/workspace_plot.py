@@ -109,7 +109,7 @@ def _around(middles: Array, size: float) -> Array:
 
 
 def _bar(workspace: Workspace, first: Axes, axes: list[Any]) -> None:
-    """A bar that says what colours mean; none where a place is reached or not."""
+    """Add a bar that says what colours mean; none where a place is reached or not."""
     question, shown = workspace.question, first.images[0]
     low, high = shown.get_clim()
     if question.tried and low == 0.0:

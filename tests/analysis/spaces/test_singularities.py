@@ -189,15 +189,15 @@ def test_a_five_bar():
     assert one.dimension == two.dimension == 1
 
 
-def test_of_a_planar_frame_with_two_freedoms_the_place_is_asked_for():
+def test_of_a_planar_frame_with_two_freedoms_the_place_is_the_task():
     """Its pose has three equations, of which one is never met: what is lost is counted from two."""
     arm = kempe.load("five_bar")
     found = arm.singularities("tip", budget=FEW)
     assert found.task == "position"
     (one,) = (s for s in found.sets if s.kinds == ("type 1",))
     assert np.median([len(lost) for lost in one.lost]) == 1
-    asked = arm.singularities("tip", "position", budget=FEW)
-    assert all(np.array_equal(a.q, b.q) for a, b in zip(found.sets, asked.sets, strict=True))
+    given = arm.singularities("tip", "position", budget=FEW)
+    assert all(np.array_equal(a.q, b.q) for a, b in zip(found.sets, given.sets, strict=True))
     for name, frame in (("five_bar", "crank1"), ("three_rrr", "tool"), ("four_bar", "coupler")):
         assert kempe.load(name).singularities(frame, inputs=["A"] * (name == "four_bar") or None, budget=FEW).task == (
             "pose"), f"{frame} of {name} has one freedom, or three"  # fmt: skip

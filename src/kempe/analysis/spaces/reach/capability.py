@@ -86,8 +86,8 @@ class CapabilityMap(Report):
     def _too_few(self) -> str:
         """Why directions that are drawn are not reached anywhere, where the frame has too few freedoms for them."""
         system, name, free = self.system, self.frame, self.rolls is None and self.system.dim == 3
-        asked: Any = [Position(name, (0.0,) * 3), Pointing(name, (0.0, 0.0, 1.0))] if free else name
-        found = task_space(system, asked)
+        wanted: Any = [Position(name, (0.0,) * 3), Pointing(name, (0.0, 0.0, 1.0))] if free else name
+        found = task_space(system, wanted)
         if found.generic_rank >= found.m:
             return ""
         what = "a position and a direction have" if free else "a pose has"

@@ -199,7 +199,7 @@ def singularities(
     driving = driven(system, inputs)
     if loops and name is None and not driving:
         raise InputError(f"{system.name} has no actuated joint: name inputs, or a frame")
-    task, questions = _asked(system, name, task, driving if loops else None, spend)
+    task, questions = _questions_of(system, name, task, driving if loops else None, spend)
     problems = questions.problems()
     found: Found = {}
     clock, done, broken = TimeLimit(spend.time_limit), 0, None
@@ -241,10 +241,10 @@ def _led(
     return rows
 
 
-def _asked(
+def _questions_of(
     system: System, frame: str | None, task: str | None, driving: list[int] | None, spend: Budget
 ) -> tuple[str, RankQuestions]:  # fmt: skip
-    """The task by its name and what is asked: of a planar frame with loops and two freedoms its place, if that moves.
+    """The task by its name and what is wanted: of a planar frame with loops and two freedoms its place, if that moves.
 
     Its pose has three equations, and so lacks a direction everywhere.
     """

@@ -20,7 +20,7 @@ POINTS = {"inner": 500, "near": 2000, "far": 500}
 """Random points of each kind of cells whose places the inverse model is to reach, for the measure."""
 SIGMAS = 2.0
 """Standard errors that the error of a measure is."""
-UNASKED, REACHED, UNREACHED = range(3)
+UNDECIDED, REACHED, UNREACHED = range(3)
 """What is known of a cell without samples."""
 FIRST, AT_ONCE = 4, 256
 """Empty cells of which the nearest that is not reached is looked for first; points that are looked at together."""
@@ -105,7 +105,7 @@ def to_boundary(
     if question.tried:  # a place of each cell was decided
         out[near] = edge.query(at[near])[0]
         return out
-    known = np.where(cells.empty[1], UNREACHED, UNASKED)
+    known = np.where(cells.empty[1], UNREACHED, UNDECIDED)
     for k in range(0, len(near), AT_ONCE):
         which = near[k : k + AT_ONCE]
         out[which] = _to_unreached(
@@ -127,8 +127,8 @@ def _to_unreached(
     while len(left):
         far, cell = (x.reshape(len(left), -1) for x in tree.query(points[left], k=min(many, tree.n)))
         before = np.cumsum(known[cell] == UNREACHED, axis=1) == 0
-        asked = np.unique(cell[before & (known[cell] == UNASKED)])
-        known[asked] = np.where(reached(tree.data[asked]), REACHED, UNREACHED)
+        open_cells = np.unique(cell[before & (known[cell] == UNDECIDED)])
+        known[open_cells] = np.where(reached(tree.data[open_cells]), REACHED, UNREACHED)
         gone = known[cell] == UNREACHED
         done = gone.any(axis=1)
         out[left[done]] = far[done, gone[done].argmax(axis=1)]
