@@ -45,7 +45,9 @@ class Commands(TyperGroup):
 
 def leave(answer: Any) -> None:
     """End the command where its answer is not complete: by the code for Ctrl-C where that broke it off."""
-    if getattr(answer, "interrupted", False):
+    from kempe.status import Status  # which loads numpy
+
+    if getattr(answer, "interrupted", False) or getattr(answer, "broken", None) is Status.INTERRUPTED:
         raise typer.Exit(INTERRUPTED)
     if not answer:
         raise typer.Exit(INCOMPLETE)

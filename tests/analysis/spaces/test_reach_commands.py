@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import typer
 from command import Result
 
 import kempe
+from kempe import Budget
+from kempe.analysis.spaces.reach import base_placement
+from kempe.views.terminal import leave
 
 
 @pytest.mark.slow
@@ -33,6 +37,35 @@ def test_singularities_of_loops():
     assert [(s["kinds"], len(s["q"])) for s in data["sets"]] == [(["type 1"], 4)]
     none = Result("singularities", "four_bar", "--frame", "coupler", "--inputs", "A")
     assert none.code == 1 and "no singular configuration found" in none.out
+
+
+def interrupted(*_):
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("ask", [
+    lambda arm, X, budget: arm.reach.poses(X, "tool", budget=budget),
+    lambda arm, X, budget: arm.reach.place(X, "tool", {"x": (0.0, 0.1)}, 4000, budget=budget),
+    lambda arm, X, budget: arm.singularities("tool", budget=budget),
+], ids=["reach", "place", "singularities"])  # fmt: skip
+def test_what_was_interrupted_ends_with_the_code_of_ctrl_c(ask):
+    arm = kempe.load("ur5")
+    answer = ask(arm, arm.fk(arm.mid, "tool")[None], Budget(starts=20, progress=interrupted))
+    assert "interrupted" in str(answer) or len(answer.codes) == 1
+    with pytest.raises(typer.Exit) as end:
+        leave(answer)
+    assert end.value.exit_code == 130
+
+
+def test_many_starts_and_places_are_not_prepared_at_once(monkeypatch):
+    """What is made of all of them takes long, and cannot be interrupted."""
+    made = list[int]()
+    pose = base_placement.base_pose
+    monkeypatch.setattr(base_placement, "base_pose", lambda places: made.append(len(places)) or pose(places))
+    arm = kempe.load("ur5")
+    X = arm.fk(arm.mid, "tool")[None]
+    arm.reach.place(X, "tool", {"x": (0.0, 0.1)}, 100_000, budget=Budget(starts=1, progress=interrupted))
+    assert made == [2048]
 
 
 def test_poses_of_a_file(tmp_path):

@@ -148,10 +148,9 @@ def place_base(
     places = np.zeros((int(np.prod(shape)), 4))
     for i, n in enumerate(AXES):
         places[:, i] = grid[list(axes).index(n)].ravel() if n in axes else fixed.get(n, 0.0)
-    inverse = spatial.inverse(base_pose(places))
 
     def work(first: int, last: int, each: Budget) -> list[Array]:
-        wanted = (inverse[first:last, None] @ X).reshape(-1, 4, 4)
+        wanted = (spatial.inverse(base_pose(places[first:last]))[:, None] @ X).reshape(-1, 4, 4)
         found = reached(system, wanted, name, task, each)
         own = (x.reshape(last - first, len(X)) for x in (found.reached, found.margin, found.manipulability))
         hit, far, w = own
