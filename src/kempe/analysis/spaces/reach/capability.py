@@ -18,12 +18,12 @@ from kempe.analysis.spaces.reach.map_slices import sliced
 from kempe.analysis.spaces.reach.reached_poses import UNKNOWN, reached
 from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods, numbers
-from kempe.constraints.kinds import Pointing, Position
+from kempe.constraints.frame_targets import of_target
 from kempe.errors import InputError
 from kempe.kinematics.common.result import Report
 from kempe.reals import is_sequence, is_whole
 from kempe.solvers.common.clock import partial
-from kempe.solvers.common.targets import frame_of
+from kempe.solvers.common.targets import Z_AXIS, frame_of
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import counted
@@ -86,8 +86,8 @@ class CapabilityMap(Report):
     def _too_few(self) -> str:
         """Why directions that are drawn are not reached anywhere, where the frame has too few freedoms for them."""
         system, name, free = self.system, self.frame, self.rolls is None and self.system.dim == 3
-        wanted: Any = [Position(name, (0.0,) * 3), Pointing(name, (0.0, 0.0, 1.0))] if free else name
-        found = task_space(system, wanted)
+        task = "position_axis" if free else "pose"
+        found = task_space(system, of_target(name, task, Z_AXIS, np.eye(4)))
         if found.generic_rank >= found.m:
             return ""
         what = "a position and a direction have" if free else "a pose has"
