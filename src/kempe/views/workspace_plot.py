@@ -54,7 +54,7 @@ def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
         axes = page.new_figure(5.6, 4.6).add_subplot() if ax is None else page.axes_given(ax)[0]
         _slice(workspace, axes, counts, 0, 1, counts.max(initial=1))
         _bar(workspace, axes, [axes])
-        for piece in () if workspace.exact is None else workspace.exact.boundary:
+        for piece in workspace.outline:
             p = shapes.piece_points(piece)
             axes.plot(np.real(p), np.imag(p), color=style.OPEN, linewidth=1.2, gid="boundary")
         return axes
@@ -89,7 +89,7 @@ def _slice(workspace: Workspace, ax: Axes, counts: np.ndarray, right: int, up: i
     ax.imshow(shown, origin="lower", extent=extent, cmap=COLOURS, norm=norm, interpolation="nearest", gid="counts")
     filled = np.pad(counts > 0, 1).astype(float).T
     x, y = (_around(grid.centres(names[k]), float(grid.size[k])) for k in (right, up))
-    if filled.any() and workspace.exact is None:
+    if filled.any() and not workspace.outline:
         ax.contour(x, y, filled, levels=[0.5], colors=style.INK, linewidths=0.8)
     units = {name: f" [{unit}]" if (unit := _unit(workspace, name).strip()) else "" for name in names}
     ax.set_xlabel(f"{names[right]}{units[names[right]]}", size=style.FONT, color=style.INK)

@@ -56,7 +56,7 @@ def planar_region(system: System, frame: str, question: WorkspaceKind) -> Planar
     return _together(parts, question.kind == CONSTANT and all(p.counted for p in parts))
 
 
-def _at_zero(system: System) -> Array:
+def at_zero(system: System) -> Array:
     """The configuration (nq,) with all coordinates at zero, but for those that their limits hold."""
     q, held = system.neutral.copy(), system.lower == system.upper
     q[held] = system.lower[held]  # planar coordinates and velocities have the same places
@@ -65,7 +65,7 @@ def _at_zero(system: System) -> Array:
 
 def _turn_at_zero(system: System, frame: str) -> float:
     """The angle by which a frame is turned there."""
-    R = system.fk(_at_zero(system), frame)[:2, :2]
+    R = system.fk(at_zero(system), frame)[:2, :2]
     return float(np.arctan2(R[1, 0], R[0, 0]))
 
 
@@ -146,7 +146,7 @@ def planar_chain(system: System, frame: str) -> PlanarChain:
         )
     if len(names) > MOST:
         raise UnsupportedError(f"the chain of {frame!r} has {len(names)} joints; it may have {MOST}")
-    q, low, high = _at_zero(system), system.lower[v_index], system.upper[v_index]
+    q, low, high = at_zero(system), system.lower[v_index], system.upper[v_index]
     tip, J = complex(*system.fk(q, frame)[:2, 3]), system.jacobian(q, frame)[:, v_index]
     joints: list[PlanarJoint] = []
     for label, a, b, (vx, vy, w) in zip(names, low.tolist(), high.tolist(), J[[0, 1, 5]].T, strict=True):

@@ -75,6 +75,21 @@ class PlanarWorkspace(Report):
         """Its area in square metres, exact but for rounding."""
         return sum((r.area for r in self.regions), 0.0)
 
+    @property
+    def measure(self) -> float:
+        """Its area, as what is measured of it."""
+        return self.area
+
+    @property
+    def size(self) -> float:
+        """A length of what it is made of."""
+        return self.region.size
+
+    @property
+    def limited(self) -> int:
+        """How many joints with limits one chain has at most: the work grows with a power of that."""
+        return self.region.limited
+
     @cached_property
     def extent(self) -> Array:
         """The least and the largest x and y (2, 2) of its boundary in metres."""

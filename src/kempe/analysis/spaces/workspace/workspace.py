@@ -13,8 +13,17 @@ from numpy.typing import ArrayLike
 
 from kempe.analysis.maps.part_log import refuse_other
 from kempe.analysis.maps.zarr_folders import description_of
-from kempe.analysis.spaces.kinds.questions import DEXTEROUS, ORIENTATION, WorkspaceKind, coordinates_of, read_rotations
+from kempe.analysis.spaces.kinds.questions import (
+    DEXTEROUS,
+    ORIENTATION,
+    REACHABLE,
+    WorkspaceKind,
+    coordinates_of,
+    read_rotations,
+)
 from kempe.analysis.spaces.planar.planar_workspace import PlanarWorkspace, planar_answer
+from kempe.analysis.spaces.planar.plane_curves import PlaneCurve
+from kempe.analysis.spaces.planar.swept_solids import SweptSolid, swept_solid
 from kempe.analysis.spaces.workspace import map_measures
 from kempe.analysis.spaces.workspace.cell_map import CellMap
 from kempe.analysis.spaces.workspace.map_files import Stored, read_map, write_map
@@ -36,7 +45,7 @@ MOST_LIMITED = 4
 LARGE = 1.0
 """Edge [m] of a cell from which on it is written in metres, below in millimetres."""
 ROUNDING = 1e-9
-"""Error of an exact area, in squares of the size of its chain."""
+"""Error of an exact area or volume, in powers of the size of its chain."""
 
 
 @explained_methods
@@ -90,31 +99,41 @@ class Workspace(Report):
         return self.question.kind
 
     @cached_property
-    def exact(self) -> PlanarWorkspace | None:
-        """The exact workspace of a planar system, as `System.reach.planar` has it; None where that is not known.
+    def exact(self) -> PlanarWorkspace | SweptSolid | None:
+        """The exact workspace, None where that is not known: of a planar system as `System.reach.planar` has it.
 
-        It is not looked for where more than four joints of a chain have limits, which takes long, nor used where it is
-        not inside the box.
+        In space it is known of chains that move the frame in a plane, which a slide moves across itself or a first
+        joint turns fully. It is not looked for where more than four joints of a chain have limits, which takes long,
+        nor used where it is not inside the box.
         """
-        try:
-            found = planar_answer(self.system, self.frame, self.question)
-        except (UnsupportedError, InputError):
-            return None
-        grid = self.map.grid
-        if found.region.limited > MOST_LIMITED or len(grid.axes) != 2:
+        found, grid, dim = self._exact_anywhere(), self.map.grid, self.system.dim
+        if found is None or found.limited > MOST_LIMITED or len(grid.axes) != dim:
             return None
         low, high = found.extent
-        return found if (low >= grid.low[:2]).all() and (high <= grid.high[:2]).all() else None
+        return found if (low >= grid.low[:dim]).all() and (high <= grid.high[:dim]).all() else None
+
+    @property
+    def outline(self) -> tuple[PlaneCurve, ...]:
+        """Pieces of curves that bound it, where it is planar and known exactly; else none."""
+        return self.exact.boundary if isinstance(self.exact, PlanarWorkspace) else ()
+
+    def _exact_anywhere(self) -> PlanarWorkspace | SweptSolid | None:
+        if self.system.dim == 3:
+            return swept_solid(self.system, self.frame) if self.kind == REACHABLE else None
+        try:
+            return planar_answer(self.system, self.frame, self.question)
+        except (UnsupportedError, InputError):
+            return None
 
     @cached_property
     def measure(self) -> tuple[float, float]:
         """Length, area or volume of what is reached in the box, as it has dimensions, and the error.
 
-        It is the `estimate`, or where the workspace is known exactly its area, with an error that is rounding.
+        It is the `estimate`, or where the workspace is known exactly its area or volume, and an error that is rounding.
         """
         if self.exact is None:
             return self.estimate
-        return self.exact.area, ROUNDING * self.exact.region.size**2
+        return self.exact.measure, ROUNDING * self.exact.size**self.system.dim
 
     @cached_property
     def estimate(self) -> tuple[float, float]:
