@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from reached_sets import shell
 
 import kempe
 from kempe import Mechanism
@@ -56,6 +57,16 @@ def test_a_line_goes_around_cells_where_no_boundary_is_known():
     edge = np.concatenate(lines)
     away = np.linalg.norm(edge[edge[:, 0] < 0.75], axis=1)
     assert np.minimum(np.abs(away - 0.9), np.abs(away - 0.1)).max() < 3 * part.resolution
+
+
+def test_slices_show_the_boundary_of_a_solid():
+    """A shell of radii 0.2 and 0.8, cut through its middle: circles, and no line around the cells with samples."""
+    axes = shell(0.5, 0.3).workspace("tip", n=5000, cells=20).plot(at=(0.0, 0.0, 0.0))
+    for ax in axes:
+        (lines,) = ax.collections
+        assert lines.get_gid() == "boundary"
+        radii = np.unique([np.round(np.hypot(*p.T).mean(), 2) for p in lines.get_paths()[0].to_polygons()])
+        assert radii.tolist() == [0.2, 0.8]
 
 
 def test_where_each_cell_has_one_place_there_is_nothing_to_count():

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 COLOURS = "cividis_r"
 """Darker is more often: it reads in grey, and for those who see fewer colours."""
+OUTLINE = 400
+"""Points of a grid along each side of a slice, between which the boundary of a solid is drawn."""
 FEW = 10
 """Samples in a cell from which on the colours are logarithmic."""
 PAIRS = ((0, 1, 2), (0, 2, 1), (1, 2, 0))
@@ -37,10 +39,10 @@ PAIRS = ((0, 1, 2), (0, 2, 1), (1, 2, 0))
 def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
     """Axes with the counts of a workspace, white where no sample fell; ``.figure.savefig("name.png")`` writes it.
 
-    Samples that are places or orientations count where they are reached. In the plane one axes, with the exact boundary
-    in red where it is known, else with a line around the cells with samples; in space an array of three, slices through
-    the point `at` (3,) [m], by default the middle of what is reached (of orientations azimuth, height, roll). `ax` are
-    the axes to draw on, as many. Errors: `InputError`.
+    Samples that are places or orientations count where they are reached. In the plane one axes, in space an array of
+    three, slices through the point `at` (3,) [m], by default the middle of what is reached (of orientations azimuth,
+    height, roll); with the exact boundary in red where it is known, else with a line around the cells with samples.
+    `ax` are the axes to draw on, as many. Errors: `InputError`.
     """
     grid, counts = workspace.map.grid, workspace.map.counts
     d = len(grid.axes)
@@ -72,6 +74,8 @@ def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
     most = max(int(layer.max(initial=1)) for layer in layers)
     for one, layer, (right, up, cut) in zip(axes, layers, PAIRS, strict=True):
         _slice(workspace, one, layer, right, up, most)
+        if workspace.exact is not None:
+            _outline(workspace.exact, one, (right, up), float(grid.centres(grid.axes[cut])[place[cut]]))
         name, here = grid.axes[cut], grid.centres(grid.axes[cut])[place[cut]]
         here = here if abs(here) > 1e-6 * grid.size[cut] else 0.0  # what rounding leaves of a middle at zero
         one.set_title(f"{name} = {here:.3g}{_unit(workspace, name)}", size=style.FONT, color=style.INK, pad=11)
@@ -89,7 +93,7 @@ def _slice(workspace: Workspace, ax: Axes, counts: np.ndarray, right: int, up: i
     ax.imshow(shown, origin="lower", extent=extent, cmap=COLOURS, norm=norm, interpolation="nearest", gid="counts")
     filled = np.pad(counts > 0, 1).astype(float).T
     x, y = (_around(grid.centres(names[k]), float(grid.size[k])) for k in (right, up))
-    if filled.any() and not workspace.outline:
+    if filled.any() and workspace.exact is None:
         ax.contour(x, y, filled, levels=[0.5], colors=style.INK, linewidths=0.8)
     units = {name: f" [{unit}]" if (unit := _unit(workspace, name).strip()) else "" for name in names}
     ax.set_xlabel(f"{names[right]}{units[names[right]]}", size=style.FONT, color=style.INK)
@@ -97,6 +101,18 @@ def _slice(workspace: Workspace, ax: Axes, counts: np.ndarray, right: int, up: i
     ax.tick_params(labelsize=style.FONT - 1, colors=style.GROUND)
     ax.ticklabel_format(style="sci", scilimits=(-3, 4))
     ax.set_aspect("equal" if workspace.map.unit == "m" else "auto")
+
+
+def _outline(exact: Any, ax: Axes, axes: tuple[int, int], here: float) -> None:
+    """Draw the boundary of an exact solid where a slice cuts it, by which points of a fine grid are inside."""
+    right, up = axes
+    x, y = (np.linspace(*limits, OUTLINE) for limits in (ax.get_xlim(), ax.get_ylim()))
+    points = np.full((OUTLINE, OUTLINE, 3), here)
+    points[..., right], points[..., up] = np.meshgrid(x, y)
+    inside = exact.contains(points.reshape(-1, 3)).reshape(OUTLINE, OUTLINE)
+    if inside.any():
+        lines = ax.contour(x, y, inside.astype(float), levels=[0.5], colors=style.OPEN, linewidths=1.2)
+        lines.set_gid("boundary")
 
 
 def _unit(workspace: Workspace, axis: str) -> str:
