@@ -195,8 +195,8 @@ class Revolved(SweptSolid):
 
     beside: float = 0.0
 
-    @cached_property
-    def measure(self) -> float:  # type: ignore[override]
+    @property
+    def measure(self) -> float:
         """Its volume in cubic metres, exact but for rounding: pi times the integral of |x| over the folded section."""
         return 0.5 * np.pi * sum(_moment_about_y(cast(PlanePiece, p)) for p in self.section.ends)
 
@@ -227,7 +227,7 @@ class Revolved(SweptSolid):
         for piece in ends:
             p = piece.points(FINE) if piece.is_arc else piece.at(np.linspace(0.0, 1.0, 400))
             out.append(np.hypot(np.real(p), self.beside) + 1j * np.imag(p))
-        line = PlanePiece(-1j * self.size, 0.0, way=2j * self.size)
+        line = PlanePiece(-4j * self.size, 0.0, way=8j * self.size)
         t = np.unique(np.concatenate([[0.0, 1.0], *(line.meets(p) for p in ends)]))
         for a, b in itertools.pairwise(t.tolist()):
             if bool(self.section.holds(line.at(0.5 * (a + b)))):
