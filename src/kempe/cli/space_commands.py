@@ -43,7 +43,7 @@ def spaces(
     ] = None,
     position_only: Annotated[bool, option("--position-only", "Only its position counts, not its pose.")] = False,
     sample: Annotated[
-        int | None, option("--sample", "So many random configurations, uniform in a stated measure.", "N")
+        float | None, option("--sample", "So many random configurations, uniform in a stated measure.", "N")
     ] = None,
     rng: Annotated[int, option("--rng", "Number that fixes what is random (0).", "N")] = 0,
     time_limit: TimeLimit = None, plot: Picture = None, out: Out = None, json: Json = False,

@@ -439,7 +439,7 @@ def test_maps_of_something_else_are_refused(tmp_path, whole, words, more, finish
     mapped(whole[0], path, budget=None if finished else interrupted_after(300))
     given = {"system": PUMA, "verb": "ik", "frame": "tool", **more}
     given["frame"] = PUMA.body_names[2] if given["frame"] == "wrist_3" else given["frame"]
-    with pytest.raises(InputError, match=f"belongs to another map: its {words}"):
+    with pytest.raises(InputError, match=f"belongs to another map: (its|it is of another) {words}"):
         kempe.map_file(given.pop("system"), given.pop("verb"), whole[0], path, **given)
     assert mapped(whole[0], path).redone == 0 and same(arrays(path), whole[1])
 
@@ -522,9 +522,16 @@ def words_in_parquet(path):
     return path / "x.parquet"
 
 
+def objects_in_npy(path):
+    np.save(path / "x.npy", np.array([{"q1": 1.0}], dtype=object))
+    return path / "x.npy"
+
+
 WRONG = [
     (lambda path: path / "none.npy", {}, "no such file"),
-    (text("x.npy", "hello"), {}, r"cannot be read as \.npy"),
+    (text("x.npy", "hello"), {}, r"cannot be read as \.npy: it does not begin as such a file does"),
+    (text("x.npy", ""), {}, r"cannot be read as \.npy"),
+    (objects_in_npy, {}, "x.npy: it holds Python objects; it must hold an array of real numbers"),
     (text("x.parquet", "hello"), {}, r"cannot be read as \.parquet"),
     (text("x.txt", "1,2,3"), {}, "rows are read from Zarr, and from"),
     (lambda path: path, {}, "cannot be read as Zarr"),

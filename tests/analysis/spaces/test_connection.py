@@ -91,7 +91,7 @@ def test_limits_turn_trees_aside_or_exclude():
     none = tight.configuration_space.path(a, b, budget=Budget(iterations=40))
     assert none.code is Status.NOT_FOUND and "no proof" in none.status
     beyond = free.with_limits({"A": (0.0, 1.0)}).configuration_space.path(a, b)
-    assert beyond.code is Status.OUTSIDE_LIMITS and "q0 is outside the limits of 'A'" in beyond.status
+    assert beyond.code is Status.OUTSIDE_LIMITS and "the start q0 is outside the limits of 'A'" in beyond.status
 
 
 @pytest.mark.slow

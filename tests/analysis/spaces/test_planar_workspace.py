@@ -295,6 +295,16 @@ def test_dexterous_places_of_three_links():
         planar_answer(w.system, "tool", question_of(w.system, "tool", None, None, (0.1, 0.2)))
 
 
+def test_distances_from_the_boundary():
+    """Of the annulus of radii 0.1 and 1.1, above its plane, too; infinite points are infinitely far, without a warning."""
+    w = planar_workspace(arm(("R", 0.0, None), ("R", 0.6, None), tool=0.5), "tool")
+    assert w.distance([[0.0, 0.0], [0.3, 0.4], [0.0, -2.0]]) == pytest.approx([0.1, 0.4, 0.9], abs=1e-14)
+    assert w.distance([0.3, 0.4, 0.3]) == pytest.approx(0.5) and not w.contains([0.3, 0.4, 0.3])
+    with np.errstate(all="raise"):
+        assert np.isinf(w.distance([[np.inf, 0.0], [0.0, -np.inf]])).all() and np.isnan(w.distance([np.nan, 0.0]))
+        assert not w.contains([[np.inf, 0.0], [0.0, -np.inf], [np.nan, 0.0]]).any()
+
+
 @pytest.mark.parametrize("over", [1e-2, 1e-3, 3e-4, 1e-4])
 def test_curves_that_nearly_coincide(over):
     """A slide that goes just over the place where it is nearest to the axis: the hole stays one, however thin the ring

@@ -159,7 +159,8 @@ def refuse_other(of: dict[str, Any], said: dict[str, Any], where: str, keys: Ite
     different = [key for key in (said if keys is None else keys) if of.get(key) != said[key]]
     if different:
         key = different[0]
-        raise InputError(
-            f"{where} belongs to another map: its {key} is {of.get(key)!r}, and here it is {said[key]!r}; take another "
-            f"path, or remove it"
-        )
+        if key == "system":
+            why = f"it is of another system, or that system has changed since (hash {of.get(key)}, here {said[key]})"
+        else:
+            why = f"its {key} is {of.get(key)!r}, and here it is {said[key]!r}"
+        raise InputError(f"{where} belongs to another map: {why}; take another path, or remove it")

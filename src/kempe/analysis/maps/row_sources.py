@@ -23,7 +23,7 @@ BLOCK_ROWS = 2**16
 """Rows of a block where the file itself has none, or smaller ones."""
 BLOCK_BYTES = 2**30
 """The largest block that is read: a row group of a Parquet file, a chunk of Zarr."""
-DAMAGED = (OSError, ValueError, RuntimeError, KeyError, TypeError)
+DAMAGED = (OSError, ValueError, RuntimeError, KeyError, TypeError, EOFError)
 """What libraries raise for a file that is not what it should be."""
 
 
@@ -122,7 +122,13 @@ def _steps(n: int, step: int) -> list[int]:
 
 def _npy(path: Path, columns: Sequence[str] | None) -> RowSource:
     """Arrays of numpy, of which only what is read comes into memory."""
-    array = np.load(path, mmap_mode="r", allow_pickle=False)
+    try:
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except ValueError as error:
+        if "Python objects" in str(error):
+            raise InputError(f"{path}: it holds Python objects; it must hold an array of real numbers") from None
+        why = "it does not begin as such a file does" if "pickle" in str(error) else str(error)
+        raise InputError(f"{path}: this cannot be read as .npy: {why}") from error
     return _of_array(path, array, [0, len(array)] if array.ndim else [0])
 
 

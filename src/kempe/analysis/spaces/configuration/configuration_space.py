@@ -72,7 +72,7 @@ class ConfigurationSpace(Report):
     # ---- all of it
 
     def sample(
-        self, n: int, rng: np.random.Generator | int | None = None, *, budget: Budget | None = None
+        self, n: float, rng: np.random.Generator | int | None = None, *, budget: Budget | None = None
     ) -> Sample:  # fmt: skip
         """Random configurations (n, nq), uniform in a stated measure; see `spaces.configuration.sampling.sample`."""
         from kempe.analysis.spaces.configuration.sampling import sample

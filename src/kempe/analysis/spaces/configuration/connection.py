@@ -92,7 +92,7 @@ def path(system: System, q0: Any, q1: Any, *, budget: Budget | None = None) -> C
     time, step, rng = TimeLimit(spend.time_limit), float(spend.step), generator(spend.rng)
     a, b = _end(system, q0, "q0"), _end(system, q1, "q1")
     manifold = Manifold(system, system.nv)
-    for name, q in (("q0", a), ("q1", b)):
+    for name, q in (("the start q0", a), ("the goal q1", b)):
         if not manifold.inside(q[None])[0]:
             rows = manifold.one_sided
             which = ", ".join(repr(rows.names[k]) for k in np.flatnonzero(rows.beyond(q) > 0.0))

@@ -16,7 +16,7 @@ from kempe.calls import brief, explained, explained_methods, generator
 from kempe.errors import InputError, UnsupportedError, shown
 from kempe.kinematics.configuration import circles, has_loops, random
 from kempe.kinematics.one_sided import one_sided_rows
-from kempe.reals import is_whole
+from kempe.reals import is_real
 from kempe.solvers.common.answer import Configurations
 from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp
 from kempe.spatial import Array
@@ -74,7 +74,7 @@ def _made(system: System, n: int, q: Array, measure: str, exact: bool, how: str,
 
 @explained
 def sample(
-    system: System, n: int, rng: np.random.Generator | int | None = None, *, budget: Budget | None = None
+    system: System, n: float, rng: np.random.Generator | int | None = None, *, budget: Budget | None = None
 ) -> Sample:  # fmt: skip
     """Random configurations (n, nq), uniform in a stated measure, within limits and on all constraints.
 
@@ -86,8 +86,8 @@ def sample(
     those of the random assemblies. Of the `budget` are read: time_limit (120 s), progress(done, n). Errors:
     `InputError` for n, and for slides that nothing bounds, by name: nothing is uniform there.
     """
-    if not is_whole(n) or not 1 <= n <= MOST:
-        raise InputError(f"n is {shown(n)}; it must be a whole number, at least 1 and at most {MOST}")
+    if not (is_real(n) and 1 <= n <= MOST and n == int(n)):
+        raise InputError(f"n is {shown(n)}; it must be a whole number of configurations, from 1 to {MOST}")
     rng, spend, n = generator(rng), USUAL.of(budget), int(n)
     time = TimeLimit(spend.time_limit)
 

@@ -143,11 +143,19 @@ class PlanarWorkspace(Report):
         return int(out[0]) if p.ndim == 0 else out.reshape(p.shape)
 
     def distance(self, points: ArrayLike) -> Any:
-        """Distances (...) >= 0, in metres, of points (..., 2) from the boundary, inside or outside."""
-        p = self._points(points)
-        best = np.full(p.shape, np.inf)
+        """Distances (...) >= 0, in metres, of points (..., 2) or (..., 3) from the boundary, inside or outside.
+
+        They are infinite where the boundary is empty or a point is infinite, and NaN where a point is.
+        """
+        given = numbers(points, "points")
+        self._points(given)
+        xy = given[..., :2]
+        finite, far = np.isfinite(xy).all(axis=-1), np.hypot(xy[..., 0], xy[..., 1])
+        near, best = self._points(np.where(finite[..., None], xy, 0.0)), np.full(finite.shape, np.inf)
         for piece in self.boundary:
-            best = np.minimum(best, piece.distance(p))
+            best = np.minimum(best, piece.distance(near))
+        best = np.where(finite, best, far)
+        best = np.hypot(best, given[..., 2]) if given.shape[-1] == 3 else best
         return float(best) if best.ndim == 0 else best
 
     def _points(self, points: ArrayLike) -> np.ndarray:
@@ -155,7 +163,9 @@ class PlanarWorkspace(Report):
         if p.ndim == 0 or p.shape[-1] not in (2, 3):
             raise InputError(f"points has shape {p.shape}; it must be (..., 2)")
         off = p.shape[-1] == 3 and p[..., 2] != 0.0
-        return np.where(off, np.nan, p[..., 0] + 1j * p[..., 1])
+        out = np.empty(p.shape[:-1], dtype=complex)
+        out.real, out.imag = np.where(off, np.nan, p[..., 0]), p[..., 1]
+        return out
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Matplotlib axes with the regions, darker where there are more solutions, and the boundary."""
