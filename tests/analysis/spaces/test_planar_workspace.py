@@ -296,7 +296,7 @@ def test_dexterous_places_of_three_links():
 
 
 def test_distances_from_the_boundary():
-    """Of the annulus of radii 0.1 and 1.1, above its plane, too; infinite points are infinitely far, without a warning."""
+    """Of the annulus of radii 0.1 and 1.1, above its plane, too; infinite points are infinitely far."""
     w = planar_workspace(arm(("R", 0.0, None), ("R", 0.6, None), tool=0.5), "tool")
     assert w.distance([[0.0, 0.0], [0.3, 0.4], [0.0, -2.0]]) == pytest.approx([0.1, 0.4, 0.9], abs=1e-14)
     assert w.distance([0.3, 0.4, 0.3]) == pytest.approx(0.5) and not w.contains([0.3, 0.4, 0.3])

@@ -80,7 +80,17 @@ def test_each_cell_with_samples_holds_a_point_of_the_torus():
     x, y, z = workspace.map.points.T
     away = np.abs(np.hypot(np.hypot(x, y) - 0.5, z) - 0.2)
     assert away.max() <= workspace.resolution and len(away) > 1000
-    assert workspace.volume[0] == 0.0
+    assert workspace.volume == (0.0, 0.0) == workspace.bounds and workspace.dimension == 2
+    assert "0 m^3: the frame moves on a surface" in str(workspace)
+
+
+def test_what_has_one_freedom_moves_on_a_curve():
+    """A point of a coupler: no area, but cells."""
+    workspace = kempe.load("four_bar").workspace("coupler_point", n=2e4)
+    assert workspace.area == (0.0, 0.0) and workspace.dimension == 1 and workspace.map.occupied.sum() > 100
+    assert "0 m^2: the frame moves on a curve" in str(workspace)
+    solid = shell(0.5, 0.3).workspace("tip", n=2e4, cells=16)
+    assert solid.dimension == 3 and "moves on" not in str(solid)
 
 
 def test_counts_are_those_of_positions():

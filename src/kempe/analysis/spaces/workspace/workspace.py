@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from kempe.analysis.maps.part_log import refuse_other
 from kempe.analysis.maps.zarr_folders import description_of
+from kempe.analysis.spaces.configuration.task_space import task_space
 from kempe.analysis.spaces.kinds.questions import (
     DEXTEROUS,
     ORIENTATION,
@@ -28,6 +29,7 @@ from kempe.analysis.spaces.workspace import map_measures
 from kempe.analysis.spaces.workspace.cell_map import CellMap
 from kempe.analysis.spaces.workspace.map_files import Stored, read_map, write_map
 from kempe.analysis.spaces.workspace.outer_bounds import outer_measure, possible_cells
+from kempe.budget import Budget
 from kempe.calls import explained, explained_methods
 from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.common.result import Cells, Report
@@ -44,6 +46,9 @@ MEASURES = {1: ("length", "m"), 2: ("area", "m^2"), 3: ("volume", "m^3")}
 MOST_LIMITED = 4
 LARGE = 1.0
 """Edge [m] of a cell from which on it is written in metres, below in millimetres."""
+THIN = {0: "stays at points", 1: "moves on a curve", 2: "moves on a surface"}
+LOOKED = 64
+"""Configurations at which the dimension is found."""
 ROUNDING = 1e-9
 """Error of an exact area or volume, in powers of the size of its chain."""
 
@@ -126,6 +131,27 @@ class Workspace(Report):
             return None
 
     @cached_property
+    def dimension(self) -> int:
+        """The dimension of what is reached: 1 of a curve, 2 of a surface, else that of the box.
+
+        It is the rank of the frame's velocities at `LOOKED` random configurations; where none was closed, and where
+        not all places count that are reached in any way, it is that of the box.
+        """
+        most = len(self.map.grid.axes)
+        if self.kind != REACHABLE:
+            return most
+        try:
+            seen = task_space(self.system, self.frame, task="position", budget=Budget(starts=LOOKED, rng=self.seed))
+        except InputError:
+            return most
+        return min(most, seen.generic_rank)
+
+    @property
+    def thin(self) -> bool:
+        """Whether it is a curve or a surface in a box of more dimensions, so that its measure there is 0."""
+        return self.dimension < len(self.map.grid.axes)
+
+    @cached_property
     def measure(self) -> tuple[float, float]:
         """Length, area or volume of what is reached in the box, as it has dimensions, and the error.
 
@@ -141,8 +167,10 @@ class Workspace(Report):
 
         The inverse model decides random points, more of them where the map changes. What it does not find counts as not
         reached, so that but for chance the value is too small rather than too large. Cells that lengths and limits
-        prove not to be reached are left out; where these are all, the error is 0.
+        prove not to be reached are left out; where these are all, the error is 0, and so it is of what is `thin`.
         """
+        if self.thin:
+            return 0.0, 0.0
         wanted = self.question
         found: list[tuple[float, float]] = []
         if wanted.tried:
@@ -171,7 +199,7 @@ class Workspace(Report):
         rounding away from an exact measure.
         """
         value, error = self.measure
-        if self.exact is not None:
+        if self.exact is not None or self.thin:
             return value - error, value + error
         return max(value - error, 0.0), self._outer
 
@@ -301,6 +329,8 @@ class Workspace(Report):
                         for a, k in zip(grid.axes, grid.kept, strict=True))  # fmt: skip
         if self.exact is not None:
             said = [(name, f"{value:.9g} {unit}, exact but for rounding")]
+        elif self.thin:
+            said = [(name, f"0 {unit}: the frame {THIN[self.dimension]}, as its velocities say")]
         elif not high:
             said = [(name, f"0 {unit}, proven by lengths and limits")]
         else:
