@@ -205,6 +205,31 @@ def test_a_ball_falls_and_bounces_and_a_car_manoeuvres():
     assert np.allclose(car.motion.q[0], car.home, atol=1e-6) and np.allclose(car.motion.q[-1], there, atol=1e-3)
 
 
+def test_rods_hold_while_a_target_is_dragged():
+    """Of particles on rods: no joint closes a loop, and yet all lengths stay."""
+    m = kempe.Mechanism("chain of rods", dim=2)
+    for name in "pq":
+        m.translation(f"J{name}", m.ground, m.particle(name))
+    m.distance("hook", m.ground, "p", length=0.3)
+    m.distance("rod", "p", "q", length=0.5)
+    session = Session(m.build())
+    for step in ([0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [2.0, 2.0, 0.0]):
+        X = session.pose.copy()
+        X[:3, 3] += step
+        session.reach(X)
+        p, q = session.q[:2], session.q[2:]
+        assert abs(np.hypot(*p) - 0.3) < 1e-6 and abs(np.hypot(*(q - p)) - 0.5) < 1e-6
+
+
+def test_a_motion_through_open_loops_is_shown_and_said():
+    bar = kempe.load("four_bar")
+    q = bar.q("closed")
+    session = Session(bar, path=np.stack([q, q + 0.3]))
+    session.at(4.0)
+    assert np.array_equal(session.q, q + 0.3)
+    assert session.said().startswith("closed to") and session.residual() > 0.01
+
+
 def test_what_is_said_names_residual_singularity_and_freedoms():
     session = Session(kempe.load("four_bar"))
     assert "closed to" in session.said() and session.residual() < 1e-12 and "regular" in session.said()

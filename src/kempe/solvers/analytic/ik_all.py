@@ -145,7 +145,7 @@ def _of_chain(problem: Problem) -> Solutions:
 
 
 def _no_loops(system: System, frame: str, task: TaskOf, fixed: tuple[str, ...]) -> str | None:
-    return None if system.structure.closures and of_loops(system, frame) else "the frame does not move with loops"
+    return None if of_loops(system, frame) else "the frame does not move with loops"
 
 
 def _needs(method: str, side_by_side: bool, why: str) -> Callable[..., str | None]:

@@ -21,6 +21,7 @@ from kempe.kernels.forward.table_layout import (
     rows_of,
     tip_of,
 )
+from kempe.kinematics.closure_rows import full
 from kempe.model.kept import kept
 from kempe.model.tree.gauge import regauge
 from kempe.model.tree.primitive_table import local_chain
@@ -66,7 +67,7 @@ class Chain:
 def chain_of(system: System, name: str, axis: tuple[float, float, float] = Z_AXIS) -> Chain:
     """The packed chain of a frame, its z axis turned to `axis`.
 
-    Errors: `UnsupportedError` where loops or relations move it.
+    Errors: `UnsupportedError` where loops, declared constraints or relations move it.
     """
     return _packed(system, name, axis)
 
@@ -114,14 +115,16 @@ def moved_by(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
 
 
 def of_loops(system: System, name: str) -> bool:
-    """Whether the motion of a frame depends on a closed loop."""
-    return " moves with the loop " in (obstacle(system, name) or "")
+    """Whether the motion of a frame depends on a closed loop, or on a declared constraint f(q) = 0."""
+    why = obstacle(system, name) or ""
+    return any(words in why for words in (" moves with the loop ", " moves with the constraint "))
 
 
 @kept
 def obstacle(system: System, name: str) -> str | None:
     """Why no open chain leads to a frame, such as a loop that moves it; None if one does."""
-    used = {system.structure.velocity_names[int(i)] for i in local_chain(system.structure.table, name)[2]}
+    moving = {int(i) for i in local_chain(system.structure.table, name)[2]}
+    used = {system.structure.velocity_names[i] for i in moving}
     for closure in system.structure.closures:
         if used & loop_coordinates(system, closure):
             return f"frame {name!r} moves with the loop that joint {closure!r} closes: no chain of its own leads there"
@@ -131,6 +134,11 @@ def obstacle(system: System, name: str) -> str | None:
                 f"frame {name!r} moves with coordinate {relation.of!r}, which follows several others: no chain of its "
                 f"own leads there"
             )
+    if any(c.equations(system.dim) for c in system.mechanism.constraints.values()):
+        loops = full(system, False)
+        for k, tie in enumerate(loops.ties):
+            if tie.name in system.mechanism.constraints and moving & set(loops.columns(k)):
+                return f"frame {name!r} moves with the constraint {tie.name!r}: no chain of its own leads there"
     return None
 
 

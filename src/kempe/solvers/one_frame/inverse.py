@@ -79,9 +79,9 @@ def ik(
     The answer says by `success` and `status` whether it was reached and if not, why; ``answer.expect()`` raises
     `NoSolutionError` then. Not reached, its `q` is the nearest found: least is the square of the miss, of the position
     in characteristic lengths of the system, of the rotation in radians. A NaN in a single target is an `InputError`, in
-    a batch it gives a NaN row. A frame that moves with closed loops, or with relations of several coordinates, is a
-    case for `reach`, which holds these, and so is what one would `prefer` of many configurations, as there: the answer
-    then is `Reached`.
+    a batch it gives a NaN row. A frame that moves with closed loops, declared constraints, or relations of
+    several coordinates, is a case for `reach`, which holds these, and so is what one would `prefer` of many
+    configurations, as there: the answer then is `Reached`.
 
     `method`: "numeric" (the default), damped least squares with an active set of limits and restarts (Sugihara, 2011;
     Chan and Lawrence, 1988); "analytic", of all solutions that `ik_all` finds the one nearest to `start`; "auto", that

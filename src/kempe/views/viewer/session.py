@@ -374,7 +374,10 @@ class Session:
             size = np.linalg.svd(rows, compute_uv=False)
             least = size[min(len(rows), rows.shape[1]) - 1] / max(size[0], 1e-300)
             return f"{self.frame} is singular here" if least < SINGULAR else ""
-        quality = self.chart.condition(self.q)
+        try:
+            quality = self.chart.condition(self.q)
+        except InputError:  # the loops are open here, which `said` tells by the residual
+            return ""
         word = "singular" if quality < 1e-6 else "near a singularity" if quality < 0.05 else "regular"
         return f"{word} (conditioning {quality:.2g})"
 
