@@ -68,7 +68,7 @@ def _angle(sheet: Sheet, subject: Subject, joint: SeenJoint) -> None:
     if len(names) != 1 or len(joint.motions) != 1:
         return
     value = float(coordinate_value(subject.system, sheet.scene.q, names[0]))
-    text, gid = names[0], f"angle:{joint.name}"
+    text, gid = subject.measured_text(names[0]), f"angle:{joint.name}"
     if joint.motions[0].kind == P:
         _dimension(sheet, flat(joint.F), flat(joint.M), text, gid, style.DRIVER)
         return

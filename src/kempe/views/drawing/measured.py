@@ -38,15 +38,20 @@ def texts(subject: Subject, mark: float) -> list[Text]:
         if "bodies" in options.words:
             text = subject.body_text(link)
             out.append((at, text, {"color": colour, "weight": "bold", "gid": f"label:body:{text}"}))
-        if options.dimensions and len(longest) > 1 and not link.ground:
+        if options.dimensions and not link.ground and len(scene.points(link)) > 1:  # a handle has no length
             known = lengths_by_name(subject.system, link.bodies)
-            for k, line in enumerate(lines):
+            for k, line in enumerate(side for one in lines for side in _sides(one)):
                 text = length_name(known, float(np.linalg.norm(line[-1] - line[0])))
                 look = {"color": GROUND, "style": "italic", "gid": f"label:dimension:{link.name}:{k}"}
                 out.append((_middle(line), text, look))
     scenes = (scene, *subject.others) if subject.others else ()
     out += subject.names_at([np.concatenate([s.points(link) for link in s.links[1:]]) for s in scenes])
     return out
+
+
+def _sides(line: Array) -> list[Array]:
+    """The sides (2, 3) of a closed polyline (n, 3), or an open one as it is."""
+    return [line[k : k + 2] for k in range(len(line) - 1)] if np.array_equal(line[0], line[-1]) else [line]
 
 
 def _length(line: Array) -> float:
@@ -84,7 +89,7 @@ def angles(ax: Any, subject: Subject, r: float) -> list[Text]:
             continue
         ax.plot(*line.T, color=INK, lw=1.2, zorder=style.ARROWS, gid=gid)
         ax.plot(*line[-1:].T, "o", color=INK, ms=2.5, zorder=style.ARROWS, gid=f"{gid}:end")
-        out.append((line[len(line) // 2], names[0], look))
+        out.append((line[len(line) // 2], subject.measured_text(names[0]), look))
     return out
 
 

@@ -164,9 +164,9 @@ def nice(length: float) -> float:
 
 def length_text(length: float) -> str:
     """A length with the unit that makes it short to read."""
-    if length >= 0.1:
+    if abs(length) >= 0.1 or length == 0.0:
         return f"{length:g} m"
-    return f"{1e3 * length:g} mm" if length >= 1e-4 else f"{1e6 * length:g} µm"
+    return f"{1e3 * length:g} mm" if abs(length) >= 1e-4 else f"{1e6 * length:g} µm"
 
 
 def _scale_bar(sheet: Sheet) -> None:

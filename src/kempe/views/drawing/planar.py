@@ -168,12 +168,16 @@ def _cross(sheet: Sheet, X: Array, gid: str, colour: str) -> None:
 def _rods(sheet: Sheet) -> None:
     """Draw rods between two points, and the pins that run in slots."""
     r = sheet.r
-    for name, _, ends, wrong in sheet.scene.rods:
+    pivots = [flat(j.on(0)) for j in sheet.scene.joints if j.kind == "revolute" and 0 in (j.parent, j.child)]
+    for name, links, ends, wrong in sheet.scene.rods:
         p, colour = flat(ends), OPEN if abs(wrong) > WRONG * sheet.scene.size else INK
         sheet.patch(shapes.rounded(p, 0.4 * BAR * r), f"rod:{name}", style.BARS, fc=style.FAINT, ec=colour)
         sheet.obstacles.segment(p[0], p[1], r)
         sheet.labels.append((name, p.mean(axis=0), 1.2 * r, {"gid": f"label:{name}", "color": INK}))
-        for end in p:
+        for link, end in zip(links, p, strict=True):
+            if link == 0 and not any(np.linalg.norm(c - end) < 0.3 * r for c in pivots):
+                _ground(sheet, end, _down(sheet, end), name)
+                pivots.append(end)
             sheet.patch(shapes.circle(end, 0.7 * r), f"rod:{name}:end", style.PINS, fc=PAPER, ec=INK, lw=1.2)
     for mark in sheet.scene.marks:
         touches.draw(sheet, mark)

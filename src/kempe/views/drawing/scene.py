@@ -94,8 +94,8 @@ class Scene:
     """All that there is to draw; link 0 is the ground.
 
     `rods` are distance constraints: name, links, ends (2, 3), what the ends are too far apart [m]. `lines` are points
-    on lines and planes: name, links, pose (4, 4) of the line's or plane's frame, position of the point. `marks` are
-    where other constraints take hold.
+    on lines: name, links, pose (4, 4) of the line's frame, position of the point. `marks` are where other constraints
+    take hold.
     """
 
     system: System
@@ -245,7 +245,7 @@ def _constraints(system: System, poses: dict[str, Array], number: dict[str, int]
         if c.rod:
             p = np.stack([A[:3, 3], B[:3, 3]])
             rods.append((c.name, ends, p, float(np.linalg.norm(p[1] - p[0])) - c.length(mechanism.parameters)))
-        elif {r.op for r in position_rows(c.of, system.dim)} == {Op.POINT}:
+        elif [r.op for r in position_rows(c.of, system.dim)] == [Op.POINT] * (system.dim - 1):
             lines.append((c.name, ends, A, B[:3, 3]))
         else:
             marks.append(_mark(system, c, number[c.child], A, B))
@@ -253,11 +253,12 @@ def _constraints(system: System, poses: dict[str, Array], number: dict[str, int]
 
 
 def _mark(system: System, c: Declared, link: int, A: Array, B: Array) -> SeenMark:
-    """A constraint that is no rod or line, with the plane that it touches, if it touches one."""
+    """A constraint that is no rod or line, with the plane that it touches or lies on, if there is one."""
     made, plane = with_numbers(c.of, system.structure.parameters), None
     rows = [r for r in made.rows(system.dim) if not r.velocity]
-    if made.symbol in ("contact", "wheel") and len(rows) == 1:
-        normal = A[:3, 1 if system.dim == 2 and rows[0].op is not Op.POINT else 2]
+    flat, point = system.dim == 2, bool(rows) and rows[0].op is Op.POINT
+    if len(rows) == 1 and (made.symbol in ("contact", "wheel") or (point and not flat)):
+        normal = A[:3, rows[0].args[0] if point else 1 if flat else 2]
         plane = B[:3, 3] - normal * float(normal @ (B - A)[:3, 3]), normal
     radius = float(getattr(made, "radius", None) or 0.0)
     return SeenMark(c.name, link, B, made.symbol, plane, radius, getattr(made, "shape", "") == "disc")

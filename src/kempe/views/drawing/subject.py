@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 IN_PLACE, SHORT = 4, (2, 12)
 """Configurations whose names stand beside them, and letters of these in space and in the plane; others have a key."""
+NOTHING = 1e-12
+"""Values up to this are rounding [m, rad]."""
 ACROSS = 3
 """Names and values of a joint that are written in one line."""
 
@@ -86,6 +88,10 @@ class Subject:
         parts = [joint.name, *with_values]
         return ",\n".join(", ".join(parts[k : k + ACROSS]) for k in range(0, len(parts), ACROSS))
 
+    def measured_text(self, name: str) -> str:
+        """What is written beside the arc or the length of a coordinate: its name, with its value if that is wanted."""
+        return coordinate_text(self, name) if "coordinates" in self.options.words else name
+
     def body_text(self, link: Any) -> str:
         """Names of the bodies of a link, with their numbers where the names do not say them."""
         number = {name: k for k, name in enumerate(self.system.body_names)}
@@ -106,6 +112,7 @@ def coordinate_text(subject: Subject, name: str) -> str:
     from kempe.views.drawing.page import length_text
 
     value = float(coordinate_value(subject.system, subject.scene.q, name))
+    value = value if abs(value) > NOTHING else 0.0
     unit = subject.units.get(name, "")
     said = length_text(round(value, 4)) if unit == "m" and abs(value) >= 1e-4 else f"{value:.3g} {unit}".rstrip()
     return f"{name} = {said}"

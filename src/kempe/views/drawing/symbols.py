@@ -193,7 +193,8 @@ def _ground(solids: Solids, scene: Scene, r: float, skeleton: list[Array]) -> No
     link = scene.links[0]
     joints = [scene.joints[j] for j in link.joints if scene.joints[j].kind not in ("free", "planar", "translation")]
     origin = next(iter(link.bodies.values()))[:3, 3]
-    centres = distinct(np.array([j.on(0)[:3, 3] for j in joints]).reshape(-1, 3))
+    rods = [ends[k] for _, links, ends, _ in scene.rods for k in (0, 1) if links[k] == 0]
+    centres = distinct(np.array([*(j.on(0)[:3, 3] for j in joints), *rods]).reshape(-1, 3))
     if len(centres) == 1:
         gap = float(np.linalg.norm(centres[0] - origin))
         if 4 * r < gap < 2 * scene.size:
