@@ -20,6 +20,7 @@ from kempe import spatial
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.forward.table_layout import BALL, SLIDE, TURN
 from kempe.reals import is_real
+from kempe.words import paragraphs
 
 R, P, Q = TURN, SLIDE, BALL
 """Kinds of primitives in the table of the kernels: turn, slide, unit quaternion."""
@@ -123,6 +124,15 @@ class JointType:
         return self.short or "".join("RPS"[p.kind] for p in _unique(self.layout()[1]))
 
     @property
+    def sentence(self) -> str:
+        """The type in one sentence: what it allows, and how many freedoms it leaves and takes away in space."""
+        n, m = self.dof(), self.constraints()
+        return f"{self.type_name}: {self.summary}; {n} DoF, {m} constraint{'s' * (m != 1)}"
+
+    def _repr_html_(self) -> str:
+        return paragraphs([self.sentence])
+
+    @property
     def options(self) -> dict[str, object]:
         """Settings that differ from their defaults, by name."""
         return {n: getattr(self, n) for n, default in self.defaults().items() if getattr(self, n) != default}
@@ -181,6 +191,11 @@ class Helical(JointType):
     def layout(self, dim: int = 3, particle: bool = False):
         """One name '' and two primitives that share this coordinate, the angle: rotation about, translation along z."""
         return ("",), (Primitive(R, "z", 0), Primitive(P, "z", 0, self.pitch))
+
+    @property
+    def decomposition(self) -> str:
+        """The turn and the slide that it is made of; without a pitch of its own with the word in its place."""
+        return super().decomposition if self.pitch else "R(z) P(z, pitch q)"
 
 
 class Cylindrical(JointType):

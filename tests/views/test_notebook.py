@@ -17,6 +17,7 @@ from matplotlib.image import imread
 
 import kempe
 from kempe.errors import MissingExtraError
+from kempe.views import overviews
 
 SCREEN = 40
 """Lines of one screen."""
@@ -205,3 +206,18 @@ def test_a_record_of_a_mechanism_is_a_sentence(name):
     record = records()[name]
     assert record.sentence == RECORDS[name]
     assert record._repr_html_() == f"<p>{RECORDS[name]}</p>"
+
+
+def test_types_of_joints_and_tasks_are_sentences():
+    """At the end of a cell as elsewhere; fields stay in the `repr`."""
+    joint, task = kempe.joints.TYPES["cylindrical"](), kempe.tasks.Position("tip", (1, 2, 3))
+    assert joint._repr_html_() == "<p>cylindrical: turn about z, slide along z; 2 DoF, 4 constraints</p>"
+    assert task._repr_html_() == f"<p>{task.sentence}</p>" and "tip" in task.sentence
+    named = kempe.tasks.Position("tip", (1, 2, 3), name="home")
+    assert named._repr_html_() == f"<p>home: {named.sentence}</p>"
+
+
+def test_a_screw_without_a_pitch_is_made_of_its_pitch():
+    rows = {row["type"]: row["made_of"] for row in overviews.joint_rows()}
+    assert rows["helical"] == "R(z) P(z, pitch q)"
+    assert kempe.joints.Helical(0.02).decomposition == "R(z) P(z, 0.02 q)"

@@ -7,7 +7,7 @@ import pytest
 from hunts import some
 
 import kempe
-from kempe.errors import InputError, UnknownNameError
+from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.kinematics.measure import judge
 from kempe.views.drawing.labels import fitting
 from kempe.views.viewer.motions import possible
@@ -228,6 +228,16 @@ def test_a_motion_through_open_loops_is_shown_and_said():
     session.at(4.0)
     assert np.array_equal(session.q, q + 0.3)
     assert session.said().startswith("closed to") and session.residual() > 0.01
+
+
+def test_only_motions_that_there_can_be_are_offered():
+    """A manoeuvre is known of what rolls without further equations: a car in the plane, not a wheel on a floor."""
+    m = kempe.Mechanism("wheel")
+    m.free("J", m.ground, m.body("wheel"))
+    m.rolls("floor", "wheel", radius=0.2, shape="disc")
+    with pytest.raises(UnsupportedError):
+        m.build().manoeuvre(m.build().assemble().q, m.build().assemble().q)
+    assert "manoeuvre" not in possible(Session(m.build())) and "manoeuvre" in possible(Session(kempe.load("car")))
 
 
 def test_what_is_said_names_residual_singularity_and_freedoms():

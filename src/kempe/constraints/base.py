@@ -23,6 +23,7 @@ from kempe.placement import Placement
 from kempe.reals import is_array, is_mapping, is_sequence
 from kempe.spatial import Array
 from kempe.values import Expression
+from kempe.words import paragraphs
 
 Frame: TypeAlias = "str | End"
 """A field that names a frame or a body, or is an `End`."""
@@ -207,6 +208,9 @@ class Constraint(ABC):
         said = self.says.format_map({f.name: self.in_words(f.name) for f in fields(self)})
         other = getattr(self, "other", None)
         return said if other is None or "{other}" in self.says else f"{said}, seen from {other}"
+
+    def _repr_html_(self) -> str:
+        return paragraphs([f"{self.name}: {self.sentence}" if self.name else self.sentence])
 
     def in_words(self, name: str) -> str:
         """The value of the field `name`, as `sentence` writes it."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from kempe.kinematics.configuration import has_loops
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -86,7 +87,7 @@ def possible(session: Session) -> tuple[str, ...]:
     rolls = any(r.velocity for r in rows)
     falls = len(system.parent) == 1 and any(c.bounds(system.dim) for c in system.mechanism.constraints.values())
     have = {"whole motion": freedoms == 1 and not rolls, "frame at rest": session.spare() and not rolls,
-            "manoeuvre": rolls, "fall": falls and not rolls}  # fmt: skip
+            "manoeuvre": rolls and not has_loops(system), "fall": falls and not rolls}  # fmt: skip
     return tuple(name for name, has in have.items() if has)
 
 
