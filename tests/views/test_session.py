@@ -304,3 +304,17 @@ def test_only_what_closes_is_called_closed():
 
 def test_long_words_fit_the_panel():
     assert fitting(f"{'a' * 40} is singular here") == f"{'a' * 15}…{'a' * 16} is singular here"
+
+
+def test_a_camera_has_all_of_a_motion_in_sight():
+    """A slide by 4 m of a bar of 1 m: the box has both ends, and the camera sees twice as far as to one of them."""
+    from kempe.views.viewer.scene_nodes import Drawn
+
+    m = kempe.Mechanism("slide", dim=2)
+    m.prismatic("x", m.ground, m.body("bar"), axis="x")
+    m.frame("end", "bar", at=(1.0, 0.0))
+    system = m.build()
+    still, moving = (Drawn(system, np.zeros(1), way) for way in (None, np.linspace(0.0, 4.0, 100)[:, None]))
+    assert abs(moving.middle[0] - still.middle[0]) > 0.4 and moving.size > still.size
+    ends = moving.rigid.poses(np.array([[0.0], [4.0]]))[:, 1, 0, 3] + [0.0, 1.0]
+    assert (np.abs(ends - moving.middle[0]) <= 0.5 * moving.size).all()

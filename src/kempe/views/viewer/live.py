@@ -69,7 +69,7 @@ class Viewer:
 
     def __init__(self, session: Session, share: bool, port: int):
         self.session, self.share, self.system = session, share, session.system
-        self.drawn = Drawn(session.system, session.q)
+        self.drawn = Drawn(session.system, session.q, None if session.motion is None else session.motion.q)
         self.pages: dict[int, Page] = {}
         self._last, self._closed = session, threading.Event()
         self.server = quiet(lambda: viser.ViserServer(host=HOST, port=port, label=self.system.name, verbose=False))

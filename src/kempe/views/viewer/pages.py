@@ -55,7 +55,7 @@ def page_file(file: Any) -> Path:
 
 def _page(session: Session, seconds: float) -> str:
     """The text of the page: viser's own, with the scene and its motion inside."""
-    drawn = Drawn(session.system, session.q)
+    drawn = Drawn(session.system, session.q, None if session.motion is None else session.motion.q)
     server = quiet(lambda: viser.ViserServer(host=HOST, port=0, verbose=False))
     try:
         server.scene.set_up_direction("+y" if session.system.dim == 2 else "+z")

@@ -149,13 +149,18 @@ class RigidParts:
         self.size = scene.size
         self.r = planar.pin_radius(scene) if system.dim == 2 else SOLID * symbols.radius(scene)
         self.parts = self._parts(scene)
-        X = self.poses(q)
-        solid = [p.corners @ X[p.carrier, :3, :3].T + X[p.carrier, :3, 3]
-                 for p in self.parts if p.colours[:, 3].min() == 1.0]  # fmt: skip
         points = np.concatenate([np.zeros((1, 3)), *(scene.points(link) for link in scene.links)])
-        points = np.concatenate(solid) if solid else points
-        self.middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-        self.size = float(np.linalg.norm(np.ptp(points, axis=0))) or scene.size
+        self.middle, size = self.box(q[None], points)
+        self.size = size or scene.size
+
+    def box(self, q: Array, points: Array) -> tuple[Array, float]:
+        """Middle (3,) and diagonal [m] of the box around what is solid at all of q (n, nq); without that of points."""
+        X = self.poses(q)
+        solid = [p.corners @ X[:, p.carrier, :3, :3].swapaxes(-1, -2) + X[:, p.carrier, None, :3, 3]
+                 for p in self.parts if p.colours[:, 3].min() == 1.0]  # fmt: skip
+        points = np.concatenate([s.reshape(-1, 3) for s in solid]) if solid else points
+        low, high = points.min(axis=0), points.max(axis=0)
+        return 0.5 * (low + high), float(np.linalg.norm(high - low))
 
     def poses(self, q: Array) -> Array:
         """Poses (..., carriers, 4, 4) of the carriers at configurations (..., nq)."""

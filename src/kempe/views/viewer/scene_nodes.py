@@ -28,6 +28,8 @@ PALE = (225, 228, 232)
 """Colour of the lines of the floor."""
 OPENING = {2: np.deg2rad(12.0), 3: np.deg2rad(75.0)}
 """Angle of the camera: what is planar is seen nearly without perspective, so that its layers lie on one another."""
+SOME = 48
+"""Configurations of a motion by which a camera is placed."""
 ROOM = {2: 1.15, 3: 1.53}
 """Height of the picture where the camera looks at, in diagonals of the drawing, in the plane and in space."""
 UPWARDS, ASIDE = np.array([0.0, 0.0, 1.0]), np.array([0.6, -0.85, 0.4])
@@ -47,11 +49,18 @@ class Shape(NamedTuple):
 
 
 class Drawn:
-    """A system with its shapes, made once for all pages. `lost` says which meshes could not be shown."""
+    """A system with its shapes, made once for all pages. `lost` says which meshes could not be shown.
 
-    def __init__(self, system: System, q: Array):
+    Cameras have all configurations of a motion `way` (n, nq) in sight, if there is one.
+    """
+
+    def __init__(self, system: System, q: Array, way: Array | None = None):
         self.system = system
         self.rigid = RigidParts(system, q)
+        self.middle, self.size = self.rigid.middle, self.rigid.size
+        if way is not None:
+            some = way[np.unique(np.linspace(0, len(way) - 1, SOME).round().astype(int))]
+            self.middle, self.size = self.rigid.box(np.concatenate([q[None], some]), self.middle[None])
         found, self.lost = meshes_of(system)
         self.shapes = tuple(self._shapes(found, q))
 
@@ -104,11 +113,11 @@ class Drawn:
         flat = self.system.dim == 2
         away, upright = (UPWARDS, np.array([0.0, 1.0, 0.0])) if flat else (ASIDE, UPWARDS)
         opening = OPENING[self.system.dim]
-        size = max(self.rigid.size, 1e-9)
+        size = max(self.size, 1e-9)
         high = ROOM[self.system.dim] * size / min(max(aspect, 0.1), 1.0 - below)
         far = 0.5 * high / np.tan(0.5 * opening)
         up = upright - away * float(upright @ away) / float(away @ away)
-        at = self.rigid.middle - 0.5 * below * high * float(np.linalg.norm(away) / np.linalg.norm(up)) * up
+        at = self.middle - 0.5 * below * high * float(np.linalg.norm(away) / np.linalg.norm(up)) * up
         camera.fov, camera.near, camera.far = opening, self.near, FAR * size
         camera.position = tuple(at + far * away)
         camera.look_at = tuple(at)
