@@ -135,3 +135,13 @@ def test_control_says_that_it_counts_to_first_order():
     report = mobility(kempe.load("pendulum_dead_centre"), actuated=["P"])
     assert (report.control.controlled, report.control.useful) == (1, 2)
     assert "counted to first order, where the rank sees 2 freedoms; truly there is 1" in str(report)
+
+
+@pytest.mark.parametrize(("wheels", "words"), [(1, "how 'w0' bends"), (2, "how 'w0', 'w1' bend")])
+def test_what_bends_is_said_of_one_and_of_several(wheels, words):
+    m = kempe.Mechanism("axle")
+    m.free("J", m.ground, m.body("axle"))
+    for k in range(wheels):
+        m.revolute(f"spin{k}", "axle", m.body(f"wheel{k}"), at=(0, 0.5 * k, 0), axis="y")
+        m.rolls(f"w{k}", f"wheel{k}", radius=0.2, shape="disc")
+    assert words in str(m.build().mobility()) and f"{words}s" not in str(m.build().mobility())

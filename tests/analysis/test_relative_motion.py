@@ -105,3 +105,18 @@ def test_a_singular_posture_says_what_there_is_around():
     bar = kempe.load("four_bar")
     q = bar.assemble({"A": 0.5}).q
     assert bar.loops.relative_motion(q, "rocker", "ground").around == 1
+
+
+def test_a_turn_about_the_origin_of_a_body_is_no_screw():
+    """Of a sleeve that a crank moves over a ball and a cross, at the dead centre: it does not slide there."""
+    m = Mechanism("crank, rod and sleeve")
+    m.revolute("crank", m.ground, m.body("wheel"))
+    m.spherical("ball", "wheel", m.body("rod"), at=(0.2, 0, 0))
+    m.universal("cross", "rod", m.body("sleeve"), at=(1.0, 0, 0))
+    m.cylindrical("rail", m.ground, "sleeve", at=(0, 0, 0.3), axis="x")
+    system = m.build()
+    at_end = system.assemble({"crank": 0.0})
+    found = system.loops.relative_motion(at_end.q, "sleeve", "ground")
+    assert found.status.startswith("1 DoF of sleeve relative to ground: a turn about x through (")
+    beside = system.loops.relative_motion(system.assemble({"crank": 0.5}, start=at_end.q).q, "sleeve", "ground")
+    assert ": a screw of " in beside.status

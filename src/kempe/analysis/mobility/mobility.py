@@ -30,6 +30,7 @@ from kempe.model.tree.own_tree import own_tree
 from kempe.solvers.assembly.ideal import tolerant
 from kempe.spatial import Array
 from kempe.status import Status
+from kempe.words import verb
 
 if TYPE_CHECKING:
     from kempe.analysis.local.branches import Branch
@@ -152,7 +153,7 @@ class Mobility(Worded):
         """Why `dof` is not proven where the rank is full."""
         bent = [c for r in self.rank.clusters for c in r.cluster.bent] if self.rank is not None else []
         if bent:
-            return f"no bound is known of how {', '.join(map(repr, bent))} bends"
+            return f"no bound is known of how {', '.join(map(repr, bent))} {verb(len(bent), 'bends', 'bend')}"
         return "a singular value is too near zero to be distinguished from it"
 
     @property

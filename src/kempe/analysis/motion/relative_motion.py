@@ -48,6 +48,8 @@ class RelativeMotion(Report):
     """The origin (3,) of `body` in the frame `to`."""
     around: int
     """The largest dimension found at closed configurations some way from here, at least `dof`."""
+    size: float = field(default=1.0, repr=False)
+    """The typical length [m]: pitches far below it are rounding."""
     within: Idealised | None = field(default=None, repr=False)
     """The nearest mechanism that closes exactly, whose motions these are; None: the given one's."""
 
@@ -73,7 +75,7 @@ class RelativeMotion(Report):
         pitch = float(v @ w) / speed**2
         through = self.origin + np.cross(w, v) / speed**2
         at = f"{_direction(w)} through ({', '.join(f'{_rounded(x):.4g}' for x in through)})"
-        if abs(pitch) * speed <= ZERO * float(np.linalg.norm(v)):
+        if abs(pitch) <= ZERO * max(float(np.linalg.norm(v)) / speed, self.size):
             return f"a turn about {at}"
         return f"a screw of {pitch:.4g} m a radian about {at}"
 
@@ -108,7 +110,7 @@ def relative_motion(
               for r in nearby(system, rank_at(system, found), np.random.default_rng(0))]  # fmt: skip
     dof, turning = basis.shape[1], column_space(basis[3:], ZERO, 1.0).shape[1]
     twists = basis * np.repeat([size, 1.0], 3)[:, None]
-    return RelativeMotion(names[0], names[1], dof, dof - turning, twists, origin, max([dof, *around]))
+    return RelativeMotion(names[0], names[1], dof, dof - turning, twists, origin, max([dof, *around]), size)
 
 
 def _basis(closure: Closure, q: Array, names: list[str], size: float) -> tuple[Array, Array]:
