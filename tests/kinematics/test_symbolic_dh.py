@@ -105,3 +105,15 @@ def test_refusals():
         arm.symbolic.to_dh("hand")
     with pytest.raises(UnsupportedError, match="no numbers are known for k"):
         arm.symbolic.to_dh("e", symbols={"l1": sympy.Symbol("k")})
+
+
+def test_the_text_says_where_the_first_and_the_last_frame_are():
+    """Where they are not those of the ground and of the tip: rows alone would give another place."""
+    m = kempe.Mechanism("tilted", dim=2)
+    m.revolute("q1", m.ground, m.body("A"), at=(0.2, 0.1))
+    m.frame("tip", "A", at=(0.5, 0), angle=0.25)
+    table = m.build().symbolic.to_dh("tip")
+    text = str(table)
+    assert "frame 0 in the ground: at (0.2, 0.1, 0), rpy (0, 0, 0)" in text
+    assert "tip in the last frame: at (0, 0, 0), rpy (0, 0, 0.25)" in text and "0.25)" in table._repr_html_()
+    assert "frame" not in str(kempe.load("two_link").symbolic.to_dh("e"))

@@ -163,3 +163,17 @@ def test_short_names_tell_angles_apart(names, said):
     assert short.xreplace(legend) == more and len({a.args[0] for a in legend.values()}) == len(
         {str(c)[1:] for c in legend}
     )
+
+
+def test_words_are_upright_and_letters_are_not():
+    """A name of several letters is one symbol, not their product; Greek ones stay Greek."""
+    m = kempe.Mechanism("arm", dim=2)
+    m.revolute("shoulder", m.ground, m.body("upper"))
+    m.revolute("theta", "upper", m.body("lower"), at=(m.parameter("l1", 0.5), 0))
+    m.frame("tip", "lower", at=(m.parameter("reach", 0.4), 0))
+    arm = m.build()
+    for text in (arm.symbolic.steps("tip").latex(), arm.symbolic.ik("tip").latex()):
+        assert r"\mathrm{shoulder}" in text and r"\mathrm{reach}" in text and r"\theta" in text and "l_{1}" in text
+        assert r"\mathrm{cos}" not in text and r"\mathrm{theta}" not in text and r"\mathrm{l}" not in text
+    short = arm.symbolic.fk("tip", short=True)._repr_latex_()
+    assert r"c_{\mathrm{shoulder} \theta}" in short

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import itertools
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -275,3 +276,19 @@ def test_what_is_printed_of_numbers_can_be_read():
     t.prismatic("y", "A", t.body("B"), axis=(0, -1))
     t.frame("tip", "B", at=(0.5, 0))
     assert [str(step.formula) for step in t.build().symbolic.ik("tip").steps] == ["p_x - 0.5", "-p_y"]
+
+
+def test_formulas_take_poses():
+    """Of a planar arm with three joints, and of a SCARA, whose pose has as many rows as its targets have numbers."""
+    arm = kempe.Mechanism("arm", dim=2)
+    for k, (parent, body) in enumerate(pairwise((arm.ground, "a", "b", "c"))):
+        arm.revolute(f"q{k}", parent, arm.body(body), at=(0.5 * (k > 0), 0))
+    arm.frame("tip", "c", at=(0.2, 0))
+    rows = [{"a": 0.3, "d": 0.4}, {"a": 0.25, "alpha": np.pi}, {"type": "prismatic"}, {"type": "revolute"}]
+    for system, frame, q in (
+        (arm.build(), "tip", [0.3, 0.8, -0.4]),
+        (kempe.from_dh(rows).build(), "tool", [0.4, 0.8, 0.1, 0.3]),
+    ):
+        formulas, X = system.symbolic.ik(frame), system.fk(q, frame)
+        assert np.allclose(formulas(X, +1), q)
+        assert np.allclose(formulas(np.stack([X, X]), +1), [q, q])

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe.errors import InputError
-from kempe.kinematics.formulas.symbolic import aligned
+from kempe.kinematics.formulas.symbolic import aligned, in_latex
 from kempe.kinematics.formulas.symbolic_turns import sympy
 from kempe.spatial import Array
 
@@ -61,10 +61,7 @@ class Derivation:
     def latex(self) -> str:
         """The formulas in LaTeX, one line each, with plus and minus in the place of signs; numbers have six digits."""
         names = {s: r"\pm" + (f"_{{{k}}}" if len(self.signs) > 1 else "") for k, s in enumerate(self.signs, 1)}
-        lines = (
-            f"{sympy.latex(step.symbol)} &= {sympy.latex(_readable(step.formula), symbol_names=names)}"
-            for step in self.steps
-        )
+        lines = (f"{in_latex(step.symbol)} &= {in_latex(_readable(step.formula), names)}" for step in self.steps)
         return aligned(line.replace(r"- \pm", r"\mp") for line in lines)
 
     def code(self) -> str:

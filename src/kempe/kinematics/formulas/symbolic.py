@@ -6,6 +6,7 @@ The chain is walked as a product of turns and slides, see `kempe.kinematics.form
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,9 @@ from kempe.values import FUNCTIONS, Expression, Value
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
+
+WORD = re.compile(r"(?<![\\A-Za-z])[A-Za-z][A-Za-z.]+")
+"""What is a word in the LaTeX of a name, not a letter or a command."""
 
 
 def _hypot(x: Any, y: Any) -> Any:
@@ -79,6 +83,14 @@ def symbolic_fk(
         out[:3, :3] = sympy.eye(3)  # a particle has no orientation
     out.snapped = tuple(dict.fromkeys(leaves.snapped))
     return out
+
+
+def in_latex(formula: Any, names: Mapping[Any, str] | None = None) -> str:
+    """A formula in LaTeX, names of several letters upright: sympy sets them as products. `names` says other ones."""
+    own = {
+        s: WORD.sub(r"\\mathrm{\g<0>}", sympy.latex(s)).replace(r" \mathrm", r"\,\mathrm") for s in formula.free_symbols
+    }
+    return str(sympy.latex(formula, symbol_names={**own, **(names or {})}))
 
 
 def aligned(lines: Iterable[str]) -> str:

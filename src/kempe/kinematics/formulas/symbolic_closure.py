@@ -12,7 +12,15 @@ from kempe.calls import explained
 from kempe.constraints.base import Op, held, position_rows, with_numbers
 from kempe.description.parts import Declared, Joint
 from kempe.errors import UnsupportedError
-from kempe.kinematics.formulas.symbolic import SymbolLeaves, aligned, inverse_of, joint_motions, placement_steps, way_to
+from kempe.kinematics.formulas.symbolic import (
+    SymbolLeaves,
+    aligned,
+    in_latex,
+    inverse_of,
+    joint_motions,
+    placement_steps,
+    way_to,
+)
 from kempe.kinematics.formulas.symbolic_turns import SymbolicStep, pose_of, sympy
 from kempe.model.closures.implicit_form import ImplicitForm, implicit_form, slides_along_z
 from kempe.model.closures.packed_loops import must_be_explicit
@@ -43,7 +51,7 @@ class SymbolicClosure:
 
     def latex(self) -> str:
         """The equations in LaTeX, one line each."""
-        return aligned(f"{sympy.latex(f)} &= 0" for f in self.matrix)
+        return aligned(f"{in_latex(f)} &= 0" for f in self.matrix)
 
     def _repr_latex_(self) -> str:
         return f"$\\displaystyle {self.latex()}$"

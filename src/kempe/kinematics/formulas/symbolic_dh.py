@@ -60,6 +60,10 @@ class DHTable(Report):
             rows.append([str(row.name), _shown(row.a), _shown(row.alpha), str(d), str(theta)])
         return ("joint", "a", "alpha", "d", "theta"), rows
 
+    def _notes(self) -> list[str]:
+        said = (("frame 0 in the ground", self.base), (f"{self.frame} in the last frame", self.tool))
+        return [f"{what}: {_place(X)}" for what, X in said if np.abs(X - np.eye(4)).max() > SMALL]
+
     def _data(self) -> dict[str, Any]:
         numbers = [{k: getattr(row, k) for k in ("name", "type", "a", "alpha", "d", "theta")} for row in self.rows]
         return {"frame": self.frame, "convention": self.convention, "rows": numbers, "base": self.base,
@@ -251,6 +255,13 @@ def _numbers(v: Any, system: System) -> Array:
 def _pose(x: Any, z: Any, origin: Any, system: System) -> Array:
     axes = [_numbers(v, system) for v in (x, z.cross(x), z)]
     return spatial.pose(np.stack(axes, axis=1), _numbers(origin, system))
+
+
+def _place(X: Array) -> str:
+    """A pose as the keywords by which a frame is placed."""
+    p, rpy = (", ".join(_shown(float(x)) for x in np.where(np.abs(v) < SMALL, 0.0, v)) for v in
+              (X[:3, 3], spatial.matrix_to_rpy(X[:3, :3])))  # fmt: skip
+    return f"at ({p}), rpy ({rpy})"
 
 
 def _shown(x: Any) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from kempe import spatial
 from kempe.calls import explained, flag, known
 from kempe.errors import InputError, UnsupportedError, shown
-from kempe.kinematics.formulas.symbolic import SymbolLeaves, aligned, oriented_way, symbolic_fk
+from kempe.kinematics.formulas.symbolic import SymbolLeaves, aligned, in_latex, oriented_way, symbolic_fk
 from kempe.kinematics.formulas.symbolic_turns import pose_of, sympy, unwrapped
 from kempe.spatial import Array
 
@@ -68,20 +68,20 @@ class SymbolicSteps:
         if form == "separate":
             lines: list[str] = []
             for (a, b), T in zip(ways, self.T, strict=True):
-                p, R = sympy.latex(T[:3, 3]), sympy.latex(T[:3, :3])
+                p, R = in_latex(T[:3, 3]), in_latex(T[:3, :3])
                 lines.append(f"{_left(a, b, 'p')} &= {p}, \\quad {_left(a, b, 'R')} = {R}")
             place = _left(*ways[-1], "p")
             for a, b in reversed(ways[:-1]):
                 place = rf"\left({place}\right)" if "+" in place else place
                 place = f"{_left(a, b, 'p')} + {_left(a, b, 'R')} {place}"
-            lines.append(f"{_left(ground, tip, 'p')} &= {place} = {sympy.latex(self.merged[:3, 3])}")
-            lines.append(f"{_left(ground, tip, 'R')} &= {_product(ways, 'R')} = {sympy.latex(self.merged[:3, :3])}")
+            lines.append(f"{_left(ground, tip, 'p')} &= {place} = {in_latex(self.merged[:3, 3])}")
+            lines.append(f"{_left(ground, tip, 'R')} &= {_product(ways, 'R')} = {in_latex(self.merged[:3, :3])}")
             return aligned(lines)
         shown = zip([(ground, b) for _, b in ways], self.products, strict=True)
         if form == "matrices":
             shown = zip(ways, self.T, strict=True)
-        lines = [f"{_left(a, b)} &= {sympy.latex(T)}" for (a, b), T in shown]
-        return aligned([*lines, f"{_left(ground, tip)} &= {_product(ways)} = {sympy.latex(self.merged)}"])
+        lines = [f"{_left(a, b)} &= {in_latex(T)}" for (a, b), T in shown]
+        return aligned([*lines, f"{_left(ground, tip)} &= {_product(ways)} = {in_latex(self.merged)}"])
 
     def _repr_latex_(self) -> str:
         return f"$\\displaystyle {self.latex()}$"
@@ -170,8 +170,8 @@ class ShortForm(NamedTuple):
         return "\n".join(lines + [f"{short} = {long}" for short, long in self.legend.items()])
 
     def _repr_latex_(self) -> str:
-        lines = [f"& {sympy.latex(self.formula)}"]
-        lines += [f"{sympy.latex(short)} &= {sympy.latex(long)}" for short, long in self.legend.items()]
+        lines = [f"& {in_latex(self.formula)}"]
+        lines += [f"{in_latex(short)} &= {in_latex(long)}" for short, long in self.legend.items()]
         return f"$\\displaystyle {aligned(lines)}$"
 
 

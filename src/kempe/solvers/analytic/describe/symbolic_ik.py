@@ -59,12 +59,21 @@ class InverseFormulas(Derivation):
         """The coordinates (..., n), radians and metres, for positions (..., 2) or x, y and angle (..., 3).
 
         Where a joint slides along z the height comes after x and y: (..., 3) or x, y, z and angle (..., 4). The angle
-        is that of the frame's x axis. They are nan where the target is out of reach.
+        is that of the frame's x axis. Poses (..., 4, 4) say all of it. They are nan where the target is out of reach.
         """
-        at = numbers(p, "p", len(self.given))
+        at = numbers(self._of_poses(p), "p", len(self.given))
         if not is_whole(sign) or sign not in (-1, 1):
             raise InputError(f"sign is {shown(sign)}; it must be -1 (elbow up) or 1 (elbow down)")
         return self.evaluate(at, np.full(at.shape[:-1] + (len(self.signs),), float(sign)))
+
+    def _of_poses(self, p: ArrayLike) -> ArrayLike:
+        """The numbers that the formulas take of poses (..., 4, 4); what is none, as it is."""
+        X = np.asarray(p)
+        if X.shape[-2:] != (4, 4) or X.dtype.kind not in "fi" or not np.all(X[..., 3, :] == (0.0, 0.0, 0.0, 1.0)):
+            return p
+        angle = np.arctan2(X[..., 1, 0], X[..., 0, 0])
+        place = X[..., : len(self.given) - ("phi" in str(self.given[-1])), 3]
+        return np.concatenate([place, angle[..., None]], axis=-1)[..., : len(self.given)]
 
 
 @explained
