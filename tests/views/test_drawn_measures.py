@@ -81,3 +81,29 @@ def test_a_point_on_a_plane_lies_on_a_plate_and_not_on_a_line():
     (mark,) = scene.marks
     assert [line[0] for line in scene.lines] == ["line"] and mark.name == "plane"
     assert np.allclose(mark.plane[1], np.array([1, 2, 2]) / 3) and np.allclose(mark.plane[0], mark.point, atol=1e-6)
+
+
+def test_a_place_out_of_reach_is_shown_with_its_distance():
+    """Of an arm of 0.9 m in the plane with a target at 1.25 m, and of one in space; where it is reached nothing."""
+    arm = kempe.load("two_link")
+    ax = arm.plot(arm.ik([1.0, 0.75], "e"))
+    (line,) = (x for x in ax.get_lines() if x.get_gid() == "missed")
+    assert np.allclose(line.get_xydata(), [[0.72, 0.54], [1.0, 0.75]], atol=1e-5)
+    assert texts(ax)["label:missed"] == "0.35 m"
+    assert "label:missed" not in texts(arm.plot(arm.ik([0.6, 0.3], "e")))
+    puma = kempe.load("puma560")
+    far = puma.ik([2.0, 0.0, 0.0], "tool")
+    ax = puma.plot(far, labels=False)
+    (line,) = (x for x in ax.get_lines() if x.get_gid() == "missed")
+    assert np.allclose(np.array(line.get_data_3d())[:, 1], [2.0, 0.0, 0.0])
+    assert texts(ax)["label:missed"] == page.length_text(float(f"{far.position_error:.3g}"))
+
+
+def test_a_car_has_wheels_at_each_of_several_places():
+    """Along its heading, half a turn to the left and on it."""
+    car = kempe.load("car")
+    patches = {str(p.get_gid()): p for p in car.plot([[0, 0, 0], [1, 2, np.pi / 2], [3, 0, 0]]).patches}
+    for name, along in (("configuration1", 1), ("configuration2", 0)):
+        corners = patches[f"{name}:rear axle:wheel0"].get_path().vertices
+        wide = np.ptp(corners, axis=0)
+        assert wide[along] > 2 * wide[1 - along]

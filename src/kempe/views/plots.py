@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -51,7 +52,7 @@ def plot(system: System, q: Any = None, *, path: Any = None, **options: Any) -> 
     """Axes with a drawing of the system; ``.figure.savefig("name.png")`` or ``.svg`` writes it.
 
     `q`: a configuration (nq,), a dict, the name of a posture; several (k, nq), or an answer that has them (`Solution`,
-    `Solutions`, `Modes`, ...), which are drawn one over the other with their names, or `side_by_side` (then a tuple of
+    `Solutions`, `Modes`, ...; a target that it misses is shown with its distance), which are drawn one over the other with their names, or `side_by_side` (then a tuple of
     axes comes back); or a motion, as `path`. Without it: the posture 'closed' if there is one, else `mid`, brought to
     where loops are closed and constraints hold if that can be; with a `path` its configuration nearest to home. `path`:
     configurations (n, nq), or an answer that has them as `.q`; the curves of the named `frames` are drawn over it
@@ -73,7 +74,7 @@ def plot(system: System, q: Any = None, *, path: Any = None, **options: Any) -> 
     way, drivers = motion_of(system, path)
     several, titles = _configurations(system, q, way)
     titles = tuple(listed(chosen.titles, "titles")) or titles
-    subjects = [subject_of(system, several[:1], way, path, drivers, chosen, titles)]
+    subjects = [replace(subject_of(system, several[:1], way, path, drivers, chosen, titles), missed=_missed(system, q))]
     if len(several) > 1 and chosen.side_by_side:
         subjects = [subject_of(system, x[None], way, path, drivers, chosen, titles[k : k + 1])
                     for k, x in enumerate(several)]  # fmt: skip
@@ -83,6 +84,16 @@ def plot(system: System, q: Any = None, *, path: Any = None, **options: Any) -> 
     if not chosen.side_by_side:
         return drawing.picture(subjects[0], chosen.ax)
     return _side_by_side(drawing, subjects)
+
+
+def _missed(system: System, answer: Any) -> Array | None:
+    """Where the frame of an answer to one target is, and the place that it does not reach (2, 3); else None."""
+    problem = getattr(answer, "problem", None)
+    targets, name = getattr(problem, "targets", None), getattr(problem, "frame", None)
+    if name is None or np.shape(targets) != (1, 4, 4) or answer or not all(problem.mask[:3]):
+        return None
+    ends = np.stack([fk(system, answer.q, name)[:3, 3], targets[0, :3, 3]])
+    return ends if np.isfinite(ends).all() else None
 
 
 def bare(system: System) -> Axes:

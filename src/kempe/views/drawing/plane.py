@@ -9,7 +9,7 @@ import numpy as np
 
 from kempe.errors import InputError
 from kempe.spatial import Array
-from kempe.views.drawing import dimensioning, page, planar, shapes, style
+from kempe.views.drawing import dimensioning, page, planar, shapes, style, touches
 from kempe.views.drawing.planar import Sheet, flat
 from kempe.views.drawing.scene import Scene
 from kempe.views.drawing.subject import Subject, subscript
@@ -85,6 +85,14 @@ def drawn(sheet: Sheet, subject: Subject) -> None:
         if name in subject.axes:
             _axis_names(sheet, name, X, below)
     dimensioning.draw(sheet, subject)
+    if subject.missed is not None:
+        ends = flat(subject.missed)
+        sheet.line(ends, "missed", style.ARROWS, color=style.OPEN, lw=1.5, ls=(0, (3, 2)))
+        sheet.patch(
+            shapes.circle(ends[1], 0.6 * sheet.r), "missed:target", style.ARROWS, fc="none", ec=style.OPEN, lw=1.5
+        )
+        look = {"gid": "label:missed", "color": style.OPEN, "weight": "bold"}
+        sheet.labels.append((subject.missed_text, ends.mean(axis=0), 0.9 * sheet.r, look))
     scenes = (subject.scene, *subject.others)
     points = [np.concatenate([flat(s.points(link)) for link in s.links[1:]]) for s in scenes if subject.others]
     for p, text, look in subject.names_at(points):
@@ -110,6 +118,8 @@ def _over(sheet: Sheet, scene: Scene, number: int) -> None:
                         fc=(colour, 0.10), ec=colour, lw=1.3, ls=line)  # fmt: skip
             for a, b in zip(p[:-1], p[1:], strict=True):
                 sheet.obstacles.segment(a, b, sheet.r, 0.5)
+    for mark in scene.marks:
+        touches.wheels(sheet, mark, f"{gid}:{mark.name}", colour)
     for joint in scene.joints:
         if joint.kind == "revolute":
             sheet.patch(shapes.circle(flat(joint.M), 0.7 * sheet.r), f"{gid}:{joint.name}", style.POLYGONS,

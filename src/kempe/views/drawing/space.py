@@ -30,6 +30,7 @@ def bounds_of(subjects: list[Subject]) -> tuple[Array, tuple[float, float]]:
     """Points (n, 3) that several drawings together hold, and the view of the first."""
     points = [p for s in subjects for scene in (s.scene, *s.others) for p in _solid_points(scene)]
     points += [c[np.isfinite(c).all(axis=1)] for s in subjects[:1] for c in s.curves.values()]
+    points += [s.missed for s in subjects if s.missed is not None]
     return np.concatenate([p for p in points if len(p)]), _view(subjects[0].scene)
 
 
@@ -89,6 +90,11 @@ def picture(
     all_points += [scene.points(link) for link in scene.links]
     angles = measured.angles(ax, subject, radius) if subject.options.angles else []
     all_points += [p[None] for p, _, _ in angles]
+    if subject.missed is not None:
+        ax.plot(*subject.missed.T, "o--", color=style.OPEN, lw=1.8, ms=5, mfc="none", zorder=style.ARROWS, gid="missed")
+        look = {"color": style.OPEN, "weight": "bold", "gid": "label:missed"}
+        angles.append((subject.missed.mean(axis=0), subject.missed_text, look))
+        all_points.append(subject.missed)
     if not any(len(p) for p in all_points):  # nothing moves and nothing is named
         all_points.append(np.zeros((1, 3)))
     elev, azim = _view(scene) if bounds is None else bounds[1]

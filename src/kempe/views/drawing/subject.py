@@ -47,6 +47,8 @@ class Subject:
     workspace: Any = None
     radius: float | None = None
     """Radius [m] of a pin, the same in all frames of a motion; None: as suits the scene."""
+    missed: Array | None = None
+    """A place that was wanted and is not reached, after the place nearest to it (2, 3)."""
     units: dict[str, str] = field(default_factory=dict[str, str])
     """The unit of each coordinate."""
 
@@ -61,6 +63,14 @@ class Subject:
         longest = max(map(len, self.titles), default=0)
         many = len(self.titles) > IN_PLACE and longest > SHORT[0]
         return bool(self.others) and (many or longest > SHORT[self.system.dim == 2])
+
+    @property
+    def missed_text(self) -> str:
+        """How far the place that is missed is away."""
+        from kempe.views.drawing.page import length_text
+
+        gap = 0.0 if self.missed is None else float(np.linalg.norm(self.missed[1] - self.missed[0]))
+        return length_text(float(f"{gap:.3g}"))
 
     def names_at(self, points: list[Array]) -> list[tuple[Array, str, dict[str, Any]]]:
         """Name or number of each configuration, where its points (n, d) are furthest from the others, and its look."""

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe.spatial import Array
 from kempe.views.drawing import shapes, style
 from kempe.views.drawing.style import GROUND, INK, PAPER
 
@@ -31,12 +32,20 @@ def draw(sheet: Sheet, mark: SeenMark) -> None:
         sheet.patch(shapes.circle(c, mark.radius), f"{gid}:round", style.POLYGONS, fc=(colour, 0.2), ec=INK, lw=1.2)
         sheet.obstacles.segment(c, c, mark.radius)
     elif mark.symbol == "wheel":
-        along, across = mark.B[:2, 0], mark.B[:2, 1]
-        half = max(4.0 * r, AXLE * sheet.scene.size) * across
-        sheet.line(np.array([c - half, c + half]), f"{gid}:axle", style.BARS, lw=1.8)
-        for k, end in enumerate((c - half, c + half)):
-            sheet.patch(shapes.box(end, along, 2.4 * r, 0.8 * r), f"{gid}:wheel{k}", style.BLOCKS, fc=INK, ec=INK)
-            sheet.obstacles.segment(end - 2.4 * r * along, end + 2.4 * r * along, r)
-        label = c + half + 1.2 * r * across
+        label = wheels(sheet, mark, gid)
     sheet.patch(shapes.circle(c, 0.6 * r), gid, style.PINS, fc=PAPER, ec=INK, lw=1.2)
     sheet.labels.append((mark.name, label, 1.2 * r, {"gid": f"label:{mark.name}", "color": INK}))
+
+
+def wheels(sheet: Sheet, mark: SeenMark, gid: str, colour: str = INK) -> Array:
+    """Draw an axle with its wheels, if the constraint is one; where there is room for its name (2,)."""
+    r, c = sheet.r, mark.point[:2]
+    if mark.symbol != "wheel" or mark.radius > 0.0:
+        return c
+    along, across = mark.B[:2, 0], mark.B[:2, 1]
+    half = max(4.0 * r, AXLE * sheet.scene.size) * across
+    sheet.line(np.array([c - half, c + half]), f"{gid}:axle", style.BARS, color=colour, lw=1.8)
+    for k, end in enumerate((c - half, c + half)):
+        sheet.patch(shapes.box(end, along, 2.4 * r, 0.8 * r), f"{gid}:wheel{k}", style.BLOCKS, fc=colour, ec=colour)
+        sheet.obstacles.segment(end - 2.4 * r * along, end + 2.4 * r * along, r)
+    return c + half + 1.2 * r * across
