@@ -123,14 +123,9 @@ class JointType:
         """The letter that stands for the type in pictures, or those of its primitives; '' where nothing moves."""
         return self.short or "".join("RPS"[p.kind] for p in _unique(self.layout()[1]))
 
-    @property
-    def sentence(self) -> str:
-        """The type in one sentence: what it allows, and how many freedoms it leaves and takes away in space."""
-        n, m = self.dof(), self.constraints()
-        return f"{self.type_name}: {self.summary}; {n} DoF, {m} constraint{'s' * (m != 1)}"
-
     def _repr_html_(self) -> str:
-        return paragraphs([self.sentence])
+        n, m = self.dof(), self.constraints()
+        return paragraphs([f"{self.type_name}: {self.summary}; {n} DoF, {m} constraint{'s' * (m != 1)}"])
 
     @property
     def options(self) -> dict[str, object]:
@@ -191,11 +186,6 @@ class Helical(JointType):
     def layout(self, dim: int = 3, particle: bool = False):
         """One name '' and two primitives that share this coordinate, the angle: rotation about, translation along z."""
         return ("",), (Primitive(R, "z", 0), Primitive(P, "z", 0, self.pitch))
-
-    @property
-    def decomposition(self) -> str:
-        """The turn and the slide that it is made of; without a pitch of its own with the word in its place."""
-        return super().decomposition if self.pitch else "R(z) P(z, pitch q)"
 
 
 class Cylindrical(JointType):

@@ -182,9 +182,10 @@ def joint_rows() -> list[dict[str, Any]]:
     for name, kind in TYPES.items():
         joint = kind()
         plane = (joint.dof(2), joint.constraints(2)) if joint.planar else (None, None)
+        made = joint.decomposition.replace(", 0 q", ", pitch q")  # a screw without a pitch of its own
         out.append({
             "type": name, "letter": joint.letter, "dof": joint.dof(), "constraints": joint.constraints(),
-            "dof_in_the_plane": plane[0], "constraints_in_the_plane": plane[1], "made_of": joint.decomposition,
+            "dof_in_the_plane": plane[0], "constraints_in_the_plane": plane[1], "made_of": made,
             "says": joint.summary,
         })  # fmt: skip
     return out

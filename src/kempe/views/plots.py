@@ -52,13 +52,14 @@ def plot(system: System, q: Any = None, *, path: Any = None, **options: Any) -> 
     """Axes with a drawing of the system; ``.figure.savefig("name.png")`` or ``.svg`` writes it.
 
     `q`: a configuration (nq,), a dict, the name of a posture; several (k, nq), or an answer that has them (`Solution`,
-    `Solutions`, `Modes`, ...; a target that it misses is shown with its distance), which are drawn one over the other with their names, or `side_by_side` (then a tuple of
-    axes comes back); or a motion, as `path`. Without it: the posture 'closed' if there is one, else `mid`, brought to
-    where loops are closed and constraints hold if that can be; with a `path` its configuration nearest to home. `path`:
-    configurations (n, nq), or an answer that has them as `.q`; the curves of the named `frames` are drawn over it
-    (without names: those of the path's `.frames`, else all named frames of moving bodies), and `ghosts` earlier
-    positions, evenly spread. Driven joints (`actuated`, or the path's `.driver`) are marked, and loops that are not
-    closed are shown in red. All `options` are those of `kempe.model.plot_options.PlotOptions`.
+    `Solutions`, `Modes`, ...; a target that it misses is shown with its distance), which are drawn one over the other
+    with their names, or `side_by_side` (then a tuple of axes comes back); or a motion, as `path`. Without it: the
+    posture 'closed' if there is one, else `mid`, brought to where loops are closed and constraints hold if that can
+    be; with a `path` its configuration nearest to home. `path`: configurations (n, nq), or an answer that has them as
+    `.q`; the curves of the named `frames` are drawn over it (without names: those of the path's `.frames`, else all
+    named frames of moving bodies), and `ghosts` earlier positions, evenly spread. Driven joints (`actuated`, or the
+    path's `.driver`) are marked, and loops that are not closed are shown in red. All `options` are those of
+    `kempe.model.plot_options.PlotOptions`.
     Errors: `InputError` for shapes and values, `UnknownNameError` for frames, `UnsupportedError` for a workspace that
     is not drawn, `CallError` for unknown options.
     """
@@ -88,8 +89,9 @@ def plot(system: System, q: Any = None, *, path: Any = None, **options: Any) -> 
 
 def _missed(system: System, answer: Any) -> Array | None:
     """Where the frame of an answer to one target is, and the place that it does not reach (2, 3); else None."""
-    problem = getattr(answer, "problem", None)
-    targets, name = getattr(problem, "targets", None), getattr(problem, "frame", None)
+    problem: Any = getattr(answer, "problem", None)
+    targets: Any = getattr(problem, "targets", None)
+    name: Any = getattr(problem, "frame", None)
     if name is None or np.shape(targets) != (1, 4, 4) or answer or not all(problem.mask[:3]):
         return None
     ends = np.stack([fk(system, answer.q, name)[:3, 3], targets[0, :3, 3]])

@@ -239,8 +239,7 @@ def _down(sheet: Sheet, p: Array) -> Array:
 
 def _ground(sheet: Sheet, p: Array, down: Array, name: str) -> None:
     triangle, base = shapes.ground(p, down, sheet.r)
-    fill = style.mix(GROUND, PAPER, 0.75)
-    sheet.patch(triangle, f"ground:{name}", style.RAILS, fc=fill, ec=GROUND, lw=1.1)
+    sheet.patch(triangle, f"ground:{name}", style.RAILS, fc=style.mix(GROUND, PAPER, 0.75), ec=GROUND, lw=1.1)
     sheet.patch(base, f"hatch:{name}", style.RAILS, fc="none", ec=GROUND, lw=1.0)
     sheet.obstacles.segment(p, p + style.GROUND_HEIGHT * sheet.r * down, 1.3 * sheet.r)
     along = style.GROUND_HALF * sheet.r * np.array([-down[1], down[0]])
@@ -394,10 +393,8 @@ def mark(sheet: Sheet, name: str, X: Array, labels: bool) -> None:
 
 def _joint_labels(sheet: Sheet, groups: list[tuple[Array, list[SeenJoint]]], texts: dict[str, str]) -> None:
     for c, joints in groups:
-        names = ", ".join(texts[j.name] for j in joints if texts.get(j.name))
-        if not names:
+        if not (names := ", ".join(texts[j.name] for j in joints if texts.get(j.name))):
             continue
-        slides = any(j.kind == "prismatic" for j in joints)
-        clearance = (1.9 if slides else 1.25) * sheet.r
+        clearance = (1.9 if any(j.kind == "prismatic" for j in joints) else 1.25) * sheet.r
         look = {"gid": f"label:{names}", "color": INK}
         sheet.labels.insert(0, (names, c, clearance, look))

@@ -331,8 +331,7 @@ class Session:
 
     def put(self, q: Any) -> None:
         """Go to a configuration (nq,), as it is."""
-        q = as_q(self.system, q)
-        if q.shape != (self.system.nq,):
+        if (q := as_q(self.system, q)).shape != (self.system.nq,):
             raise InputError(f"q has shape {q.shape}; one configuration ({self.system.nq},) is shown")
         self._go(q, "")
 
@@ -354,9 +353,8 @@ class Session:
         """Take a motion of `kempe.views.viewer.motions.MOTIONS` from here; whether there is one."""
         with self._said():
             motion, self.status = found(self, name)
-            if motion is not None:
-                self.motion = motion
-                return True
+            self.motion = self.motion if motion is None else motion
+            return motion is not None
         return False
 
     # ---- what is said
@@ -374,12 +372,11 @@ class Session:
             size = np.linalg.svd(rows, compute_uv=False)
             least = size[min(len(rows), rows.shape[1]) - 1] / max(size[0], 1e-300)
             return f"{self.frame} is singular here" if least < SINGULAR else ""
-        try:
+        with contextlib.suppress(InputError):  # where loops are open, which `said` tells by the residual
             quality = self.chart.condition(self.q)
-        except InputError:  # the loops are open here, which `said` tells by the residual
-            return ""
-        word = "singular" if quality < 1e-6 else "near a singularity" if quality < 0.05 else "regular"
-        return f"{word} (conditioning {quality:.2g})"
+            word = "singular" if quality < 1e-6 else "near a singularity" if quality < 0.05 else "regular"
+            return f"{word} (conditioning {quality:.2g})"
+        return ""
 
     def mobility(self) -> str:
         """Degrees of freedom here, and how they were counted."""
