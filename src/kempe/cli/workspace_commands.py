@@ -120,7 +120,9 @@ def workspace(
 @guarded
 def query(
     path: Annotated[Path, typer.Argument(metavar="MAP", help="A map that 'kempe workspace' wrote.")],
-    points: Annotated[list[str], typer.Argument(metavar="POINT...", help="Points x,y[,z] in the ground frame, in metres.")],
+    points: Annotated[
+        list[str], typer.Argument(metavar="POINT...", help="Points x,y[,z] in metres, in the ground frame.")
+    ],
     deg: Deg = False, json: Json = False,
 ) -> None:  # fmt: skip
     """Say whether points are reached, and how far they are from the boundary.
