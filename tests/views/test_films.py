@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ import kempe
 from kempe.errors import InputError, UnsupportedError
 
 pytest.importorskip("matplotlib")
+import matplotlib
 from matplotlib import animation
 from PIL import Image
 
@@ -65,8 +68,20 @@ def test_what_is_refused(tmp_path, turn, monkeypatch):
     with pytest.raises(InputError, match="must be from 2 to 600"):
         turn.animate(tmp_path / "turn.gif", seconds=1e3)
     monkeypatch.setattr(animation.writers, "is_available", lambda name: name != "ffmpeg")
-    with pytest.raises(UnsupportedError, match="the program ffmpeg is needed"):
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(UnsupportedError, match="the program ffmpeg is needed.*pip install imageio-ffmpeg"):
         turn.animate(tmp_path / "turn.mp4")
+
+
+def test_the_program_of_a_package_writes_films(tmp_path, monkeypatch):
+    """Where ffmpeg is not installed, that of imageio-ffmpeg is run: here a script that keeps what it is given."""
+    program, kept = tmp_path / "program", tmp_path / "kept"
+    program.write_text(f"#!/bin/sh\ncat > {kept}\n")
+    program.chmod(0o755)
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", SimpleNamespace(get_ffmpeg_exe=lambda: program))
+    monkeypatch.setitem(matplotlib.rcParams, "animation.ffmpeg_path", "no-such-program")
+    ARM.animate(np.stack([ARM.mid, ARM.mid + 1.0]), tmp_path / "arm.mp4", seconds=0.5, fps=8)
+    assert kept.stat().st_size % 4 == 0 and kept.stat().st_size > 4 * 4 * 10_000
 
 
 # ---- the command line

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -38,9 +39,12 @@ from kempe.words import counted
 def _numbers(text: str, what: str) -> list[float]:
     """Numbers that are separated by commas. Errors: `InputError`."""
     try:
-        return [float(part) for part in text.split(",")]
+        numbers = [float(part) for part in text.split(",")]
     except ValueError:
         raise InputError(f"{what} is {text!r}; it must be numbers, separated by commas") from None
+    if any(math.isnan(x) for x in numbers):
+        raise InputError(f"{what} is {text!r}; nan is no number")
+    return numbers
 
 
 def _turned(text: str, what: str, deg: bool) -> Any:
@@ -116,7 +120,9 @@ def workspace(
 @guarded
 def query(
     path: Annotated[Path, typer.Argument(metavar="MAP", help="A map that 'kempe workspace' wrote.")],
-    points: Annotated[list[str], typer.Argument(metavar="POINT...", help="Points x,y[,z] in the ground frame [m].")],
+    points: Annotated[
+        list[str], typer.Argument(metavar="POINT...", help="Points x,y[,z] in metres, in the ground frame.")
+    ],
     deg: Deg = False, json: Json = False,
 ) -> None:  # fmt: skip
     """Say whether points are reached, and how far they are from the boundary.

@@ -98,7 +98,7 @@ class Symbolic(Namespace):
     def ik(
         self, frame: FrameLike, task: str | None = None, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
     ) -> InverseFormulas:  # fmt: skip
-        """The inverse model of a planar arm of two or three joints as formulas.
+        """The inverse model of a planar arm, or of one in space that ends in a wrist, as formulas.
 
         See `kempe.solvers.analytic.describe.symbolic_ik.symbolic_ik`.
         """

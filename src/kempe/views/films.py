@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,10 +36,23 @@ def film_file(file: str | Path) -> Path:
     writer = ENDINGS.get(path.suffix.lower())
     if writer is None:
         raise InputError(f"{path}: moving pictures are {', '.join(ENDINGS)} files")
-    if not animation.writers.is_available(writer):
-        raise UnsupportedError(f"{path}: the program {writer} is needed to write it, and is not installed; .gif and "
-                               ".html need nothing")  # fmt: skip
+    if not animation.writers.is_available(writer) and not _packed_ffmpeg():
+        raise UnsupportedError(f"{path}: the program {writer} is needed to write it, and is not installed: pip install "
+                               "imageio-ffmpeg, or the system's package manager, brings it; .gif and .html need "
+                               "nothing")  # fmt: skip
     return path
+
+
+def _packed_ffmpeg() -> bool:
+    """Whether the package imageio-ffmpeg is installed; its program is then the one that matplotlib runs."""
+    import matplotlib
+
+    try:
+        packed: Any = importlib.import_module("imageio_ffmpeg")
+        matplotlib.rcParams["animation.ffmpeg_path"] = str(packed.get_ffmpeg_exe())
+    except (ImportError, RuntimeError):
+        return False
+    return True
 
 
 @explained

@@ -98,8 +98,7 @@ def plot_spaces(
     if not mask.any():
         raise UnsupportedError(f"{system.name}: no configuration was found inside the limits{_partly(space.broken)}")
     _shade_task_space(space, right, p, targets, int(resolution))
-    count = mask.sum(axis=-1) if space.modes else np.where(mask[..., 0], np.maximum(space.ways(p[..., 0, :]), 1), 0)
-    _shaded(left, every[:, 0, 0], every[0, :, 1], count)
+    _shaded(left, every[:, 0, 0], every[0, :, 1], space.shades(q, mask))
     _draw_limits(space, left, right)
     if has_loops(system):
         _draw_other_limits(space, left, right, q[mask])

@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from kempe.calls import numbers
 from kempe.errors import InputError, UnsupportedError
 from kempe.spatial import Array
-from kempe.views.drawing import page, shapes, style
+from kempe.views.drawing import page, shapes, space, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -141,7 +141,8 @@ def _bar(workspace: Workspace, first: Axes, axes: list[Any]) -> None:
 
 def plot_planar(workspace: PlanarWorkspace, ax: Axes | None = None) -> Axes:
     """Matplotlib axes with the regions, darker where there are more solutions, and the boundary."""
-    ax = page.new_figure().add_subplot() if ax is None else page.axes_given(ax)[0]
+    own = ax is None
+    ax = page.new_figure(4.6, 4.6).add_axes((0.16, 0.12, 0.8, 0.78)) if ax is None else page.axes_given(ax)[0]
     for region in workspace.regions:
         shade = max(0.8 * 0.8 ** ((region.solutions or 1) - 1), 0.15)
         label = "reached" if region.solutions is None else f"{region.solutions} solution{'s' * (region.solutions > 1)}"
@@ -152,11 +153,12 @@ def plot_planar(workspace: PlanarWorkspace, ax: Axes | None = None) -> Axes:
         p = shapes.piece_points(piece)
         ax.plot(np.real(p), np.imag(p), color="0.15", linewidth=1.2)
     ax.set_aspect("equal")
-    ax.set_xlabel("x [m]")
-    ax.set_ylabel("y [m]")
-    ax.set_title(f"{workspace.frame}: {workspace.area:.4g} m²")
+    page.light_axes(ax)
+    ax.set_xlabel("x [m]", size=style.FONT, color=style.INK)
+    ax.set_ylabel("y [m]", size=style.FONT, color=style.INK)
+    ax.set_title(f"{workspace.frame}: {workspace.area:.4g} m²", size=style.FONT + 1, color=style.INK)
     if workspace.regions:
-        ax.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0), frameon=False)
+        page.legend(ax, own)
     return ax
 
 
@@ -186,14 +188,14 @@ def plot_reach(study: ReachStudy, ax: Axes | None = None) -> Axes:
                 *points[which, :dim].T, mark, color=style.MOTION if mark == "o" else style.OPEN, label=name
             )
             line[0].set_gid(f"poses:{name}")
-    _show_all(drawn, points[np.isfinite(points).all(axis=1), :dim])
+    _show_all(drawn, points[np.isfinite(points).all(axis=1), :dim], ax is None)
     if len(points):
-        drawn.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0), frameon=False)
+        page.legend(drawn, ax is None)
     return drawn
 
 
-def _show_all(ax: Any, points: Array) -> None:
-    """Set the limits of axes so wide that points (n, 2 or 3) are inside, too, on one scale."""
+def _show_all(ax: Any, points: Array, own: bool) -> None:
+    """Set the limits of axes, perhaps of an own figure, so wide that points (n, 2 or 3) are inside, on one scale."""
     names = "xyz"[: points.shape[1]]
     limits = np.array([getattr(ax, f"get_{name}lim")() for name in names])
     margin = 0.05 * np.ptp(limits, axis=1).max()
@@ -201,7 +203,7 @@ def _show_all(ax: Any, points: Array) -> None:
     limits[:, 1] = np.maximum(limits[:, 1], points.max(axis=0, initial=-np.inf) + margin)
     ax.set(**{f"{name}lim": pair for name, pair in zip(names, limits, strict=True)})
     if len(names) == 3:
-        ax.set_box_aspect(np.ptp(limits, axis=1))
+        (space.fit if own else space.aspect)(ax)
 
 
 def plot_placement(found: BasePlacement, ax: Axes | None = None) -> Axes:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from hunts import some
@@ -185,3 +187,16 @@ def test_structures_trees_and_loops_that_cannot_close():
     assert apart.code == Status.NONE_EXISTS and apart.complete and "longer than all" in apart.status
     triangle = polygon([1.0, 1.0, 1.0]).configuration_space.components()
     assert triangle.count == 2 and triangle.complete
+
+
+def test_looking_for_five_bars_warns_of_nothing():
+    """Steps that run away while the loop is searched for are longer than squares of numbers can be."""
+    m = kempe.Mechanism("five-bar", dim=2)
+    m.revolute("A", m.ground, m.body("crank1"), actuated=True)
+    m.revolute("B", "crank1", m.body("rod1"), at=(1.37, 0.0))
+    m.revolute("D", m.ground, m.body("crank2"), at=(0.88, 0.0), actuated=True)
+    m.revolute("C", "crank2", m.body("rod2"), at=(0.33, 0.0))
+    m.revolute("P", "rod1", "rod2", at=(0.81, 0.0), child_at=(1.01, 0.0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        assert m.build().configuration_space.components().count == 1

@@ -187,6 +187,15 @@ def test_a_full_disk_midway_loses_nothing(tmp_path, monkeypatch):
     assert np.array_equal(made(path).map.counts, made().map.counts)
 
 
+def test_a_file_that_is_not_taken_whole_is_said_to_be_so(tmp_path, monkeypatch):
+    def short(stream, counts):
+        raise OSError("230146 requested and 51168 written")  # as numpy says it, without an error number
+
+    monkeypatch.setattr(np, "save", short)
+    with pytest.raises(KempeError, match="not all of it was taken: the disk may be full; what was written before"):
+        made(tmp_path / "map.zarr")
+
+
 def test_a_small_disk_is_refused_early(tmp_path, monkeypatch):
     usage = shutil.disk_usage(tmp_path)._replace(free=1000)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage)

@@ -339,3 +339,22 @@ def test_a_position_seen_along_two_axes():
         assert only.coordinates == ("t",)
         off = np.abs(np.sin(0.5 * (only.values[:, :1] - np.array(values))))
         assert off.min(axis=1).max() < 1e-6 and off.min(axis=0).max() < 1e-6
+
+
+def test_of_a_platform_with_short_strokes_those_inside_the_limits_are_found():
+    """Three legs in planes at 120 degrees: x and y of the level platform are squares of its tilts, so none moves it."""
+    m = kempe.Mechanism("3-RPS")
+    m.body("platform")
+    for i, turn in enumerate(2.0 * np.pi / 3.0 * np.arange(3)):
+        c, s = np.cos(turn), np.sin(turn)
+        m.revolute(f"R{i}", m.ground, m.body(f"sleeve{i}"), at=(0.3 * c, 0.3 * s, 0.0), rpy=(0, 0, turn), axis="y")
+        m.prismatic(f"P{i}", f"sleeve{i}", m.body(f"rod{i}"), axis="z", actuated=True, limits=(0.25, 0.45))
+        m.spherical(f"S{i}", f"rod{i}", "platform", child_at=(0.2 * c, 0.2 * s, 0.0))
+    system = m.build()
+    (found,) = system.singularities("platform", "position").sets
+    assert found.kinds == ("type 1",) and found.dimension == 1
+    for q, lost in zip(found.q, found.lost, strict=True):
+        X, legs = system.fk(q, "platform"), [system.q_dict(q)[f"P{i}"] for i in range(3)]
+        assert abs(abs(X[2, 2]) - 1.0) < 1e-9 and np.abs(X[:2, 3]).max() < 1e-9
+        assert legs == pytest.approx([np.hypot(0.1, X[2, 3])] * 3) and 0.25 <= legs[0] <= 0.45
+        assert np.linalg.matrix_rank(lost[:, :2]) == 2 and np.abs(lost[:, 2]).max() < 1e-9

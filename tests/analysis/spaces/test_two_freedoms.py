@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from reached_sets import torus
 from two_freedoms_in_space import (
     directions,
     five_bar,
@@ -159,3 +160,14 @@ def test_what_is_not_drawn_is_said(name, frame, task, error, words):
         spaces.two_freedoms(system, frame, flat_task(task, system.dim))
     with pytest.raises(InputError, match="plot_spaces does not read"):
         kempe.load("two_link").plot_spaces("e", budget=Budget(starts=3))
+
+
+def test_places_beside_singular_lines_are_reached_in_as_many_ways_as_they_are():
+    """The tip of a torus, from above: within the annulus each place is reached over and under, but on its edge."""
+    space = spaces.two_freedoms(torus(0.5, 0.2, False), "tip", FlatTask("xy", 3))
+    values = space.grid(60)
+    q, mask = space.over_grid(60)
+    x, y = np.linspace(-0.75, 0.75, 60), np.linspace(-0.74, 0.74, 59)
+    space.reach_grid(x, y)
+    clear = np.abs(np.sin(values[..., 1])) > 1e-6
+    assert mask.all() and clear.mean() > 0.9 and (space.ways(q[..., 0, :])[clear] == 2).all()

@@ -149,7 +149,7 @@ def write_whole(path: Path, write: Callable[[BinaryIO], object]) -> None:
 def not_written(path: Path, error: OSError) -> DiskError:
     """The error for a part that could not be written."""
     full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-    why = "the disk is full" if full else error.strerror or str(error)
+    why = "the disk is full" if full else error.strerror or "not all of it was taken: the disk may be full"
     return DiskError(f"{path} cannot be written: {why}; what was written before stands, and the same call goes on from "
                      f"there")  # fmt: skip
 

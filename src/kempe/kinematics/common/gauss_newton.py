@@ -101,7 +101,7 @@ def gauss_newton(
         if k == tries or before <= last or not met < float(np.abs(r).max(initial=0.0)) < math.inf:
             break
         y = least_squares(J, -r, cut) if step is None else step(x, r, J)
-        size = math.sqrt(float(y @ y))
+        size = math.hypot(*y.tolist())  # no overflow on the way
         if not NOTHING < size < math.inf or (halving and size > 0.5 * before):
             break
         x, before, k = move(x, y * (longest / size) if size > longest else y), size, k + 1

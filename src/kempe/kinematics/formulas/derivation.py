@@ -5,6 +5,7 @@ from __future__ import annotations
 import keyword
 import re
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -53,10 +54,18 @@ class Derivation:
         known |= {s: signs[..., i] for i, s in enumerate(self.signs)}
         lead = np.broadcast_shapes(given.shape[:-1], signs.shape[:-1])
         with np.errstate(invalid="ignore", divide="ignore"):
-            for step in self.steps:
-                known[step.symbol] = sympy.lambdify(list(known), step.formula, "numpy")(*known.values())
+            for step, (symbols, function) in zip(self.steps, self._functions, strict=True):
+                known[step.symbol] = function(*(known[s] for s in symbols))
         columns = [np.broadcast_to(known[sympy.Symbol(name)], lead) for name in self.coordinates]
-        return np.stack(columns, axis=-1).astype(float)
+        out = np.stack(columns, axis=-1).astype(float)
+        out[np.isnan(out).any(axis=-1)] = np.nan
+        return out
+
+    @cached_property
+    def _functions(self) -> list[tuple[list[Any], Any]]:
+        """Of each step the symbols that its formula has, and the formula as a function of their numbers."""
+        each = [(sorted(step.formula.free_symbols, key=str), step.formula) for step in self.steps]
+        return [(symbols, sympy.lambdify(symbols, formula, "numpy")) for symbols, formula in each]
 
     def latex(self) -> str:
         """The formulas in LaTeX, one line each, with plus and minus in the place of signs; numbers have six digits."""

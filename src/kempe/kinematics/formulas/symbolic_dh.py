@@ -178,9 +178,9 @@ def joint_lines(
     for X, h, (step, _, _, name) in zip(poses[:-1], directions, at, strict=True):
         low, high = bounds[name]
         bounded = None if math.isinf(low) and math.isinf(high) else (low, high)
-        out.append(JointLine(X[:3, 3].subs(fixed), _tidy(h.subs(fixed)), name, step.kind == "turn", bounded))
+        out.append(JointLine(X[:3, 3].subs(fixed), tidy(h.subs(fixed)), name, step.kind == "turn", bounded))
     tip = poses[-1].subs(fixed)
-    tip[:3, :3] = _tidy(tip[:3, :3])
+    tip[:3, :3] = tidy(tip[:3, :3])
     return out, tip
 
 
@@ -189,7 +189,7 @@ def _first(axis: JointLine) -> tuple[Any, Any]:
     h, foot = axis.along, axis.point - axis.along * axis.along.dot(axis.point)
     ground = sympy.Matrix([1, 0, 0] if abs(float(h[0])) < 0.9 else [0, 1, 0])
     x = ground - h * h.dot(ground)
-    return foot, _tidy(x / sympy.sqrt(x.dot(x)))
+    return foot, tidy(x / sympy.sqrt(x.dot(x)))
 
 
 def _normal(one: JointLine, two: JointLine, at: Any, x: Any, system: System, last: bool) -> tuple[Any, Any, Any]:
@@ -200,25 +200,25 @@ def _normal(one: JointLine, two: JointLine, at: Any, x: Any, system: System, las
     lengths these are its symbols.
     """
     h, k, gap = one.along, two.along, two.point - at
-    n = _tidy(h.cross(k))
+    n = tidy(h.cross(k))
     size = n.dot(n)
     if float(size) < SMALL:
         foot = at + h * h.dot(gap) if last else at
         other = two.point if last else two.point - k * k.dot(gap)
-        way = _tidy(other - foot)
+        way = tidy(other - foot)
         if way.is_zero_matrix:
             return foot, foot, x
         sizes = np.abs(_numbers(way, system))
         pivot = way[int(sizes.argmax())] if sizes.max() > 0.0 else next(w for w in way if w != 0)
         ratio = sympy.simplify(way / pivot)
         sense = -1 if float(_numbers(sympy.Matrix([pivot]), system)[0]) < 0.0 else 1
-        return foot, other, _tidy(sense * ratio / sympy.sqrt(ratio.dot(ratio)))
+        return foot, other, tidy(sense * ratio / sympy.sqrt(ratio.dot(ratio)))
     foot = at + h * (gap.cross(k).dot(n) / size)
     other = two.point + k * (gap.cross(h).dot(n) / size)
     unit = n / sympy.sqrt(size)
     if float(unit.dot(x)) < -SMALL:  # the sense that turns the frame least
         unit = -unit
-    return foot, other, _tidy(unit)
+    return foot, other, tidy(unit)
 
 
 def _angle(a: Any, b: Any, about: Any) -> Any:
@@ -228,7 +228,7 @@ def _angle(a: Any, b: Any, about: Any) -> Any:
     return _value(exact if abs(float(angle - exact)) < SMALL else angle)
 
 
-def _tidy(matrix: Any) -> Any:
+def tidy(matrix: Any) -> Any:
     """Expanded, without terms that are rounding."""
     return matrix.applyfunc(_chopped)
 

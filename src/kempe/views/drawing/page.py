@@ -143,13 +143,19 @@ def key(ax: Axes, titles: tuple[str, ...], own: bool) -> None:
                label=f"{k + 1}  {title}")
         for k, title in enumerate(titles)
     ]  # fmt: skip
-    how: Any = {"handles": lines, "fontsize": FONT - 1, "frameon": False, "handlelength": 4.5}
+    legend(ax, own, lines, handlelength=4.5)
+
+
+def legend(ax: Any, own: bool, handles: list[Any] | None = None, **how: Any) -> None:
+    """Draw the legend of axes, of these handles or of all that have a label: of an own figure, widened, beside them."""
+    entries: list[Any] = ax.get_legend_handles_labels()[0] if handles is None else handles
+    how |= {"handles": entries, "fontsize": FONT - 1, "frameon": False}
     if not own:
-        ax.legend(**how, loc="upper left")
+        ax.legend(**how, loc="best")
         return
     figure: Any = ax.figure
     (wide, high), box = figure.get_size_inches(), ax.get_position(original=True)
-    more = max(labels.extent(str(line.get_label()), FONT - 1)[0] for line in lines) / 72.0 + 0.9
+    more = max(labels.extent(str(x.get_label()), FONT - 1)[0] for x in entries) / 72.0 + 0.9
     figure.set_size_inches(wide + more, high)
     part = wide / (wide + more)
     ax.set_position((part * box.x0, box.y0, part * box.width, box.height))

@@ -48,7 +48,7 @@ def empty(subject: Subject, bounds: tuple[Array, tuple[float, float]], make: Cal
     """Axes without a drawing, in a figure whose shape suits these bounds."""
     ax = make().add_axes((0.0, 0.0, 1.0, 1.0), projection="3d")
     _frame(ax, bounds[0], *bounds[1])
-    _fit(ax)
+    fit(ax)
     return ax
 
 
@@ -101,7 +101,7 @@ def picture(
     if bounds is None:
         _frame(ax, np.concatenate(all_points), elev, azim)
     if own:
-        _fit(ax)
+        fit(ax)
     skeleton += [np.stack([e[0], tip]) for e in ends for tip in e[1:]]
     texts = [*angles, *measured.texts(subject, style.MARK * radius)]
     _labels(ax, subject, texts, skeleton, radius, camera(elev, azim), own)
@@ -189,20 +189,25 @@ def _frame(ax: Any, points: Array, elev: float, azim: float) -> None:
     ax.view_init(elev=elev, azim=azim)
 
 
-def _fit(ax: Any) -> None:
+def fit(ax: Any) -> None:
     """Let the box fill the figure, and the figure be no larger than the box with its axes needs."""
     figure, side, room = ax.figure, 7.0, (0.75, 0.55)
     figure.set_size_inches(side, side)
     seen = _on_axes(ax, _corners(ax))
     span = np.ptp(seen, axis=0)
     zoom = float(min((side - 2 * r) / side / x for r, x in zip(room, span, strict=True)))
-    ax.set_box_aspect([np.ptp(ax.get_xlim()), np.ptp(ax.get_ylim()), np.ptp(ax.get_zlim())], zoom=zoom)
+    aspect(ax, zoom)
     seen = _on_axes(ax, _corners(ax))
     lower, upper = seen.min(axis=0) * side - room, seen.max(axis=0) * side + room
     size = np.maximum(upper - lower, (3.2, 2.4))
     corner = 0.5 * (size - lower - upper)
     figure.set_size_inches(*size)
     ax.set_position((corner[0] / size[0], corner[1] / size[1], side / size[0], side / size[1]))
+
+
+def aspect(ax: Any, zoom: float = 1.0) -> None:
+    """Give all axes one scale."""
+    ax.set_box_aspect([np.ptp(ax.get_xlim()), np.ptp(ax.get_ylim()), np.ptp(ax.get_zlim())], zoom=zoom)
 
 
 def _corners(ax: Any) -> Array:

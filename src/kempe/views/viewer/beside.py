@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import traceback
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -29,7 +30,7 @@ class Beside:
     """A thread that does jobs round by round, in turn, those begun last first; actions are given to `post`.
 
     `post(key, action)` is called for each round, with a key of its own, and `failed(sentence)` is the action where a
-    round raised a `KempeError`.
+    round raised a `KempeError`, or anything else, whose traceback is then printed.
     """
 
     def __init__(self, post: Callable[[str, Action], None], failed: Callable[[str], Any]):
@@ -74,6 +75,9 @@ class Beside:
                 action = self._refused(job, str(error))
             except KeyboardInterrupt:
                 action = None
+            except Exception as error:  # noqa: BLE001  a defect: the page goes on, the terminal has where it was
+                traceback.print_exc()
+                action = self._refused(job, f"not done, by a defect of Kempe: {type(error).__name__}: {error}")
             count += 1
             if action is not None:
                 self.post(f"{job.key} {count}", self._if_wanted(job, action))

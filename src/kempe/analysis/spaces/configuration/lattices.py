@@ -198,3 +198,17 @@ def _matched(far: Array) -> np.ndarray:
             out[row] = column
             used.add(column)
     return out
+
+
+def nodes_around(x: Array, y: Array, p: Array) -> np.ndarray:
+    """Numbers (k, 4) of the corners of the cells of a lattice x (m,), y (n,) in which places p (k, 2) are."""
+    i, j = (np.clip(((p[:, k] - side[0]) // (side[1] - side[0])).astype(int), 0, len(side) - 2)
+            for k, side in enumerate((x, y)))  # fmt: skip
+    return np.stack([(i + a) * len(y) + j + b for a in (0, 1) for b in (0, 1)], axis=1)
+
+
+def nearest_node(x: Array, y: Array, p: Array) -> np.ndarray:
+    """Numbers (k,) of the nodes of a lattice x (m,), y (n,) that are nearest to places p (k, 2)."""
+    i, j = (np.clip(np.rint((p[:, k] - side[0]) / (side[1] - side[0])), 0, len(side) - 1).astype(int)
+            for k, side in enumerate((x, y)))  # fmt: skip
+    return i * len(y) + j

@@ -13,7 +13,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.analysis.first_order.control import driven
-from kempe.analysis.spaces.configuration.lattices import Missing, NodeSolver, flooded, in_order
+from kempe.analysis.spaces.configuration.lattices import (
+    Missing,
+    NodeSolver,
+    flooded,
+    in_order,
+    nearest_node,
+    nodes_around,
+)
 from kempe.analysis.spaces.configuration.manifold import Manifold
 from kempe.constraints.flat_tasks import FlatTask
 from kempe.errors import InputError, UnsupportedError
@@ -38,6 +45,8 @@ STARTS, LOOKED = 1024, 64
 """Random configurations from which others are found, and those at which pairs of coordinates are looked at."""
 SEEDS = 4000
 """Configurations, at most, from which those that reach a place are found."""
+BLOCK = 4096
+"""Places of which those reached in several ways are counted at once."""
 SETS, FLAT = 0.2, 1e-6
 """Area that rates of two coordinates span at half of all configurations, as a part of the largest, for these to be
 taken, and that of two that do not place the others."""
@@ -126,31 +135,47 @@ class TwoFreedoms:
 
         return missing
 
+    def shades(self, q: Array, mask: np.ndarray) -> np.ndarray:
+        """How many configurations (n, n) there are of q (n, n, k, nq): the assembly modes at the values of `grid`."""
+        return np.asarray(mask.sum(axis=-1))
+
     # ---- that reach a place
 
     def reach_grid(self, x: Array, y: Array) -> np.ndarray:
         """How many configurations bring the frame to each place of a lattice x (m,), y (n,)."""
         seeds = self._seeds()
         p = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-        node = _nearest_node(x, y, self.task.of(self.system.fk(seeds, self.frame)))
+        node = nearest_node(x, y, self.task.of(self.system.fk(seeds, self.frame)))
         found = flooded(self.solver, self._off_places(p), (len(x), len(y)), seeds, node, self.clock, self.progress)
         self.broken = self.broken or found.broken
         q, mask = self._inside(found.q, found.mask)
         self._reaching = x, y, q, mask
         return mask.sum(axis=1).reshape(len(x), len(y))
 
-    def ways(self, p: Array) -> np.ndarray:
-        """How many configurations (...) bring the frame to places p (..., 2): of those that were found beside."""
+    def ways(self, q: Array) -> np.ndarray:
+        """How many configurations (...) bring the frame to where it is at configurations q (..., nq) inside the limits.
+
+        Where the nodes around have different numbers, those of them that lead to the place are counted, with q.
+        """
         assert self._reaching is not None
-        x, y, _, mask = self._reaching
-        node = _nearest_node(x, y, np.nan_to_num(p.reshape(-1, 2)))
-        return mask.sum(axis=1)[node].reshape(p.shape[:-1])
+        x, y, found, mask = self._reaching
+        flat = q.reshape(-1, q.shape[-1])
+        p, count = self.task.of(self.system.fk(flat, self.frame)), mask.sum(axis=1)
+        around = nodes_around(x, y, p)
+        out = count[around[:, 0]]
+        mixed = np.flatnonzero((count[around] != out[:, None]).any(axis=1))
+        for at in np.array_split(mixed, 1 + len(mixed) // BLOCK):
+            near, k = around[at], len(at)
+            starts = np.concatenate([flat[at, None], found[near].reshape(k, -1, q.shape[-1])], axis=1)
+            there = np.insert(mask[near].reshape(k, -1), 0, True, axis=1)
+            out[at] = self._again(self._off_places(p[at]), starts, there)[1].sum(axis=1)
+        return out.reshape(q.shape[:-1])
 
     def solutions(self, p: Array) -> Array:
         """The different configurations (k, nq) that bring the frame to a place (2,)."""
         assert self._reaching is not None
         x, y, q, mask = self._reaching
-        i, j = np.divmod(_nearest_node(x, y, p[None])[0], len(y))
+        i, j = np.divmod(nearest_node(x, y, p[None])[0], len(y))
         rows, columns = (range(max(int(k) - 1, 0), min(int(k) + 2, len(side))) for k, side in ((i, x), (j, y)))
         near = np.array([r * len(y) + c for r in rows for c in columns])
         found, ok = self._again(self._off_places(p[None]), q[near].reshape(1, -1, q.shape[2]),
@@ -215,15 +240,25 @@ class OpenChain(TwoFreedoms):
         """Configurations (..., 1, nq) at values (..., 2) of the coordinates."""
         return self._inside(values[..., None, :], np.ones((*values.shape[:-1], 1), dtype=bool))
 
+    def shades(self, q: Array, mask: np.ndarray) -> np.ndarray:
+        """How many configurations (n, n) bring the frame to the same place as each of q (n, n, 1, nq)."""
+        out = np.zeros(mask.shape[:-1], dtype=int)
+        out[mask[..., 0]] = self.ways(q[mask])
+        return out
+
 
 class FlatChain(OpenChain):
     """An open planar system with two coordinates, whose configurations at a place are found by `ik_all`."""
 
     def reach_grid(self, x: Array, y: Array) -> np.ndarray:
         """How many configurations bring the frame to each place of a lattice x (m,), y (n,)."""
-        return self.ways(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1))
+        return self.number(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1))
 
-    def ways(self, p: Array) -> np.ndarray:
+    def ways(self, q: Array) -> np.ndarray:
+        """How many configurations (...) bring the frame to where it is at configurations q (..., nq)."""
+        return np.maximum(self.number(self.task.of(self.system.fk(q, self.frame))), 1)
+
+    def number(self, p: Array) -> np.ndarray:
         """How many configurations (...) bring the frame to places p (..., 2)."""
         found = self.system.ik_all(p.reshape(-1, 2), self.frame, task="position", limits=True)
         return np.asarray(found.mask).sum(axis=1).reshape(p.shape[:-1])  # type: ignore[union-attr]
@@ -320,7 +355,7 @@ def _plan(system: System) -> Plan | None:
 
 
 def _moves(plan: Plan) -> bool:
-    """Whether the known coordinates can be set: whether there are configurations over an area."""
+    """Whether there are configurations over an area of the known coordinates."""
     at = [plan.system.structure.velocity_names.index(n) for n in plan.known]
     low, high = (x[at] for x in sampling_box(plan.system))
     return bool(plan.all(np.random.default_rng(0).uniform(low, high, (512, 2)))[1].any())
@@ -357,10 +392,3 @@ def _placed(system: System, frame: str) -> Plan | None:
     m.revolute(f"{free} pin", f"{free} 2", frame if on is None else on.body, child_at=(0, 0) if on is None else frame)
     found = closed_form(m.build(), (f"{free} x", f"{free} y"))
     return None if isinstance(found, Incomplete) or found.signs > MOST_SIGNS else found
-
-
-def _nearest_node(x: Array, y: Array, p: Array) -> np.ndarray:
-    """Numbers (k,) of the nodes of a lattice x (m,), y (n,) that are nearest to places p (k, 2)."""
-    i, j = (np.clip(np.rint((p[:, k] - side[0]) / (side[1] - side[0])), 0, len(side) - 1).astype(int)
-            for k, side in enumerate((x, y)))  # fmt: skip
-    return i * len(y) + j

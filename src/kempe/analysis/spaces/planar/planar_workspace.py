@@ -150,7 +150,7 @@ class PlanarWorkspace(Report):
         given = numbers(points, "points")
         self._points(given)
         xy = given[..., :2]
-        finite, far = np.isfinite(xy).all(axis=-1), np.hypot(xy[..., 0], xy[..., 1])
+        finite, far = np.asarray(np.isfinite(xy).all(axis=-1)), np.hypot(xy[..., 0], xy[..., 1])
         near, best = self._points(np.where(finite[..., None], xy, 0.0)), np.full(finite.shape, np.inf)
         for piece in self.boundary:
             best = np.minimum(best, piece.distance(near))

@@ -17,6 +17,8 @@ import numpy as np
 from kempe.analysis.continuation.continuation import Closure, close
 from kempe.analysis.first_order.null_space import null_space
 from kempe.analysis.spaces.singular.rank_loss import ZERO, Matrices, RankLoss, generic_rank
+from kempe.analysis.spaces.singular.singular_sets import inside_limits
+from kempe.budget import Budget
 from kempe.constraints.flat_tasks import DIRECTION, PLANES
 from kempe.errors import InputError
 from kempe.kinematics import closure_rows
@@ -32,6 +34,8 @@ OF_FRAMES = ("pose", "position", "orientation", *PLANES, DIRECTION)
 """Tasks of frames: "xy" is the position along x and y, "direction" that of the frame's z axis."""
 GENERIC = 256
 """Random configurations of which some have the rank of almost all."""
+TRIES = 4
+"""Starts from which a configuration inside the limits is looked for, in place of one outside."""
 SERIAL, TYPE_1, TYPE_2, CONSTRAINT = "serial", "type 1", "type 2", "constraint"
 
 
@@ -54,7 +58,7 @@ class RankQuestions:
 
     def __init__(
         self, system: System, frame: str | None, task: str, inputs: list[int] | None, rng: np.random.Generator,
-        starts: int,
+        starts: int, limits: bool = False,
     ):  # fmt: skip
         self.system, self.frame, self.inputs = system, frame, inputs
         self.length = float(closure_rows.characteristic_length(system))
@@ -64,6 +68,8 @@ class RankQuestions:
         if self.loops:
             found = [close(equations, q) for q in self.starts]
             self.starts = np.array([q for q in found if q is not None]).reshape(-1, system.nq)
+            if limits:
+                self.starts = _led_inside(system, self.starts)
         if not len(self.starts):
             raise InputError(
                 f"{system.name}: no configuration with closed loops was found in {counted(starts, 'start')}"
@@ -168,6 +174,19 @@ class RankQuestions:
         if CONSTRAINT in kinds:
             kinds = [CONSTRAINT, *(k for k in kinds if k != CONSTRAINT)]
         return LostAndGained(tuple(kinds), rank, lost, gained, still)
+
+
+def _led_inside(system: System, q: Array) -> Array:
+    """Closed configurations (k, nq), those outside the limits as ones inside them, where `assemble` finds some.
+
+    From far outside Newton's method rarely comes to the part of a singular set that is inside.
+    """
+    q = q.copy()
+    for i in np.flatnonzero(~inside_limits(system, q)):
+        found = system.assemble({}, start=q[i], budget=Budget(starts=TRIES, rng=int(i)))
+        if found.success:
+            q[i] = found.q
+    return q
 
 
 def _rank(A: Array, whole: Array) -> int:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.analysis.spaces.singular.rank_questions import LostAndGained
 from kempe.calls import brief, explained_methods
 from kempe.kinematics.common.result import Report
 from kempe.kinematics.one_sided import one_sided_rows
@@ -16,6 +15,7 @@ from kempe.status import Status
 from kempe.words import InWords, counted, joined
 
 if TYPE_CHECKING:
+    from kempe.analysis.spaces.singular.rank_questions import LostAndGained
     from kempe.model.system import System
 
 SAME = 1e-5

@@ -199,7 +199,7 @@ def singularities(
     driving = driven(system, inputs)
     if loops and name is None and not driving:
         raise InputError(f"{system.name} has no actuated joint: name inputs, or a frame")
-    task, questions = _questions_of(system, name, task, driving if loops else None, spend)
+    task, questions = _questions_of(system, name, task, driving if loops else None, spend, limits)
     problems = questions.problems()
     found: Found = {}
     clock, done, broken = TimeLimit(spend.time_limit), 0, None
@@ -242,7 +242,7 @@ def _led(
 
 
 def _questions_of(
-    system: System, frame: str | None, task: str | None, driving: list[int] | None, spend: Budget
+    system: System, frame: str | None, task: str | None, driving: list[int] | None, spend: Budget, limits: bool
 ) -> tuple[str, RankQuestions]:  # fmt: skip
     """The task by its name and what is wanted: of a planar frame with loops and two freedoms its place, if that moves.
 
@@ -250,10 +250,10 @@ def _questions_of(
     """
     loops, starts = has_loops(system), start_count(spend.starts)
     word = _task(system, frame, task, loops)
-    questions = RankQuestions(system, frame, word, driving, generator(spend.rng), starts)
+    questions = RankQuestions(system, frame, word, driving, generator(spend.rng), starts, limits)
     if task is None and loops and system.dim == 2 and questions.frame_rank == 2:
         try:
-            place = RankQuestions(system, frame, "position", driving, generator(spend.rng), starts)
+            place = RankQuestions(system, frame, "position", driving, generator(spend.rng), starts, limits)
         except InputError:  # it turns about its origin
             return word, questions
         if place.frame_rank == 2:

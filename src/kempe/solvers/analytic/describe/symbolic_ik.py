@@ -1,11 +1,10 @@
-"""The inverse model of a planar arm or a SCARA as formulas, in the steps in which it is derived on paper."""
+"""The inverse model as formulas, in the steps of its derivation on paper: planar arms, SCARAs, arms with a wrist."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,23 +12,14 @@ from numpy.typing import ArrayLike
 from kempe.calls import explained, numbers
 from kempe.errors import InputError, UnsupportedError, shown
 from kempe.kinematics.formulas.derivation import Derivation, FormulaStep
-from kempe.kinematics.formulas.plane_steps import (
-    Names,
-    Vector,
-    endings,
-    line_and_circle,
-    minus,
-    plus,
-    polar,
-    turned,
-    turning_slide,
-    two_circles,
-    two_lines,
-)
+from kempe.kinematics.formulas.plane_steps import Names, endings
 from kempe.kinematics.formulas.symbolic import SymbolLeaves
-from kempe.kinematics.formulas.symbolic_dh import JointLine, joint_lines
+from kempe.kinematics.formulas.symbolic_dh import JointLine, joint_lines, tidy
 from kempe.kinematics.formulas.symbolic_turns import sympy
 from kempe.reals import is_whole
+from kempe.solvers.analytic.describe import spatial_arms
+from kempe.solvers.analytic.describe.plane_arms import PlaneJoint, in_plane
+from kempe.solvers.analytic.describe.spatial_arms import SpatialArm
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -37,10 +27,13 @@ if TYPE_CHECKING:
 
 TASKS = {2: "position", 3: "pose"}
 """What a chain of so many joints that move in the plane can reach."""
-OWN = ("p_x", "p_y", "p_z", "phi", "w_x", "w_y")
-"""Names of the target, and of the place of the last joint."""
+SPATIAL = {3: "position", 6: "pose"}
+"""What an arm in space of so many joints can reach."""
+OWN = ("p_x", "p_y", "p_z", "phi", "w_x", "w_y", "w_z")
+"""Names of the target, and of the place of the last joint, or of the wrist."""
+TURNED = tuple(f"r_{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))
+"""Names of the entries of a target's rotation matrix."""
 PLACES = ("first", "second", "third", "fourth")
-ELBOW = "-1 is elbow up, +1 elbow down"
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,23 +41,37 @@ class InverseFormulas(Derivation):
     """Formulas of the solutions; the symbol `sign` is -1 for elbow up and +1 for elbow down, as `ik_all` names them.
 
     Of an arm with a slide it is +1 where that is farther than where both solutions meet; two slides have one solution.
+    An arm in space has up to three: `shoulder`, `elbow` (or its slide) and `wrist`, +1 without a flip.
     """
 
     @property
     def target(self) -> tuple[Any, ...]:
-        """Symbols of the wanted position, p_x and p_y, with a slide along z p_z, and of a pose the angle phi."""
+        """Symbols of the wanted position, p_x and p_y, in space p_z, and of a pose phi, or r_11 to r_33."""
         return self.given
 
-    def __call__(self, p: ArrayLike, sign: int = 1) -> Array:
+    def __call__(self, p: ArrayLike, sign: Any = 1) -> Array:
         """The coordinates (..., n), radians and metres, for positions (..., 2) or x, y and angle (..., 3).
 
         Where a joint slides along z the height comes after x and y: (..., 3) or x, y, z and angle (..., 4). The angle
-        is that of the frame's x axis. Poses (..., 4, 4) say all of it. They are nan where the target is out of reach.
+        is that of the frame's x axis. Of an arm in space targets are positions (..., 3), and `sign` has one -1 or 1 for
+        each of its signs, or is one for all. Poses (..., 4, 4) say all of it. They are nan where the target is out of
+        reach.
         """
-        at = numbers(self._of_poses(p), "p", len(self.given))
-        if not is_whole(sign) or sign not in (-1, 1):
-            raise InputError(f"sign is {shown(sign)}; it must be -1 (elbow up) or 1 (elbow down)")
-        return self.evaluate(at, np.full(at.shape[:-1] + (len(self.signs),), float(sign)))
+        if len(self.given) > len(TURNED):
+            X = numbers(p, "p", 4, 4)
+            at = np.concatenate([X[..., :3, 3], X[..., :3, :3].reshape(*X.shape[:-2], 9)], axis=-1)
+        else:
+            at = numbers(self._of_poses(p), "p", len(self.given))
+        several, most = isinstance(sign, (tuple, list, np.ndarray)), max(len(self.signs), 1)
+        signs: list[Any] = list(sign) if several else [sign] * most
+        if not all(is_whole(s) and s in (-1, 1) for s in signs):
+            elbows = (" (elbow up)", " (elbow down)") if len(self.signs) < 2 else ("", "")
+            raise InputError(f"sign is {shown(sign)}; it must be -1{elbows[0]} or 1{elbows[1]}")
+        if len(signs) != most:
+            raise InputError(f"sign is {shown(sign)}; it must be one number, or {len(self.signs)}: "
+                             f"{', '.join(map(str, self.signs))}")  # fmt: skip
+        signs = signs[: len(self.signs)]
+        return self.evaluate(at, np.broadcast_to(np.array(signs, dtype=float), at.shape[:-1] + (len(signs),)))
 
     def _of_poses(self, p: ArrayLike) -> ArrayLike:
         """The numbers that the formulas take of poses (..., 4, 4); what is none, as it is."""
@@ -81,14 +88,20 @@ def symbolic_ik(
     system: System, frame: FrameLike, task: str | None = None, *, symbols: Mapping[str, Any] | None = None,
     snap: float = 0.0,
 ) -> InverseFormulas:  # fmt: skip
-    """Formulas of the inverse model of a planar arm: two joints to a "position", three to a "pose" x, y, angle.
+    """Formulas of the inverse model: of planar arms, SCARAs, and arms in space that end in three axes that meet.
 
-    Joints turn about z or -z of the ground, or slide across it. One more may slide along it, at any place, as of a
-    SCARA, which then reaches a height, too. Of two turns, the position is squared and summed, which
-    leaves the second angle; its sine has two signs, the two elbows; the first is the difference of two angles
-    (Siciliano, Sciavicco, Villani, Oriolo 2009, section 2.12.1); slides make lines of circles. A pose fixes where the
-    last joint is, from which on it is the same. Limits are not regarded. `ik_all` gives the solutions of other
-    chains in numbers. `symbols` and `snap` are those of `symbolic_fk`.
+    In the plane two joints reach a "position", three a "pose" x, y, angle: they turn about z or -z of the ground, or
+    slide across it. One more may slide along it, at any place, as of a SCARA, which then reaches a height, too. Of two
+    turns, the position is squared and summed, which leaves the second angle; its sine has two signs, the two elbows;
+    the first is the difference of two angles (Siciliano, Sciavicco, Villani, Oriolo 2009, section 2.12.1); slides make
+    lines of circles. A pose fixes where the last joint is, from which on it is the same.
+
+    In space three joints reach a "position": the first turns about z or -z, the others turn about or slide across one
+    horizontal direction, as of the Puma, of a Stanford arm, or of a cylindrical one. Six reach a "pose" if the axes of
+    the last three, turns about directions at right angles, meet in a point.
+
+    Limits are not regarded. `ik_all` gives the solutions of other chains in numbers. `symbols` and `snap` are those of
+    `symbolic_fk`.
 
     Errors: those of `kempe.kinematics.formulas.symbolic.symbolic_fk`; `UnsupportedError` for other chains and for
     systems with constraints.
@@ -102,120 +115,75 @@ def symbolic_ik(
         raise UnsupportedError(f"formulas for {name!r} need an open chain; ik_all gives numbers")
     leaves = SymbolLeaves(system, symbols or {}, snap)
     joints, tip = joint_lines(system, name, leaves, f"formulas for {name!r} need two or three joints that move it")
-    arm, lifts = [j for j in joints if not _lifts(j)], [j for j in joints if _lifts(j)]
-    what = task or TASKS.get(len(arm), "position")
-    planar = all(bool(j.along[0] == 0 == j.along[1]) if j.turns else bool(j.along[2] == 0) for j in arm)
-    upright = tip[2, 0] == 0 == tip[2, 1]
-    if TASKS.get(len(arm)) != what or not planar or len(lifts) > 1 or (what == "pose" and not upright):
-        raise UnsupportedError(
-            f"formulas for {name!r} need two joints to a position, or three to a pose, that turn about z of the ground "
-            "or slide across it, and at most one that slides along it; ik_all gives numbers"
-        )
     taken: set[Any] = {sympy.Symbol(j.name) for j in joints} | set(tip.free_symbols)
     taken = taken.union(*(j.point.free_symbols for j in joints))
-    words = (*Names._fields, *OWN)
+    words = (*Names._fields, *OWN, *TURNED, *spatial_arms.OWN)
     end = next(e for e in endings() if not any(sympy.Symbol(f"{word}{e}") in taken for word in words))
-    x, y, z, phi, *last = (sympy.Symbol(f"{word}{end}") for word in OWN)
+    if _is_planar(joints, tip, task):
+        return _of_plane(system, joints, tip, task, end)
+    arm = SpatialArm.of(joints, tip)
+    if arm is None or task not in (None, SPATIAL[len(joints)]):
+        raise UnsupportedError(
+            f"formulas for {name!r} need two joints to a position, or three to a pose, that turn about z of the ground "
+            "or slide across it, and at most one that slides along it; or in space a first turn about z, and two "
+            "joints that turn about or slide across one horizontal direction, to a position, or to a pose with a wrist "
+            "of three axes at right angles that meet; ik_all gives numbers"
+        )
+    return _of_space(system, arm, end)
+
+
+def _is_planar(joints: list[JointLine], tip: Any, task: str | None) -> bool:
+    """Whether two or three joints move the frame in a plane across z, and at most one along z."""
+    arm = [j for j in joints if not _lifts(j)]
+    what = task or TASKS.get(len(arm), "position")
+    planar = all(bool(j.along[0] == 0 == j.along[1]) if j.turns else bool(j.along[2] == 0) for j in arm)
+    upright = what != "pose" or tip[2, 0] == 0 == tip[2, 1]
+    return TASKS.get(len(arm)) == what and planar and len(joints) <= len(arm) + 1 and bool(upright)
+
+
+def _of_plane(system: System, joints: list[JointLine], tip: Any, task: str | None, end: str) -> InverseFormulas:
+    """Formulas of a planar arm with at most one slide along z; symbols end in `end`."""
+    arm, lifts = [j for j in joints if not _lifts(j)], [j for j in joints if _lifts(j)]
+    what = task or TASKS[len(arm)]
+    x, y, z, phi, *last = (sympy.Symbol(f"{word}{end}") for word in OWN[:-1])
     inputs: list[Any] = [x, y, *([z] if lifts else []), *([phi] if what == "pose" else [])]
     n, angle = Names.ending(end), phi - sympy.atan2(tip[1, 0], tip[0, 0]) if what == "pose" else None
-    flat = [_PlaneJoint.of(j) for j in arm]
-    steps, coordinates = _in_plane(n, flat, (x, y), (tip[0, 3], tip[1, 3]), angle, last)
+    flat = [PlaneJoint.of(j) for j in arm]
+    steps, coordinates = in_plane(n, flat, (x, y), (tip[0, 3], tip[1, 3]), angle, last)
     found: dict[str, Any] = {j.name: x for j, x in zip(flat, coordinates, strict=True)}
     found |= {j.coordinate: j.along[2] * (z - tip[2, 3]) for j in lifts}  # no other joint changes the height
     for j, place in zip(joints, PLACES, strict=False):
         says = f"the {place} coordinate" + ", from the height" * _lifts(j)
         steps.append(FormulaStep(sympy.Symbol(j.coordinate), found[j.coordinate], says))
-    signs = (n.sign,) if any(s.formula.has(n.sign) for s in steps) else ()
-    return InverseFormulas(system, tuple(steps), tuple(inputs), signs, tuple(j.coordinate for j in joints))
+    return _formulas(system, steps, inputs, [n.sign], joints)
+
+
+def _of_space(system: System, arm: SpatialArm, end: str) -> InverseFormulas:
+    """Formulas of an arm in space; symbols end in `end`."""
+    x, y, z, _, *place = (sympy.Symbol(f"{word}{end}") for word in OWN)
+    inputs, to, steps, R = [x, y, z], [x, y, z], list[FormulaStep](), None
+    if len(arm.joints) > 3:
+        R = sympy.Matrix(3, 3, [sympy.Symbol(f"{word}{end}") for word in TURNED])
+        inputs += list(R)
+        hand = tidy(arm.tip[:3, :3].T * (arm.end - arm.tip[:3, 3]))
+        if not hand.is_zero_matrix:
+            steps = [FormulaStep(s, w, "the wrist: the target, less the hand")
+                     for s, w in zip(place, sympy.Matrix(to) + R * hand, strict=True)]  # fmt: skip
+            to = place
+    names = {word: sympy.Symbol(f"{word}{end}") for word in spatial_arms.OWN}
+    n = Names.ending(end)._replace(sign=names["elbow"])
+    steps += arm.steps(to, R, names, n)
+    return _formulas(system, steps, inputs, [names[word] for word in ("shoulder", "elbow", "wrist")], list(arm.joints))
+
+
+def _formulas(
+    system: System, steps: list[FormulaStep], inputs: list[Any], signs: list[Any], joints: list[JointLine]
+) -> InverseFormulas:  # fmt: skip
+    """The formulas, with those of the signs that they have."""
+    signs = [sign for sign in signs if any(s.formula.has(sign) for s in steps)]
+    return InverseFormulas(system, tuple(steps), tuple(inputs), tuple(signs), tuple(j.coordinate for j in joints))
 
 
 def _lifts(joint: JointLine) -> bool:
     """Whether a joint slides along z of the ground."""
     return not joint.turns and bool(joint.along[0] == 0 == joint.along[1])
-
-
-class _PlaneJoint(NamedTuple):
-    """A joint at q = 0: a point of its axis, whether it turns, its sense about z or its direction."""
-
-    name: str
-    at: Vector
-    turns: bool
-    sense: int
-    along: Vector
-
-    @classmethod
-    def of(cls, joint: Any) -> _PlaneJoint:
-        """The joint as it lies in the plane."""
-        sense = int(joint.along[2]) if joint.turns else 1
-        return cls(joint.coordinate, (joint.point[0], joint.point[1]), joint.turns, sense,
-                   (joint.along[0], joint.along[1]))  # fmt: skip
-
-
-def _in_plane(
-    n: Names, arm: list[_PlaneJoint], to: Vector, end: Vector, angle: Any, names: list[Any]
-) -> tuple[list[FormulaStep], list[Any]]:
-    """Steps and coordinates as `_solved`; of a pose from the place of a last joint that turns, called `names`."""
-    steps = list[FormulaStep]()
-    if angle is not None and arm[-1].turns:
-        place = minus(to, turned(minus(end, arm[-1].at), angle))
-        if place != to:
-            steps = [FormulaStep(s, x, "the target, less the last link") for s, x in zip(names, place, strict=True)]
-            to = (steps[0].symbol, steps[1].symbol)
-        end = arm[-1].at
-    more, found = _solved(n, arm, to, end, angle)
-    return steps + more, found
-
-
-def _solved(
-    n: Names, arm: list[_PlaneJoint], to: Vector, end: Vector, angle: Any
-) -> tuple[list[FormulaStep], list[Any]]:
-    """Steps and coordinates: of joints that bring the point `end` to `to`, the last body turned by `angle`."""
-    kinds = "".join("RP"[not j.turns] for j in arm)
-    one, two = arm[0], arm[1]
-    if any(one.turns and two.turns and set(minus(two.at, one.at)) == {0} for one, two in pairwise(arm)):
-        raise UnsupportedError("two turns are about one axis, which leaves a joint to spare; ik_all gives families")
-    if kinds in ("RR", "RRR"):
-        (l1, at1), (l2, at2) = polar(minus(two.at, one.at)), polar(minus(end, two.at))
-        steps, first, bend = two_circles(n, minus(to, one.at), l1, l2, ELBOW, one.sense)
-        turns = [first - at1, bend - (at2 - at1)]
-        return steps, _turns(arm, turns, angle)
-    if kinds in ("RP", "RPR"):
-        gap, (_, at) = minus(end, one.at), polar(two.along)
-        ahead, aside = _parts(gap, two.along)
-        steps, u, rail = turning_slide(n, minus(to, one.at), aside)
-        turn = rail - at
-        return steps, [one.sense * turn, u - ahead, *([arm[2].sense * (angle - turn)] if kinds == "RPR" else [])]
-    if kinds in ("PR", "PRR"):
-        length, at = polar(minus(end, two.at))
-        steps, u, bar = line_and_circle(n, minus(to, two.at), one.along, length)
-        turn = bar - at
-        return steps, [u, two.sense * turn, *([arm[2].sense * (angle - turn)] if kinds == "PRR" else [])]
-    if kinds == "RRP":  # the orientation is that of the second body
-        length, at = polar(minus(two.at, one.at))
-        rest = minus(minus(to, one.at), turned(minus(end, two.at), angle))
-        steps, u, bar = line_and_circle(n, rest, turned(arm[2].along, angle), length)
-        turn = bar - at
-        return steps, [one.sense * turn, two.sense * (angle - turn), u]
-    if kinds in ("PP", "PPR"):
-        steps, u1, u2 = two_lines(n, minus(to, end), one.along, two.along)
-        return steps, [u1, u2, *([arm[2].sense * angle] if kinds == "PPR" else [])]
-    if kinds == "RPP":
-        rest = minus(turned(minus(to, one.at), -angle), minus(end, one.at))
-        steps, u2, u3 = two_lines(n, rest, two.along, arm[2].along)
-        return steps, [one.sense * angle, u2, u3]
-    if kinds == "PRP":
-        rest = minus(to, plus(two.at, turned(minus(end, two.at), angle)))
-        steps, u1, u3 = two_lines(n, rest, one.along, turned(arm[2].along, angle))
-        return steps, [u1, two.sense * angle, u3]
-    raise UnsupportedError("formulas need a joint that turns where an angle is wanted; ik_all gives numbers")
-
-
-def _turns(arm: list[_PlaneJoint], turns: list[Any], angle: Any) -> list[Any]:
-    """Coordinates of joints that turn: by these, the last one by what is left of the angle."""
-    last = [] if angle is None else [angle - sum(turns)]
-    return [j.sense * x for j, x in zip(arm, [*turns, *last], strict=True)]
-
-
-def _parts(v: Vector, along: Vector) -> tuple[Any, Any]:
-    """Parts of a vector along a direction and to the left of it."""
-    return v[0] * along[0] + v[1] * along[1], along[0] * v[1] - along[1] * v[0]
