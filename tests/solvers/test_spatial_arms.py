@@ -98,7 +98,7 @@ def test_the_formulas_of_a_puma_are_those_of_the_textbook():
 
 
 def test_signs_have_the_names_of_all_solutions():
-    """The wrist's sign is that of `no flip` and `flip`; both shoulders and both elbows are told apart by theirs."""
+    """The wrist's sign is that of `no flip` and `flip`; both shoulders and both elbows are distinguished by theirs."""
     rng, formulas = np.random.default_rng(5), PUMA.symbolic.ik("tool")
     X = PUMA.fk(rng.uniform(-3.0, 3.0, (10, 6)), "tool")
     for target in X:
