@@ -9,6 +9,9 @@ from typing import Any
 
 from kempe.errors import KempeError
 
+DEFECTS = (ArithmeticError, AssertionError, AttributeError, LookupError, MemoryError, OSError, RuntimeError, TypeError,
+           ValueError)  # fmt: skip
+"""What a mistake in the code raises, or a machine that has no more room."""
 Action = Callable[[], Any]
 """What the page does with what was found."""
 
@@ -75,7 +78,7 @@ class Beside:
                 action = self._refused(job, str(error))
             except KeyboardInterrupt:
                 action = None
-            except Exception as error:  # noqa: BLE001  a defect: the page goes on, the terminal has where it was
+            except DEFECTS as error:  # the page goes on, and the terminal has where it was
                 traceback.print_exc()
                 action = self._refused(job, f"not done, by a defect of Kempe: {type(error).__name__}: {error}")
             count += 1

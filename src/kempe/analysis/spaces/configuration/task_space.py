@@ -7,17 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.analysis.first_order.image_rank import image_ranks
 from kempe.analysis.spaces.configuration.manifold import Manifold
 from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods, generator
 from kempe.constraints import KINDS
 from kempe.constraints.base import Constraint
 from kempe.errors import InputError, shown
-from kempe.kinematics import closure_rows
 from kempe.kinematics.common.result import Cells, Report
 from kempe.kinematics.configuration import as_q, has_loops, random
 from kempe.kinematics.tasks.packed import count, jacobian
-from kempe.solvers.assembly.charts import tangent_space
 from kempe.solvers.common.arguments import start_count
 from kempe.spatial import Array
 from kempe.words import counted, verb
@@ -25,8 +24,6 @@ from kempe.words import counted, verb
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
 
-FULL = 1e-7
-"""Singular value, as a part of the largest, up to which a direction of the task counts as lost."""
 SEEN = 10_000
 """Further configurations of a tree, which cost next to nothing, that bound the image."""
 OF_FRAMES = ("pose", "position")
@@ -124,7 +121,8 @@ def task_space(
     at = drawn[0] if q is None else as_q(system, q)
     if at.shape != (system.nq,) or not np.isfinite(at).all():
         raise InputError(f"q has shape {at.shape}; it must be one configuration ({system.nq},) of finite numbers")
-    (ranks, n), m = _ranks(system, wanted, np.concatenate([at[None], drawn])), sum(count(system, t) for t in wanted)
+    every, m = np.concatenate([at[None], drawn]), sum(count(system, t) for t in wanted)
+    ranks, n = image_ranks(system, every, np.concatenate([jacobian(system, t, every) for t in wanted], axis=-2))
     rank, generic = int(ranks[0]), int(ranks.max())
     image = {}
     if frame is not None:
@@ -162,16 +160,3 @@ def _drawn(system: System, count: int, rng: np.random.Generator) -> Array:
     if not len(q):
         raise InputError(f"{system.name} was not closed from {count} random starts: it has no configuration to look at")
     return q
-
-
-def _ranks(system: System, wanted: list[Constraint], q: Array) -> tuple[np.ndarray, int]:
-    """Ranks (k,) of the tasks over the velocities that loops leave at q (k, nq), and the least number of freedoms."""
-    J, n = np.concatenate([jacobian(system, t, q) for t in wanted], axis=-2), system.nv
-    out: list[int] = []
-    N, scale = np.eye(system.nv), closure_rows.scales(system)
-    for x, rates in zip(q, J, strict=True):
-        N = tangent_space(system, x)[0] if has_loops(system) else N
-        n = min(n, N.shape[1])
-        s = np.linalg.svd(rates @ (scale[:, None] * N), compute_uv=False)
-        out.append(int((s > FULL * max(float(s.max(initial=0.0)), 1e-300)).sum()))
-    return np.array(out), n

@@ -191,18 +191,24 @@ def bounds_of(system: System) -> Array:
 def slow_positions(system: System, frame: str, seed: int, piece: int) -> Array:
     """Positions (SLOW_PIECE, 3) of one piece of samples of a system with loops or constraints.
 
-    Random configurations are brought to where loops are closed; NaN where that fails, or a constraint is violated.
+    NaN where a configuration is not closed, or violates a constraint.
     """
-    q = system.random(np.random.Generator(np.random.Philox(key=[seed, piece])), SLOW_PIECE)
+    q, good = closed_configurations(system, seed, piece)
+    points = np.full((len(q), 3), np.nan)
+    points[good] = fk(system, q[good], frame, form="position")
+    return points
+
+
+def closed_configurations(system: System, seed: int, piece: int, count: int = SLOW_PIECE) -> tuple[Array, np.ndarray]:
+    """Random configurations (count, nq), brought to where loops are closed, and where (count,) all constraints hold."""
+    q = system.random(np.random.Generator(np.random.Philox(key=[seed, piece])), count)
     good = np.ones(len(q), dtype=bool)
     if has_loops(system):
         answer = system.assemble(None, q)
         q, good = answer.q, np.asarray(answer.success, dtype=bool)
     rows = one_sided_rows(system)
     good &= (rows.beyond(np.where(good[:, None], q, system.mid)) == 0.0).all(axis=1)
-    points = np.full((len(q), 3), np.nan)
-    points[good] = fk(system, q[good], frame, form="position")
-    return points
+    return q, good
 
 
 def recipe_of(system: System, frame: str, seed: int, cells: Any, box: Any, question: WorkspaceKind = PLAIN) -> Recipe:

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.analysis.first_order.image_rank import image_ranks
 from kempe.analysis.maps.part_log import refuse_other
 from kempe.analysis.maps.zarr_folders import description_of
-from kempe.analysis.spaces.configuration.task_space import task_space
 from kempe.analysis.spaces.kinds.questions import (
     DEXTEROUS,
     ORIENTATION,
@@ -29,7 +29,7 @@ from kempe.analysis.spaces.workspace import map_measures
 from kempe.analysis.spaces.workspace.cell_map import CellMap
 from kempe.analysis.spaces.workspace.map_files import Stored, read_map, write_map
 from kempe.analysis.spaces.workspace.outer_bounds import outer_measure, possible_cells
-from kempe.budget import Budget
+from kempe.analysis.spaces.workspace.recipe import closed_configurations
 from kempe.calls import explained, explained_methods
 from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.common.result import Cells, Report
@@ -134,17 +134,15 @@ class Workspace(Report):
     def dimension(self) -> int:
         """The dimension of what is reached: 1 of a curve, 2 of a surface, else that of the box.
 
-        It is the rank of the frame's velocities at `LOOKED` random configurations; where none was closed, and where
-        not all places count that are reached in any way, it is that of the box.
+        It is the rank of the frame's velocities at up to `LOOKED` random configurations; where none was closed, and
+        where not all places count that are reached in any way, it is that of the box.
         """
         most = len(self.map.grid.axes)
-        if self.kind != REACHABLE:
+        q, good = closed_configurations(self.system, self.seed, 0, LOOKED)
+        if self.kind != REACHABLE or not good.any():
             return most
-        try:
-            seen = task_space(self.system, self.frame, task="position", budget=Budget(starts=LOOKED, rng=self.seed))
-        except InputError:
-            return most
-        return min(most, seen.generic_rank)
+        rates = self.system.jacobian(q[good], self.frame)[..., :3, :]
+        return min(most, int(image_ranks(self.system, q[good], rates)[0].max()))
 
     @property
     def thin(self) -> bool:
