@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from kempe.calls import explained, generator, known, numbers, together
 from kempe.errors import InputError, UnknownNameError
 from kempe.model.kept import kept
-from kempe.model.tree.coordinates import returning
+from kempe.model.tree.coordinates import distinct, returning
 from kempe.model.tree.topology import natural
 from kempe.reals import converted, is_plain, is_real, named, reals, rows_of
 from kempe.spatial import Array
@@ -268,6 +268,13 @@ def by_short_turns(v: Array, circle: np.ndarray) -> Array:
 def circles(system: System) -> np.ndarray:
     """Which velocity coordinates (nv,) are angles without limits, so that a full turn changes nothing."""
     return returning(system.mechanism, system.structure.coordinates)
+
+
+def spirals(system: System) -> np.ndarray:
+    """Which velocity coordinates (nv,) are angles without limits of which a constraint tells whole turns apart."""
+    coordinates = system.structure.coordinates
+    endless = coordinates.turning & np.isinf(system.lower) & np.isinf(system.upper)
+    return endless & distinct(system.mechanism, coordinates)
 
 
 @explained

@@ -268,7 +268,7 @@ BAD = {
     "n is 1.5": lambda s: s.workspace("tip", n=1.5),
     "cells is 0": lambda s: s.workspace("tip", cells=0),
     "cells is (3, 4, 5)": lambda s: s.workspace("tip", cells=(3, 4, 5)),
-    "box is": lambda s: s.workspace("tip", box=[(1, 0), (0, 1)]),
+    "box: x is from 1 to 0": lambda s: s.workspace("tip", box=[(1, 0), (0, 1)]),
     "does not move": lambda s: s.workspace("ground"),
     "'rail' has no limits": lambda s: free_slide().workspace("tip"),
     "'leg6' have no limits, and so the frame 'tool' no end of places: give a box": lambda s: kempe.load(

@@ -12,7 +12,7 @@ from hunts import Hunt
 from reached_sets import ANNULUS, two_bars
 
 import kempe
-from kempe import Budget, Mechanism, Status
+from kempe import Budget, Mechanism, Status, constraints
 from kempe.analysis.spaces.kinds.legs import legs_of
 from kempe.analysis.spaces.kinds.questions import coordinates_of, rotations_at, spread_rotations
 from kempe.analysis.spaces.workspace.cell_map import Grid
@@ -321,3 +321,29 @@ def test_samples_come_to_each_cell_once():
     w = three_bars().workspace("tool", orientation=0.0, cells=31, n=31 * 31)
     assert w.map.counts.max() == 1 and w.samples == w.map.counts.size == math.prod(w.map.grid.shape)
     assert all(x % 1 == 0 for x in itertools.chain(w.map.counts.ravel()))
+
+
+def test_turns_that_a_constraint_tells_apart_have_no_end():
+    """1.2 - a - b >= 0 holds after some turns back: all of the annulus is reached, which `ik`, `ik_all`, the map and
+    the configuration space say alike."""  # fmt: skip
+    m = Mechanism("two", dim=2)
+    m.revolute("a", m.ground, m.body("A"))
+    m.revolute("b", "A", m.body("B"), at=(0.4, 0))
+    m.frame("tip", "B", at=(0.3, 0))
+    m.constrain(constraints.Inequality("1.2 - a - b"), "c")
+    system, p = m.build(), 0.69 * np.array([np.cos(2.0), np.sin(2.0)])
+    assert system.configuration_space.shape == "R^2"
+    with pytest.raises(InputError, match="'a' and 'b' have no limits, and a constraint tells their whole turns apart"):
+        system.workspace("tip")
+    found, every = system.ik(p, "tip"), system.ik_all(p, "tip", limits=True)
+    assert found.success and found.q[0] < -np.pi
+    assert not len(every) and not every.complete and not every.code.proof
+    assert "at other whole turns of 'a' and 'b' they may not" in every.status
+    workspace = system.workspace("tip", box=[(-0.8, 0.8)] * 2, n=1e3)
+    value, error = workspace.area
+    assert abs(value - np.pi * (0.7**2 - 0.1**2)) < 2 * error < 0.06
+    assert workspace.contains(p, check=True) and workspace.contains(p)
+    limited = system.with_limits({"a": (-np.pi, np.pi), "b": (-np.pi, np.pi)})
+    assert limited.configuration_space.shape == "T^2" and limited.ik_all(p, "tip", limits=True).code.proof
+    with pytest.raises(InputError, match="box: x is from 1 to -1; the first must be less"):
+        limited.workspace("tip", box=[(1, -1), (0, 1)])

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.kinematics.common.result import Report
-from kempe.kinematics.configuration import difference, distance, has_loops, integrate, interpolate
+from kempe.kinematics.configuration import difference, distance, has_loops, integrate, interpolate, spirals
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import InWords, counted
@@ -40,9 +40,10 @@ class ProductSpace(InWords):
 class ConfigurationSpace(Report):
     """The set of the configurations that a system can have.
 
-    `ambient` is the space of all coordinates: a circle T for each turn, a line R for each slide, SO(3) for each
-    quaternion. Of a tree it is the configuration space. With loop closures or relations (`constraints` rows of them)
-    the configuration space is a subset, of a smaller `dimension`. `limited` coordinates are confined to an interval of
+    `ambient` is the space of all coordinates: a circle T for each turn, a line R for each slide, and for each turn
+    without limits of which a constraint tells whole turns apart, such as 1 - q1 - q2 >= 0, SO(3) for each quaternion.
+    Of a tree it is the configuration space. With loop closures or relations (`constraints` rows of them) the
+    configuration space is a subset, of a smaller `dimension`. `limited` coordinates are confined to an interval of
     their factor. Sizes of arrays are `System.nq` and `System.nv`.
     """
 
@@ -161,7 +162,7 @@ class ConfigurationSpace(Report):
 
 def configuration_space(system: System) -> ConfigurationSpace:
     """The configuration space of a system; its dimension is found on demand."""
-    turning = system.structure.coordinates.turning[system.structure.layout.vector_v]
+    turning = (system.structure.coordinates.turning & ~spirals(system))[system.structure.layout.vector_v]
     turns, slides = int(turning.sum()), int((~turning).sum())
     balls = len(system.structure.layout.quaternion_q)
     factors = [("SO(3)", balls), ("T", turns), ("R", slides)]

@@ -167,8 +167,11 @@ def grid_of(extent: Array, cells: Any, box: Any, length: float, dim: int, usual:
         low[k], high[k] = extent[0, k] - margin[k], extent[1, k] + margin[k]
     if box is not None:
         ends = reals(box, "box", "pairs (lower, upper) of metres, one an axis")
-        if ends.shape != (dim, 2) or not np.isfinite(ends).all() or not (ends[:, 0] < ends[:, 1]).all():
+        if ends.shape != (dim, 2):
             raise InputError(f"box is {shown(box)}; it must be {dim} pairs (lower, upper) of metres, of {names}")
+        for name, (a, b) in zip(AXES, ends.tolist(), strict=False):
+            if not -np.inf < a < b < np.inf:
+                raise InputError(f"box: {name} is from {a:g} to {b:g}; the first must be less, both in metres")
         for k, (a, b) in enumerate(ends.tolist()):
             if k in moves or not a <= extent[0, k] <= b:  # else the one cell stays about the place
                 low[k], high[k] = a, b

@@ -216,10 +216,14 @@ def recipe_of(system: System, frame: str, seed: int, cells: Any, box: Any, quest
     if question.kind == ORIENTATION:
         return Recipe(system, frame, seed, _of_orientations(cells, box, system.dim), question=question)
     if (names := unlimited(system, frame)) and box is None:
+        turns = {n for n, t in zip(system.structure.velocity_names, system.structure.coordinates.turning, strict=True)
+                 if t}  # fmt: skip
+        so = f"so the frame {frame!r} no end of places"
+        if turns.issuperset(names):
+            so = f"a constraint tells {'its' if len(names) == 1 else 'their'} whole turns apart"
         raise InputError(
-            f"{joined(list(map(repr, names)))} {'has' if len(names) == 1 else 'have'} no limits, and so the frame "
-            f"{frame!r} no end of places: give a box, or limits, such as "
-            f"system.with_limits({{{names[0]!r}: (-1.0, 1.0)}})"
+            f"{joined(list(map(repr, names)))} {'has' if len(names) == 1 else 'have'} no limits, and {so}: give a box, "
+            f"or limits, such as system.with_limits({{{names[0]!r}: (-1.0, 1.0)}})"
         )
     question = replace(question, tried=True) if names else question
     points = pilot_positions(system, frame, seed)
@@ -264,7 +268,7 @@ def _of_orientations(cells: Any, box: Any, dim: int) -> Grid:
 def unlimited(system: System, frame: str) -> list[str]:
     """Names of coordinates that move a frame without end."""
     layout, circle = system.structure.layout, circles(system)
-    if is_plain_chain(system):
+    if not has_loops(system):
         used = set(rows_of(chain_table(system, frame)[0])[:, Q_INDEX].tolist())
     else:  # what is not driven may be held by loops
         driven = {c for j in system.structure.joints.values() if j.actuated

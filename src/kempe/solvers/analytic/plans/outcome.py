@@ -25,7 +25,8 @@ def codes(solutions: Solutions) -> np.ndarray:
     used, multiplicity = whole._used, whole._code // int(A.MULTIPLICITY_UNIT)
     curves = (used & (multiplicity == 0)).any(axis=1)
     none = np.where(used.any(axis=1), Status.OUTSIDE_LIMITS, Status.NONE_EXISTS)
-    none = np.where(np.ravel(whole.complete) & ~curves, none, Status.NOT_FOUND)
+    complete = np.ravel(whole.complete) & np.ravel(solutions.complete)  # of the whole, and of what is left
+    none = np.where(complete & ~curves, none, Status.NOT_FOUND)
     none = np.where(whole._counts[:, 0] < 0, Status.BAD_INPUT, none)
     return np.where((solutions._code % 2 == 1).any(axis=1), Status.SOLVED, none)
 
