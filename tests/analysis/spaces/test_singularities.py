@@ -351,8 +351,17 @@ def test_of_a_platform_with_short_strokes_those_inside_the_limits_are_found():
         m.prismatic(f"P{i}", f"sleeve{i}", m.body(f"rod{i}"), axis="z", actuated=True, limits=(0.25, 0.45))
         m.spherical(f"S{i}", f"rod{i}", "platform", child_at=(0.2 * c, 0.2 * s, 0.0))
     system = m.build()
-    (found,) = system.singularities("platform", "position").sets
+    found, second = system.singularities("platform", "position").sets
     assert found.kinds == ("type 1",) and found.dimension == 1
+    assert second.kinds == ("type 2",) and second.dimension == 2 and len(second.q) >= 3
+    for q in second.q:  # forces along the legs, and along the axes of the turns, at the balls: Pluecker lines
+        lines = []
+        for i in range(3):
+            sleeve = system.fk(q, f"sleeve{i}")
+            ball = sleeve[:3, 3] + system.q_dict(q)[f"P{i}"] * sleeve[:3, 2]
+            lines += [np.concatenate([v, np.cross(ball, v)]) for v in (sleeve[:3, 2], sleeve[:3, 1])]
+        assert abs(np.linalg.det(np.array(lines))) < 1e-9
+        assert all(0.25 <= system.q_dict(q)[f"P{i}"] <= 0.45 for i in range(3))
     for q, lost in zip(found.q, found.lost, strict=True):
         X, legs = system.fk(q, "platform"), [system.q_dict(q)[f"P{i}"] for i in range(3)]
         assert abs(abs(X[2, 2]) - 1.0) < 1e-9 and np.abs(X[:2, 3]).max() < 1e-9

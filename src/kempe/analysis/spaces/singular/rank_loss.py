@@ -168,9 +168,22 @@ class RankLoss:
         if not len(q):
             return np.zeros(0, dtype=bool)
         C = self.closure(q, False)[0]
+        return np.asarray((self.least(q) <= ZERO) & (np.abs(C).max(axis=1, initial=0.0) < HELD))
+
+    @property
+    def square(self) -> bool:
+        """Whether the matrices have a determinant, which is zero in the set alone."""
+        m, n = self.matrices(self.system.neutral[None]).shape[1:]
+        return m == n == self.rank
+
+    def sign(self, q: Array) -> Array:
+        """The signs (k,) of the determinants at q (k, nq)."""
+        return np.asarray(np.linalg.slogdet(self.matrices(q))[0])
+
+    def least(self, q: Array) -> Array:
+        """The singular values (k,) at q (k, nq) that are zero in the set, as parts of the largest."""
         s = np.linalg.svd(self.matrices(q), compute_uv=False)
-        lost = s[:, self.rank - 1] <= ZERO * np.maximum(s[:, 0], 1e-300) if self.rank else np.ones(len(q), dtype=bool)
-        return lost & (np.abs(C).max(axis=1, initial=0.0) < HELD)
+        return s[:, self.rank - 1] / np.maximum(s[:, 0], 1e-300) if self.rank else np.zeros(len(q))
 
     def tangents(self, q: Array) -> Array:
         """Orthonormal basis (nv, k) of the directions of the set at one of its points (nq,), irrelevant ones included.

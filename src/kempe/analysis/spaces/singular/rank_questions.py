@@ -18,7 +18,6 @@ from kempe.analysis.continuation.continuation import Closure, close
 from kempe.analysis.first_order.null_space import null_space
 from kempe.analysis.spaces.singular.rank_loss import ZERO, Matrices, RankLoss, generic_rank
 from kempe.analysis.spaces.singular.singular_sets import inside_limits
-from kempe.budget import Budget
 from kempe.constraints.flat_tasks import DIRECTION, PLANES
 from kempe.errors import InputError
 from kempe.kinematics import closure_rows
@@ -34,8 +33,8 @@ OF_FRAMES = ("pose", "position", "orientation", *PLANES, DIRECTION)
 """Tasks of frames: "xy" is the position along x and y, "direction" that of the frame's z axis."""
 GENERIC = 256
 """Random configurations of which some have the rank of almost all."""
-TRIES = 4
-"""Starts from which a configuration inside the limits is looked for, in place of one outside."""
+PARTS, HALVED, NEARLY = 8, 8, 24
+"""Steps of a way between two starts, how often one is halved, and places on all ways from which sets are looked for."""
 SERIAL, TYPE_1, TYPE_2, CONSTRAINT = "serial", "type 1", "type 2", "constraint"
 
 
@@ -88,6 +87,45 @@ class RankQuestions:
         moving = np.abs(self.task_jacobians(self.starts)).max(axis=(0, 1)) > 0.0 if frame is not None else False
         self.frame_rank = 0 if frame is None else max(self._rank_of_frame(q) for q in self.starts[:GENERIC])
         self.columns = np.arange(system.nv) if self.loops else np.flatnonzero(moving)
+
+    def nearly(self, problems: dict[str, RankLoss]) -> dict[str, Array]:
+        """Of each question closed configurations (k, nq) inside the limits, nearly singular, between the starts.
+
+        On ways from each start to the next determinants change their sign, which halving steps locates; of matrices
+        that have none, as they are not square, the least singular values are taken. Sets that are met from afar seldom,
+        where limits are narrow, are so from there.
+        """
+        own, t = self.starts[inside_limits(self.system, self.starts)], np.arange(PARTS + 1) / PARTS
+        if not len(own):
+            return dict.fromkeys(problems, own)
+        q, ok = self._between(np.repeat(own, len(t), axis=0), np.repeat(np.roll(own, 1, axis=0), len(t), axis=0),
+                              np.tile(t, len(own)))  # fmt: skip
+        out = dict[str, Array]()
+        for kind, problem in problems.items():
+            if problem.square:
+                sign = np.where(ok, problem.sign(q), 0.0).reshape(len(own), -1)
+                k = np.flatnonzero(np.pad(sign[:, 1:] * sign[:, :-1] < 0.0, ((0, 0), (0, 1))))
+                out[kind] = self._located(problem, q[k], q[k + 1])[:NEARLY]
+            else:
+                out[kind] = q[ok][np.argsort(problem.least(q[ok]))[:NEARLY]]
+        return out
+
+    def _between(self, a: Array, b: Array, t: Array) -> tuple[Array, np.ndarray]:
+        """Closed configurations (k, nq) near those at parts t (k,) of straight ways, and which (k,) there are."""
+        layout = self.system.structure.layout
+        found = self.system.assemble(None, layout.integrate(a, t[:, None] * layout.difference(a, b)))
+        ok = np.asarray(found.success, dtype=bool)
+        q = np.where(ok[:, None], found.q, self.system.neutral)
+        return q, ok & inside_limits(self.system, q)
+
+    def _located(self, problem: RankLoss, a: Array, b: Array) -> Array:
+        """Configurations (k, nq) beside those between a and b (k, nq) at which the determinant changes its sign."""
+        for _ in range(HALVED if len(a) else 0):
+            middle, ok = self._between(a, b, np.full(len(a), 0.5))
+            a, b, middle = a[ok], b[ok], middle[ok]
+            first = (problem.sign(a) * problem.sign(middle) < 0.0)[:, None]
+            a, b = np.where(first, a, middle), np.where(first, middle, b)
+        return a
 
     def task_jacobians(self, q: Array) -> Array:
         """Jacobians (k, m, nv) of what counts of the frame, without unit, in the basis of what it can ever do."""
@@ -181,11 +219,11 @@ def _led_inside(system: System, q: Array) -> Array:
 
     From far outside Newton's method rarely comes to the part of a singular set that is inside.
     """
-    q = q.copy()
-    for i in np.flatnonzero(~inside_limits(system, q)):
-        found = system.assemble({}, start=q[i], budget=Budget(starts=TRIES, rng=int(i)))
-        if found.success:
-            q[i] = found.q
+    q, out = q.copy(), np.flatnonzero(~inside_limits(system, q))
+    if len(out):
+        found = system.assemble(None, q[out])
+        ok = np.asarray(found.success, dtype=bool)
+        q[out[ok]] = found.q[ok]
     return q
 
 

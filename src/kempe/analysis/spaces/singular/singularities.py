@@ -138,7 +138,7 @@ class Singularities(Report):
         starts = [(s.kinds, s.name, q) for s in self.sets for q in s.q]
         if held:
             near = np.concatenate([*(s.q for s in self.sets), self.questions.starts])
-            led = _led(self.questions, problems, near, self.task, self.limits)
+            led = _led(self.questions, problems, dict.fromkeys(problems, near), self.task, self.limits)
             starts = [(kinds, name, q) for (kinds, name, _), (q, _) in led if kinds]
         return singular_curves(self, problems, starts, held, budget)
 
@@ -187,7 +187,8 @@ def singularities(
     singularities, where the loops allow more than elsewhere. What spins idly does not count.
 
     Sets are distinguished by the coordinates that decide, and of six-joint arms by the names of their branches. With
-    `limits` only configurations inside them count, which hold the one-sided constraints, too. Of the `budget` are read:
+    `limits` only configurations inside them count, which hold the one-sided constraints, too; with closed loops they
+    are then looked for from nearly singular ones between the starts, besides. Of the `budget` are read:
     starts (64), rng (0), time_limit, and progress, which is called with the number of starts done and that of all.
     Errors: `InputError`, `UnknownNameError`.
     """
@@ -206,11 +207,15 @@ def singularities(
     try:
         while done < len(questions.starts):
             clock.check()
-            for key, row in _led(questions, problems, questions.starts[done : done + AT_ONCE], task, limits):
+            starts = dict.fromkeys(problems, questions.starts[done : done + AT_ONCE])
+            for key, row in _led(questions, problems, starts, task, limits):
                 found.setdefault(key, []).append(row)
             done = min(done + AT_ONCE, len(questions.starts))
             if spend.progress is not None:
                 spend.progress(done, len(questions.starts))
+        if loops and limits:
+            for key, row in _led(questions, problems, questions.nearly(problems), task, limits):
+                found.setdefault(key, []).append(row)
     except BROKEN_OFF as error:
         broken = Status.OUT_OF_TIME if isinstance(error, TimeUp) else Status.INTERRUPTED
     sets = [_set(system, key, rows, [problems[kind] for kind in key[0]]) for key, rows in found.items() if key[0]]
@@ -223,12 +228,12 @@ def singularities(
 
 
 def _led(
-    questions: RankQuestions, problems: dict[str, RankLoss], starts: Array, task: str, limits: bool
-) -> list[tuple[Key, Row]]:
-    """Singular configurations to which starts (k, nq) are led, each with the key of its set."""
+    questions: RankQuestions, problems: dict[str, RankLoss], starts: dict[str, Array], task: str, limits: bool
+) -> list[tuple[Key, Row]]:  # fmt: skip
+    """Singular configurations to which starts (k, nq) of each question are led, with the keys of their sets."""
     system, name, rows = questions.system, questions.frame, list[tuple[Key, Row]]()
     for kind, problem in problems.items():
-        q = problem.led(starts)
+        q = problem.led(starts[kind])
         if CONSTRAINT in problems and kind != CONSTRAINT:
             q = _sharpened(problems[CONSTRAINT], q[np.isfinite(q).all(axis=1)])
         q = _turned(system, q[np.isfinite(q).all(axis=1)])
