@@ -951,3 +951,13 @@ def test_long_names_are_shortened_in_pictures():
     assert labels.shortened("a.qw = 1, a.qx = 0, a.qy = 0, a.qz = 0, b.rx = 0") == (
         "a.qw = 1, a.qx = 0, a.qy = 0, a.qz = 0,\nb.rx = 0"
     )
+
+
+def test_titles_and_ghosts_that_do_not_fit_are_refused():
+    """One name for one configuration stands above it; numbers that differ, and ghosts of no motion, are errors."""
+    two = kempe.load("two_link")
+    assert two.plot([0.3, 0.4], titles=["start"]).get_title() == "start"
+    with pytest.raises(InputError, match="titles has 1 name, and 2 configurations are drawn"):
+        two.plot([[0.3, 0.4], [0.5, 0.6]], titles=["start"])
+    with pytest.raises(InputError, match="ghosts is 3, and there is no motion: path gives one"):
+        two.plot([0.3, 0.4], ghosts=3)

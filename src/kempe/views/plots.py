@@ -74,7 +74,13 @@ def plot(system: System, q: Any = None, *, path: Any = None, **options: Any) -> 
         q, path = None, q
     way, drivers = motion_of(system, path)
     several, titles = _configurations(system, q, way)
-    titles = tuple(listed(chosen.titles, "titles")) or titles
+    given = tuple(listed(chosen.titles, "titles"))
+    if given and len(given) != len(several):
+        raise InputError(f"titles has {counted(len(given), 'name')}, and {counted(len(several), 'configuration')} "
+                         f"{'is' if len(several) == 1 else 'are'} drawn")  # fmt: skip
+    if chosen.ghosts and way is None:
+        raise InputError(f"ghosts is {chosen.ghosts}, and there is no motion: path gives one")
+    titles = given or titles
     subjects = [replace(subject_of(system, several[:1], way, path, drivers, chosen, titles), missed=_missed(system, q))]
     if len(several) > 1 and chosen.side_by_side:
         subjects = [subject_of(system, x[None], way, path, drivers, chosen, titles[k : k + 1])
@@ -83,7 +89,11 @@ def plot(system: System, q: Any = None, *, path: Any = None, **options: Any) -> 
         subjects = [subject_of(system, several, way, path, drivers, chosen, titles)]
     drawing = drawing_of(system)
     if not chosen.side_by_side:
-        return drawing.picture(subjects[0], chosen.ax)
+        ax = drawing.picture(subjects[0], chosen.ax)
+        if len(given) == 1:
+            inside = {"y": 1.0, "pad": -12.0} if chosen.ax is None else {}  # an own figure has no room above
+            ax.set_title(given[0], size=style.FONT + 1, color=style.INK, **inside)
+        return ax
     return _side_by_side(drawing, subjects)
 
 
