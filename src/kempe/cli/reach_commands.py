@@ -41,6 +41,7 @@ from kempe.cli.app import (
 )
 from kempe.errors import InputError
 from kempe.views.terminal import INCOMPLETE, guarded, leave, print_json, show
+from kempe.words import counted, verb
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,6 +51,8 @@ if TYPE_CHECKING:
     from kempe.model.system import System
     from kempe.spatial import Array
 
+SHOWN = 8
+"""Rows that a remark lists."""
 Poses = Annotated[str, typer.Argument(metavar="POSES", help="A .csv or .npy file, a pose a row, as targets of ik.")]
 Reaching = Annotated[str, option("--frame", "Body or frame that shall reach the poses.", "NAME")]
 Ranges = Annotated[
@@ -153,6 +156,10 @@ def reach(
         from kempe.views import rows
 
         rows.write_configurations(out, system, answer.q, deg)
+        if missed := np.flatnonzero(~answer.reached).tolist():
+            numbers = ", ".join(map(str, missed[:SHOWN])) + ", ..." * (len(missed) > SHOWN)
+            remark(f"{out}: {counted(len(missed), 'row')} {verb(len(missed), 'is', 'are')} not reached and "
+                   f"{verb(len(missed), 'holds', 'hold')} the nearest configuration: {numbers}, from 0")  # fmt: skip
     drawing = drawn(system, answer.q[answer.reached], None, gif, html)
     _say(answer, plot, json, drawing if out is None else [out, *drawing])
 

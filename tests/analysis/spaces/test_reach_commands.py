@@ -75,6 +75,8 @@ def test_poses_of_a_file(tmp_path):
     data = run.json()
     assert run.code == 1 and data["reached"] == [True, True, False] and data["solutions"] == [8, 8, 0]
     assert "outside the workspace" in data["reasons"]["2"] and data["codes"][2] == "OUT_OF_REACH"
+    written = Result("reach", "ur5", path, "--frame", "tool", "--deg", "-o", tmp_path / "q.csv")
+    assert "1 row is not reached and holds the nearest configuration: 2, from 0" in " ".join(written.err.split())
     text = Result("reach", "ur5", path, "--frame", "tool", "--deg")
     assert "2 of 3 poses reached" in text.out and "pose 2: outside" in text.out
     box = ("--box", "x=-0.5,0.5", "--box", "yaw=90", "--cells", "3")
