@@ -1,4 +1,4 @@
-"""Solids that planar regions sweep in space: moved along their normal by a slide, or turned fully about an axis.
+"""Solids that planar regions sweep in space: moved along their normal by a slide, or turned about an axis.
 
 They are the places that chains reach whose other joints move a frame in a plane. About an axis in the plane or parallel
 to it, a point of the plane at x beside the axis describes a circle whose radius is the root of x^2 + d^2, with the
@@ -8,62 +8,24 @@ distance d of the plane from the axis; so places at x and -x are one. The volume
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, cast
+from typing import Any, cast
 
 import numpy as np
 
-from kempe.analysis.spaces.planar.planar_chain import PlanarChain, PlanarJoint
-from kempe.analysis.spaces.planar.planar_of_systems import MOST, at_zero
 from kempe.analysis.spaces.planar.planar_region import NOTHING, SAME, PlanarRegion, RegionOfArcs
 from kempe.analysis.spaces.planar.plane_curves import PlaneCurve, PlanePiece, merged
-from kempe.model.tree.primitive_table import local_chain
+from kempe.errors import UnsupportedError
 from kempe.spatial import Array
 
-if TYPE_CHECKING:
-    from kempe.model.system import System
-
-PARALLEL = 1e-9
-"""Sine of an angle below which directions are parallel, and cosine below which they are at right angles."""
 FINE = 0.003
 """Angle between the points of an arc from which the nearest of it is looked for."""
+TURNS = 721
+"""Turns at which a box about a solid is read."""
 NODES = 24
 """Nodes of Gauss and Legendre for an arc of at most a quarter of a turn."""
-
-
-@dataclass(frozen=True)
-class SpaceJoint:
-    """A joint at zero: it turns about a line through `point` by `turn` a unit, or (turn 0) slides by `way` a unit."""
-
-    turn: Array
-    point: Array
-    way: Array
-    low: float
-    high: float
-
-    @property
-    def direction(self) -> Array:
-        """The unit vector of its axis."""
-        v = self.turn if self.turns else self.way
-        return v / np.linalg.norm(v)
-
-    @property
-    def turns(self) -> bool:
-        """Whether it turns."""
-        return bool(self.turn.any())
-
-    def in_plane(self, o: Array, axes: Array) -> PlanarJoint | None:
-        """The joint in the plane of two unit vectors (2, 3) through o; None if it does not move along that."""
-        normal = np.cross(*axes)
-        if self.turns:
-            if np.linalg.norm(np.cross(self.direction, normal)) > PARALLEL:
-                return None
-            return PlanarJoint(_complex(axes @ (self.point - o)), float(self.turn @ normal), 0j, self.low, self.high)
-        if abs(self.direction @ normal) > PARALLEL:
-            return None
-        return PlanarJoint(None, 0.0, _complex(axes @ self.way), self.low, self.high)
 
 
 @dataclass(frozen=True)
@@ -198,7 +160,7 @@ class Revolved(SweptSolid):
     @property
     def measure(self) -> float:
         """Its volume in cubic metres, exact but for rounding: pi times the integral of |x| over the folded section."""
-        return 0.5 * np.pi * sum(_moment_about_y(cast(PlanePiece, p)) for p in self.section.ends)
+        return 0.5 * np.pi * sum(_integral(cast(PlanePiece, p), lambda x: x * np.abs(x)) for p in self.section.ends)
 
     @property
     def extent(self) -> Array:
@@ -235,6 +197,74 @@ class Revolved(SweptSolid):
         return out
 
 
+@dataclass(frozen=True, eq=False)
+class Turned(SweptSolid):
+    """The section, turned from `low` to `high` [rad], less than once, about the axis that is along its y.
+
+    It lies `beside` [m] across the plane. Places on both sides of the axis, x and -x, come at angles that differ by
+    2 arctan(x / beside): a place of both is reached twice where the intervals of these angles overlap.
+    """
+
+    beside: float = 0.0
+    low: float = 0.0
+    high: float = 0.0
+
+    @property
+    def measure(self) -> float:
+        """Its volume in cubic metres, exact but for rounding: the angles at which each radius and height is reached.
+
+        Of the section these are all, less those that the points across the axis reach, too, counted once.
+        """
+        wide, d = self.high - self.low, abs(self.beside)
+        bent = [s * x for x in (d * np.tan(0.5 * wide), d * np.tan(np.pi - 0.5 * wide)) if x > 0.0 for s in (-1.0, 1.0)]
+
+        def twice(x: Array) -> Array:
+            return np.sign(x) * _overlapping(np.abs(x), wide, d)
+
+        own, folded = (cast("list[PlanePiece]", r.ends) for r in (self.section, Folded(self.section)))
+        once = sum(_integral(p, lambda x: 0.5 * wide * x * np.abs(x) - twice(x), bent) for p in own)
+        return once + 0.5 * sum(_integral(p, twice, bent) for p in folded)
+
+    @property
+    def extent(self) -> Array:
+        """The least and the largest x, y and z (2, 3) in metres, of a box about it, wider by some 1e-5 of its size."""
+        z = np.concatenate([cast(PlanePiece, piece).points(FINE) for piece in self.section.ends])
+        turns, least, most = np.linspace(self.low, self.high, TURNS), np.full(3, np.inf), np.full(3, -np.inf)
+        for turn in turns:
+            u = (np.real(z) - 1j * self.beside) * np.exp(1j * turn)
+            local: list[Array] = [np.real(u), np.imag(z), -np.imag(u)]
+            p = np.stack(local, axis=-1) @ self.axes + self.origin
+            least, most = np.minimum(least, p.min(axis=0)), np.maximum(most, p.max(axis=0))
+        step = max(float(turns[1] - turns[0]), FINE)  # between two the way is a chord of an arc
+        room = 0.125 * step**2 * float(np.hypot(np.abs(z), self.beside).max())
+        return np.stack([least - room, most + room])
+
+    def _holds(self, x: Array, y: Array, h: Array) -> np.ndarray:
+        r, out = np.hypot(x, h), np.zeros(x.shape, dtype=bool)
+        along = np.sqrt(np.maximum(r * r - self.beside**2, 0.0))
+        for side in (along, -along):
+            turn = np.mod(np.angle((x - 1j * h) * np.conj(side - 1j * self.beside)) - self.low, 2.0 * np.pi)
+            out |= self.section.holds(side + 1j * y) & (turn <= self.high - self.low)
+        return out & (r >= abs(self.beside))
+
+    def _far(self, x: Array, y: Array, h: Array) -> Array:
+        raise UnsupportedError("distances from a solid that is turned less than once are those of its map")
+
+
+def _overlapping(x: Array, wide: float, d: float) -> Array:
+    """The integral from 0 to x (n,) >= 0 of t times the overlap of two intervals of angles, 2 arctan(t / d) apart."""
+
+    def apart(t: Any) -> Any:  # the integral of t times the angle between them
+        return (t * t + d * d) * np.arctan2(t, d) - d * t
+
+    near = np.minimum(x, d * np.tan(0.5 * wide)) if wide < np.pi else x
+    out = 0.5 * wide * near**2 - apart(near)
+    if wide > np.pi:  # and the other way round
+        far = np.maximum(x, first := d * np.tan(np.pi - 0.5 * wide))
+        out = out + 0.5 * (wide - 2.0 * np.pi) * (far**2 - first**2) + apart(far) - apart(first)
+    return out
+
+
 def _nearest(ends: list[PlaneCurve], z: np.ndarray) -> Array:
     best = np.full(z.shape, np.inf)
     for piece in ends:
@@ -254,104 +284,16 @@ def _nearest_of_lines(lines: list[np.ndarray], z: np.ndarray) -> Array:
     return best
 
 
-def _moment_about_y(piece: PlanePiece) -> float:
-    """The integral of x |x| dy along a piece: twice its part of the integral of |x| over what it goes round."""
+def _integral(piece: PlanePiece, of: Callable[[Array], Array], bent: Iterable[float] = ()) -> float:
+    """The integral of a function of x over y along a piece; it is smooth but at x = 0 and at those of `bent`."""
     across = piece.radius if piece.is_arc else abs(piece.way)
-    axis = PlanePiece(1j * (piece.centre.imag - 2.0 * across), 0.0, way=4j * across)
-    quarters = np.linspace(0.0, 1.0, 2 + int(abs(piece.sweep) / (0.5 * np.pi)))
-    crossed = piece.meets(axis)
-    cuts = np.unique(np.concatenate([quarters, crossed]).clip(0.0, 1.0))
+    cuts: list[Array] = [np.linspace(0.0, 1.0, 2 + int(abs(piece.sweep) / (0.5 * np.pi)))]
+    for x in (0.0, *bent):
+        cuts.append(piece.meets(PlanePiece(x + 1j * (piece.centre.imag - 2.0 * across), 0.0, way=4j * across)))
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     total = 0.0
-    for a, b in itertools.pairwise(cuts.tolist()):
-        t = 0.5 * (a + b) + 0.5 * (b - a) * nodes
-        p = piece.at(t)
+    for a, b in itertools.pairwise(np.unique(np.concatenate(cuts).clip(0.0, 1.0)).tolist()):
+        p = piece.at(0.5 * (a + b) + 0.5 * (b - a) * nodes)
         dy = np.real(p - piece.centre) * piece.sweep if piece.is_arc else np.full(NODES, piece.way.imag)
-        total += 0.5 * (b - a) * float(weights @ (np.real(p) * np.abs(np.real(p)) * dy))
+        total += 0.5 * (b - a) * float(weights @ (of(np.real(p)) * dy))
     return total
-
-
-# ---- from systems
-
-
-def swept_solid(system: System, frame: str) -> SweptSolid | None:
-    """The solid that a frame of a chain in space reaches; None where it is of another kind."""
-    if (joints := _space_joints(system, frame)) is None:
-        return None
-    tip = system.fk(at_zero(system), frame)[:3, 3]
-    for solid in (*_prisms(joints, tip), *_revolved(joints, tip)):
-        if solid.section.ends:
-            return solid
-    return None
-
-
-def _space_joints(system: System, frame: str) -> list[SpaceJoint] | None:
-    """The joints that move a frame's origin; None where there are others than turns and slides of their own."""
-    table, _, v_index = local_chain(system.structure.table, frame)
-    if system.nq != system.nv or len(table.iv) != len(v_index) or system.structure.closures:
-        return None
-    if system.mechanism.constraints or system.structure.relations or len(v_index) > 2 * MOST:
-        return None
-    q = at_zero(system)
-    tip, J = system.fk(q, frame)[:3, 3], system.jacobian(q, frame)[:, v_index]
-    out: list[SpaceJoint] = []
-    for column, low, high in zip(J.T, system.lower[v_index].tolist(), system.upper[v_index].tolist(), strict=True):
-        v, w = column[:3], column[3:]
-        rate = float(w @ w)
-        if low == high:
-            continue
-        if rate == 0.0:
-            if not np.isfinite(high - low):
-                return None
-            out.append(SpaceJoint(np.zeros(3), tip, v, low, high))
-        elif abs(float(v @ w)) > PARALLEL * rate:
-            return None  # a screw
-        else:
-            out.append(SpaceJoint(w, tip + np.cross(w, v) / rate, np.zeros(3), low, high))
-    while out and out[-1].turns and np.linalg.norm(np.cross(out[-1].direction, tip - out[-1].point)) < NOTHING * 1e3 * (
-        1.0 + np.linalg.norm(tip)):  # fmt: skip
-        out.pop()  # the tip is on its axis
-    return out if len(out) <= MOST else None
-
-
-def _prisms(joints: list[SpaceJoint], tip: Array) -> Iterator[SweptSolid]:
-    """With one slide across the plane in which all other joints move the tip."""
-    for slide in joints:
-        if slide.turns:
-            continue
-        axes = _basis(slide.direction)
-        rest = [j.in_plane(tip, axes[:2]) for j in joints if j is not slide]
-        if rest and all(j is not None for j in rest):
-            chain = PlanarChain.of(cast("list[PlanarJoint]", rest), 0j)
-            if len(chain.joints) > 1:
-                rate = float(np.linalg.norm(slide.way))
-                yield Prism(chain, tip, axes, rate * slide.low, rate * slide.high)
-
-
-def _revolved(joints: list[SpaceJoint], tip: Array) -> Iterator[SweptSolid]:
-    """With a first joint that turns without limits about an axis parallel to the plane in which the others move."""
-    first = joints[0] if joints else None
-    if first is None or not first.turns or np.linalg.norm(first.turn) * (first.high - first.low) < 2.0 * np.pi:
-        return
-    a = first.direction
-    origin = first.point + a * ((tip - first.point) @ a)
-    for normal in [j.direction for j in joints[1:] if j.turns][:1] or [_basis(a)[0], _basis(a)[1]]:
-        if abs(normal @ a) > PARALLEL:
-            continue
-        axes = np.stack([np.cross(a, normal), a, normal])
-        rest = [j.in_plane(origin, axes[:2]) for j in joints[1:]]
-        if rest and all(j is not None for j in rest):
-            chain = PlanarChain.of(cast("list[PlanarJoint]", rest), _complex(axes[:2] @ (tip - origin)))
-            if len(chain.joints) > 1:
-                yield Revolved(Folded(chain), origin, axes, float(normal @ (tip - origin)))
-
-
-def _complex(xy: Array) -> complex:
-    return complex(float(xy[0]), float(xy[1]))
-
-
-def _basis(normal: Array) -> Array:
-    """Unit vectors (3, 3), the last of which is that one."""
-    first = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
-    first /= np.linalg.norm(first)
-    return np.array([first, np.cross(normal, first), normal], dtype=float)

@@ -24,7 +24,8 @@ from kempe.analysis.spaces.kinds.questions import (
 )
 from kempe.analysis.spaces.planar.planar_workspace import PlanarWorkspace, planar_answer
 from kempe.analysis.spaces.planar.plane_curves import PlaneCurve
-from kempe.analysis.spaces.planar.swept_solids import SweptSolid, swept_solid
+from kempe.analysis.spaces.planar.solids_of_systems import swept_solid
+from kempe.analysis.spaces.planar.swept_solids import SweptSolid, Turned
 from kempe.analysis.spaces.workspace import map_measures
 from kempe.analysis.spaces.workspace.cell_map import CellMap
 from kempe.analysis.spaces.workspace.map_files import Stored, read_map, write_map
@@ -108,7 +109,7 @@ class Workspace(Report):
         """The exact workspace, None where that is not known: of a planar system as `System.reach.planar` has it.
 
         In space it is known of chains that move the frame in a plane, which a slide moves across itself or a first
-        joint turns fully. It is not looked for where more than four joints of a chain have limits, which takes long,
+        joint turns. It is not looked for where more than four joints of a chain have limits, which takes long,
         nor used where it is not inside the box.
         """
         found, grid, dim = self._exact_anywhere(), self.map.grid, self.system.dim
@@ -245,6 +246,8 @@ class Workspace(Report):
     def distance(self, points: ArrayLike) -> Array:
         """Distance (...) [m] of points (..., d) from the boundary, negative outside: of the `exact` one, or of the map.
 
+        It is of the map, too, where a first joint in space has limits.
+
         Which points are inside says `contains`. Of the map the distance is that of the nearest cell that is not
         reached, outside of the nearest that is, so it may be off by half the diagonal of a cell (`resolution`), and
         outside by what the samples missed; inside, the inverse model decides cells without samples. Errors:
@@ -253,7 +256,7 @@ class Workspace(Report):
         if self.kind == ORIENTATION:
             raise UnsupportedError("distances are those of places, not of orientations")
         flat, lead = self._points(points)
-        if self.exact is not None:
+        if self.exact is not None and not isinstance(self.exact, Turned):
             return (self.exact.distance(flat) * np.where(self.exact.contains(flat), 1.0, -1.0)).reshape(lead)
         question, inside = self.question, np.asarray(self.contains(points)).reshape(-1)
         far = map_measures.to_boundary(self.system, self.frame, self.map, flat, inside, self.seed, question)
