@@ -29,13 +29,15 @@ def scara(a, b, height):
     return m.build()
 
 
-def shell(a, b):
-    """An arm of two bars in space on a shoulder that turns twice: its tip covers a spherical shell."""
+def shell(a, b, rolled=False):
+    """An arm of two bars in space on a shoulder that turns twice, or thrice: its tip covers a spherical shell."""
     m = Mechanism("shell")
     hip, upper, lower = m.body("hip"), m.body("upper"), m.body("lower")
     m.revolute("A", m.ground, hip, axis="z")
     m.revolute("B", hip, upper, axis="y")
-    m.revolute("C", upper, lower, at=(a, 0, 0), axis="y")
+    if rolled:
+        m.revolute("R", upper, m.body("sleeve"), axis="x")
+    m.revolute("C", "sleeve" if rolled else upper, lower, at=(a, 0, 0), axis="y")
     m.frame("tip", lower, (b, 0, 0))
     return m.build()
 

@@ -292,9 +292,16 @@ def test_the_panel_leaves_the_system_in_sight(browser, name, wide):
     system = kempe.load(name)
     with system.show(port=0, browser=False) as viewer:
         seen = Seen(browser, viewer, wide, 800)
-        points = np.array([seen.at(X[:3, 3]) for X in (*system.fk(viewer.q), seen.page.session.pose)])
-        on_top = "([x, y]) => document.elementFromPoint(x, y)?.tagName"
-        assert {seen.tab.evaluate(on_top, list(map(float, p))) for p in points} == {"CANVAS"}
+        on_top, poses = "([x, y]) => document.elementFromPoint(x, y)?.tagName", system.fk(viewer.q)
+
+        def places():
+            return np.array([seen.at(X[:3, 3]) for X in (*poses, seen.page.session.pose)])
+
+        def uncovered():  # once the panel is where it stays
+            return {seen.tab.evaluate(on_top, list(map(float, p))) for p in places()} == {"CANVAS"}
+
+        assert seen.until(uncovered)
+        points = places()
         assert np.ptp(points, axis=0).max() > 70
         seen.tab.close()
 
