@@ -270,7 +270,7 @@ def circles(system: System) -> np.ndarray:
     return returning(system.mechanism, system.structure.coordinates)
 
 
-def spirals(system: System) -> np.ndarray:
+def winding_angles(system: System) -> np.ndarray:
     """Which velocity coordinates (nv,) are angles without limits of which a constraint tells whole turns apart."""
     coordinates = system.structure.coordinates
     endless = coordinates.turning & np.isinf(system.lower) & np.isinf(system.upper)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kempe.kernels.closed_form import analytic_layout as A
-from kempe.kinematics.configuration import spirals
+from kempe.kinematics.configuration import winding_angles
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.solvers.analytic.answers.solutions import Solutions
 from kempe.solvers.analytic.answers.turns import packed
@@ -44,5 +44,5 @@ def obeying(solutions: Solutions) -> Solutions:
 
 def _wound(solutions: Solutions) -> list[str]:
     """The coordinates of the chain without limits whose whole turns a constraint tells apart."""
-    names, endless = solutions.system.structure.velocity_names, spirals(solutions.system)
+    names, endless = solutions.system.structure.velocity_names, winding_angles(solutions.system)
     return [names[int(v)] for v in solutions.plan.lines.v_index if endless[v]]

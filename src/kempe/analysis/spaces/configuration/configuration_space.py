@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.kinematics.common.result import Report
-from kempe.kinematics.configuration import difference, distance, has_loops, integrate, interpolate, spirals
+from kempe.kinematics.configuration import difference, distance, has_loops, integrate, interpolate, winding_angles
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import InWords, counted
@@ -162,7 +162,7 @@ class ConfigurationSpace(Report):
 
 def configuration_space(system: System) -> ConfigurationSpace:
     """The configuration space of a system; its dimension is found on demand."""
-    turning = (system.structure.coordinates.turning & ~spirals(system))[system.structure.layout.vector_v]
+    turning = (system.structure.coordinates.turning & ~winding_angles(system))[system.structure.layout.vector_v]
     turns, slides = int(turning.sum()), int((~turning).sum())
     balls = len(system.structure.layout.quaternion_q)
     factors = [("SO(3)", balls), ("T", turns), ("R", slides)]
