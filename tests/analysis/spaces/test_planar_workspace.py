@@ -9,6 +9,7 @@ from hunts import Hunt
 import kempe
 from kempe.analysis.spaces.kinds.questions import question_of
 from kempe.analysis.spaces.planar.planar_workspace import planar_answer, planar_workspace
+from kempe.analysis.spaces.planar.plane_curves import PlanePiece
 from kempe.errors import InputError, UnsupportedError
 
 
@@ -249,10 +250,11 @@ def test_a_planar_parallel_robot_in_one_orientation():
     assert "three_rrr, tool (constant-orientation): area" in w.status
 
 
-def test_a_platform_on_three_legs_with_limits_in_one_orientation():
+def test_a_platform_on_three_legs_with_limits_in_given_orientations(monkeypatch):
     """Annuli of the leg lengths about the pivots moved by where the leg holds the platform; area by quadrature.
 
-    Merlet, Gosselin, Mouly, "Workspaces of planar parallel manipulators", Mechanism and Machine Theory 33 (1998).
+    Merlet, Gosselin, Mouly, "Workspaces of planar parallel manipulators", Mechanism and Machine Theory 33 (1998). In
+    twelve orientations they are 36 annuli, of which not each curve is cut by each.
     """
     low, high, angle = 0.35, 0.95, 0.4
     base, platform = np.array([0.0, 1.0 + 0.1j, 0.3 + 0.9j]), np.array([0.0, 0.35 - 0.05j, 0.1 + 0.3j])
@@ -270,6 +272,12 @@ def test_a_platform_on_three_legs_with_limits_in_one_orientation():
     assert np.array_equal(w.contains(points), ((far > low) & (far < high)).all(axis=1))
     assert w.area == pytest.approx(_area_of_annuli(centres, low, high), rel=1e-5)
     assert m.build().workspace("tool", orientation=angle).area[0] == pytest.approx(w.area, abs=1e-12)
+    cuts, meets = [], PlanePiece.meets
+    monkeypatch.setattr(PlanePiece, "meets", lambda *given: cuts.append(0) or meets(*given))
+    turns = np.linspace(0.2, 0.6, 12)
+    several = m.build().reach.planar("tool", kind="dexterous", orientation=turns)
+    centres = (base - platform * np.exp(1j * turns[:, None])).ravel()
+    assert several.area == pytest.approx(_area_of_annuli(centres, low, high), rel=1e-5) and len(cuts) < 60_000
 
 
 def _area_of_annuli(centres: np.ndarray, low: float, high: float) -> float:

@@ -8,7 +8,6 @@ Mechanism and Machine Theory 33 (1998).
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, cast
@@ -40,12 +39,21 @@ class RegionOfLegs(PlanarRegion):
 
     @cached_property
     def candidates(self) -> list[PlaneCurve]:
-        """Pieces of all curves on which it can end."""
-        return merged([c for part in self.parts for c in part.candidates], SAME * self.size)
+        """Pieces of all curves on which it can end; of many parts those that bound what either half of them holds."""
+        if self.counted or len(self.parts) < 3:
+            return merged([c for part in self.parts for c in part.candidates], SAME * self.size)
+        half = len(self.parts) // 2
+        halves = (RegionOfLegs(self.parts[:half]), RegionOfLegs(self.parts[half:]))
+        return merged([c for part in halves for c in part.ends], SAME * self.size)
 
     def solutions(self, p: complex) -> int:
         """In how many ways a point is reached."""
-        return math.prod(part.solutions(p) for part in self.parts)
+        ways = 1
+        for part in self.parts:
+            ways *= part.solutions(p)
+            if not ways:
+                break
+        return ways
 
     def holds(self, p: Any) -> Any:
         """Whether points (...), which are on no boundary, are inside all parts."""
