@@ -127,8 +127,9 @@ def _npy(path: Path, columns: Sequence[str] | None) -> RowSource:
     except ValueError as error:
         if "Python objects" in str(error):
             raise InputError(f"{path}: it holds Python objects; it must hold an array of real numbers") from None
-        why = "it does not begin as such a file does" if "pickle" in str(error) else str(error)
-        raise InputError(f"{path}: this cannot be read as .npy: {why}") from error
+        if "pickle" in str(error):  # of which numpy says how to run code that may be in the file
+            raise ValueError("it does not begin as such a file does") from None
+        raise
     return _of_array(path, array, [0, len(array)] if array.ndim else [0])
 
 

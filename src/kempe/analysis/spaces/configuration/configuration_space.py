@@ -40,11 +40,11 @@ class ProductSpace(InWords):
 class ConfigurationSpace(Report):
     """The set of the configurations that a system can have.
 
-    `ambient` is the space of all coordinates: a circle T for each turn, a line R for each slide, and for each turn
-    without limits of which a constraint tells whole turns apart, such as 1 - q1 - q2 >= 0, SO(3) for each quaternion.
-    Of a tree it is the configuration space. With loop closures or relations (`constraints` rows of them) the
-    configuration space is a subset, of a smaller `dimension`. `limited` coordinates are confined to an interval of
-    their factor. Sizes of arrays are `System.nq` and `System.nv`.
+    `ambient` is the space of all coordinates: a circle T for each turn, a line R for each slide, SO(3) for each
+    quaternion. A turn without limits is a line, too, where a constraint tells whole turns apart: 1 - q1 - q2 >= 0. Of
+    a tree it is the configuration space. With loop closures or relations (`constraints` rows of them) the configuration
+    space is a subset, of a smaller `dimension`. `limited` coordinates are confined to an interval of their factor.
+    Sizes of arrays are `System.nq` and `System.nv`.
     """
 
     system: System

@@ -214,6 +214,7 @@ def singularities(
             if spend.progress is not None:
                 spend.progress(done, len(questions.starts))
         if loops and limits:
+            clock.check()
             for key, row in _led(questions, problems, questions.nearly(problems), task, limits):
                 found.setdefault(key, []).append(row)
     except BROKEN_OFF as error:
