@@ -10,7 +10,9 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +21,8 @@ from reached_sets import shell, two_bars
 
 import kempe
 from kempe import Budget, Status
-from kempe.analysis.maps import side_by_side
-from kempe.analysis.spaces.workspace import counting_runs, recipe, sample_parts
+from kempe.analysis.maps import part_log, side_by_side
+from kempe.analysis.spaces.workspace import counting_runs, mapping, recipe, sample_parts
 from kempe.errors import DamagedError, InputError, KempeError, KernelsError
 
 pytest.importorskip("zarr", reason="zarr is not installed (extra scale)")
@@ -57,6 +59,76 @@ def test_one_thread_and_many_make_the_same_map(threads):
 def test_threads_that_share_memory_make_the_same_map(monkeypatch):
     monkeypatch.setattr(counting_runs, "SHARED_BYTES", 1)
     assert np.array_equal(made(budget=Budget(threads=4)).map.counts, made().map.counts)
+
+
+class Interrupt:
+    """Raises KeyboardInterrupt before line number `at` of those that the calling thread runs in these files."""
+
+    files = {x.__file__ for x in (counting_runs, mapping, sample_parts, side_by_side, part_log)}
+
+    def __init__(self, at):
+        self.at, self.lines = at, 0
+
+    def __enter__(self):
+        sys.settrace(lambda frame, *_: self._line if frame.f_code.co_filename in self.files else None)
+        return self
+
+    def __exit__(self, kind, *_):
+        sys.settrace(None)
+        return kind is KeyboardInterrupt
+
+    def _line(self, frame, event, arg):
+        if event == "line":
+            self.lines += 1
+            if self.lines == self.at:
+                sys.settrace(None)
+                raise KeyboardInterrupt
+        return self._line
+
+
+@pytest.mark.parametrize("on_disk", [False, True])
+def test_an_interrupt_at_any_line(tmp_path, hunt, on_disk):
+    """What is said to be counted is, and goes on to the whole map: also where a piece is about to be handed out."""
+    n = 120_000
+    with Interrupt(0) as none:
+        whole = made(tmp_path / "whole.zarr" if on_disk else None, n, budget=Budget(threads=2))
+    assert none.lines > 300
+    for at in hunt.rng().permutation(none.lines)[: hunt.cases(100 if on_disk else 300)]:
+        path, workspace = tmp_path / f"{at}.zarr" if on_disk else None, None
+        with Interrupt(1 + at):
+            workspace = made(path, n, budget=Budget(threads=2))
+        if workspace is not None and workspace.samples:
+            assert np.array_equal(workspace.map.counts, made(n=workspace.samples).map.counts), at
+        if on_disk:
+            assert np.array_equal(made(path, n).map.counts, whole.map.counts), at
+            shutil.rmtree(path)
+
+
+def test_an_interrupt_where_a_thread_is_begun(monkeypatch):
+    """The future of a piece is lost while a thread that nobody else waits for counts it: it is in the map."""
+    begun, counted, handed_out = threading.Event(), recipe.Recipe.count, []
+
+    def count(*arguments):
+        begun.set()
+        time.sleep(0.05)
+        counted(*arguments)
+
+    def submit(pool, task):
+        handed_out.append(task)
+        begun.clear()
+        threading.Thread(target=task).start()
+        assert begun.wait(10)
+        if len(handed_out) == 3:
+            raise KeyboardInterrupt
+        future = Future()
+        future.set_result(None)
+        return future
+
+    whole = made(n=30_000).map.counts
+    monkeypatch.setattr(recipe.Recipe, "count", count)
+    monkeypatch.setattr(ThreadPoolExecutor, "submit", submit)
+    workspace = made(budget=Budget(threads=3))
+    assert workspace.interrupted and workspace.samples == 30_000 and np.array_equal(workspace.map.counts, whole)
 
 
 def test_a_seed_is_a_map_and_another_is_another():

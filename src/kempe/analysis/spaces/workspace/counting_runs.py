@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from threading import Condition
 from typing import Any
 
 import numpy as np
@@ -16,12 +17,19 @@ SHARED_BYTES = 256 * 2**20
 
 
 class Threads:
-    """Threads that count ranges of samples of a recipe, each range in pieces that are begun in order."""
+    """Threads that count ranges of samples of a recipe, each range in pieces that are begun in order.
+
+    An interrupt may come between any two steps of the thread that hands out the work, even where a piece is handed out
+    and its thread is not yet known. So which pieces are begun is decided by the threads that count them.
+    """
 
     def __init__(self, recipe: Recipe, threads: int | None):
         self.recipe, self.n = recipe, thread_count(threads)
         own = max(1, min(self.n, SHARED_BYTES // (4 * recipe.entries)))
         self.counts = [np.zeros(recipe.entries, dtype=np.uint32) for _ in range(own)]
+        self.changed = Condition()
+        self.free: list[int] = []
+        self.begun = self.last = 0
 
     def count(
         self, first: int, last: int, clock: TimeLimit, said: Callable[[int], None]
@@ -32,27 +40,35 @@ class Threads:
         """
         for counts in self.counts:
             counts[:] = 0
-        piece, free, stop, done, broken = self.recipe.piece, list(range(self.n)), first, first, None
+        piece, done, broken = self.recipe.piece, first, None
+        self.begun, self.last, self.free = first, last, list(range(self.n))
         with ThreadWorkers(self.n) as workers:
-
-            def begin(start: int, _: int) -> Any:
-                nonlocal stop
-                stop = min(start + piece, last)
-                return workers.submit(self._piece, start, stop, free.pop())
-
             try:
-                for _, slot in finished(workers, range(first, last, piece), begin, clock.check):
-                    free.append(slot)
+                pieces = range(first, last, piece)
+                for _ in finished(workers, pieces, lambda *_: workers.submit(self._piece), clock.check):
                     done = min(done + piece, last)
                     said(done)
             except BROKEN_OFF as error:
                 broken = error
+        with self.changed:
+            self.last = self.begun
+            self.changed.wait_for(lambda: len(self.free) == self.n)
         total = self.counts[0]
         for counts in self.counts[1:]:
             total += counts
-        return total, stop, broken
+        return total, self.begun, broken
 
-    def _piece(self, start: int, stop: int, slot: int) -> int:
-        """Count a piece into the counts of a slot, which is then free."""
-        self.recipe.count(start, stop, self.counts[slot % len(self.counts)])
-        return slot
+    def _piece(self) -> None:
+        """Count the next piece of the range, if there is one."""
+        with self.changed:
+            start = self.begun
+            if start == self.last:
+                return
+            self.begun, slot = min(start + self.recipe.piece, self.last), self.free.pop()
+            stop = self.begun
+        try:
+            self.recipe.count(start, stop, self.counts[slot % len(self.counts)])
+        finally:
+            with self.changed:
+                self.free.append(slot)
+                self.changed.notify()
