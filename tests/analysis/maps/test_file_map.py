@@ -14,10 +14,11 @@ import time
 import numpy as np
 import pytest
 from hunts import some
+from interrupts import Interrupt
 
 import kempe
 from kempe import Budget, Status, spatial
-from kempe.analysis.maps import file_map, row_sources, side_by_side
+from kempe.analysis.maps import file_map, part_log, row_sources, row_store, side_by_side
 from kempe.errors import DamagedError, InputError, KempeError, UnknownNameError
 
 zarr = pytest.importorskip("zarr", reason="zarr is not installed (extra scale)")
@@ -292,6 +293,27 @@ def test_an_interrupted_map_is_gone_on_with(tmp_path, whole):
     assert second.rows == N and same(arrays(path), whole[1]) and second.redone == 0
     assert done[-1] == (N, N)
     assert not path.with_name("out.zarr.parts").exists()
+
+
+def test_an_interrupt_at_any_line(tmp_path, hunt):
+    """Where the work is broken off, the same call goes on to what was to be written, and nothing is made twice."""
+    modules, rows = (file_map, row_store, side_by_side, part_log), PUMA.random(0, 300)
+    file = written(tmp_path, "x.npy", rows)
+
+    def done(name):
+        return kempe.map_file(PUMA, "fk", file, tmp_path / name, "tool", budget=Budget(threads=2))
+
+    with Interrupt(0, *modules) as none:
+        done("whole.zarr")
+    assert none.lines > 300
+    for at in hunt.rng().permutation(none.lines)[: hunt.cases(40)].tolist():
+        first = None
+        with Interrupt(1 + at, *modules):
+            first = done(f"{at}.zarr")
+        assert first is None or first.code is Status.INTERRUPTED
+        second = done(f"{at}.zarr")
+        assert second.rows == len(rows) and second.redone == 0, at
+        assert np.array_equal(arrays(second.path)["pose"], PUMA.fk(rows, "tool")), at
 
 
 def test_the_time_limit(tmp_path, whole):

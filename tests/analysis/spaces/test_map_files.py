@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from interrupts import Interrupt
 from reached_sets import shell, two_bars
 
 import kempe
@@ -61,41 +62,19 @@ def test_threads_that_share_memory_make_the_same_map(monkeypatch):
     assert np.array_equal(made(budget=Budget(threads=4)).map.counts, made().map.counts)
 
 
-class Interrupt:
-    """Raises KeyboardInterrupt before line number `at` of those that the calling thread runs in these files."""
-
-    files = {x.__file__ for x in (counting_runs, mapping, sample_parts, side_by_side, part_log)}
-
-    def __init__(self, at):
-        self.at, self.lines = at, 0
-
-    def __enter__(self):
-        sys.settrace(lambda frame, *_: self._line if frame.f_code.co_filename in self.files else None)
-        return self
-
-    def __exit__(self, kind, *_):
-        sys.settrace(None)
-        return kind is KeyboardInterrupt
-
-    def _line(self, frame, event, arg):
-        if event == "line":
-            self.lines += 1
-            if self.lines == self.at:
-                sys.settrace(None)
-                raise KeyboardInterrupt
-        return self._line
+MODULES = (counting_runs, mapping, sample_parts, side_by_side, part_log)
 
 
 @pytest.mark.parametrize("on_disk", [False, True])
 def test_an_interrupt_at_any_line(tmp_path, hunt, on_disk):
     """What is said to be counted is, and goes on to the whole map: also where a piece is about to be handed out."""
     n = 120_000
-    with Interrupt(0) as none:
+    with Interrupt(0, *MODULES) as none:
         whole = made(tmp_path / "whole.zarr" if on_disk else None, n, budget=Budget(threads=2))
     assert none.lines > 300
     for at in hunt.rng().permutation(none.lines)[: hunt.cases(100 if on_disk else 300)]:
         path, workspace = tmp_path / f"{at}.zarr" if on_disk else None, None
-        with Interrupt(1 + at):
+        with Interrupt(1 + at, *MODULES):
             workspace = made(path, n, budget=Budget(threads=2))
         if workspace is not None and workspace.samples:
             assert np.array_equal(workspace.map.counts, made(n=workspace.samples).map.counts), at
