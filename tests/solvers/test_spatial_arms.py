@@ -1,4 +1,4 @@
-"""Formulas of arms in space with a wrist: those of textbooks, and all solutions that `ik_all` has."""
+"""Formulas of arms in space: those of textbooks, and all solutions that `ik_all` has."""
 
 from __future__ import annotations
 
@@ -32,7 +32,10 @@ def same(a, b, turns):
 
 
 def arm(rng, kinds, wrist):
-    """A first turn about z or -z, two joints in a plane beside it, and three turns whose axes meet, each anywhere."""
+    """A first turn about z or -z, joints in a plane beside it, and turns whose axes meet, each anywhere.
+
+    After two joints in the plane three turns, after three of them two, the first of which is in the plane.
+    """
     m, n = Mechanism("arm"), rng.uniform(-np.pi, np.pi)
     normal, out = np.array([-np.sin(n), np.cos(n), 0.0]), np.array([np.cos(n), np.sin(n), 0.0])
     m.revolute("q1", m.ground, m.body("b1"), at=rng.uniform(-0.3, 0.3, 3), axis=(0, 0, rng.choice([-1, 1])))
@@ -43,44 +46,58 @@ def arm(rng, kinds, wrist):
         else:
             c, s = np.cos(x := rng.uniform(-np.pi, np.pi)), np.sin(x)
             m.prismatic(f"q{i}", f"b{i - 1}", m.body(f"b{i}"), at=at, axis=c * out + s * np.array([0.0, 0.0, 1.0]))
-    hand = rng.uniform(-0.3, 0.3, 3)
+    hand, k = rng.uniform(-0.3, 0.3, 3), len(kinds) + 2
     if not wrist:
         m.frame("tip", "b3", at=hand)
         return m.build()
     Q = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    if k == 5:
+        a = rng.uniform(-np.pi, np.pi)
+        Q = np.linalg.qr(np.column_stack([np.cos(a) * out + [0, 0, np.sin(a)], Q[:, :2]]))[0]
     bend = rng.uniform(-np.pi, np.pi) if rng.random() < 0.5 else 0.0
-    axes = [Q[:, 0], Q[:, 1], np.cos(bend) * Q[:, 0] + np.sin(bend) * Q[:, 2]]
+    axes = [Q[:, 0], Q[:, 1], np.cos(bend) * Q[:, 0] + np.sin(bend) * Q[:, 2]][: 7 - k]
     shift = np.array([rng.uniform(-0.2, 0.2) * a for a in axes])  # joints stand anywhere on their axes
     before = np.zeros(3)
-    for i, (a, s) in enumerate(zip(axes, shift, strict=True), 4):
-        m.revolute(f"q{i}", f"b{i - 1}", m.body(f"b{i}"), at=(hand if i == 4 else 0.0) + s - before, axis=a)
+    for i, (a, s) in enumerate(zip(axes, shift, strict=True), k):
+        m.revolute(f"q{i}", f"b{i - 1}", m.body(f"b{i}"), at=(hand if i == k else 0.0) + s - before, axis=a)
         before = s
     m.frame("tip", "b6", at=rng.uniform(-0.2, 0.2, 3), rpy=rng.uniform(-3, 3, 3))
     return m.build()
 
 
 KINDS = ["RR", "RP", "PR", "PP"]
+IN_PLANE = ["RRR", "RPR", "PRR", "RRP", "PPR", "RPP", "PRP"]
 
 
 @pytest.mark.parametrize("wrist", [False, True], ids=["position", "pose"])
 @pytest.mark.parametrize("kinds", KINDS)
 def test_formulas_of_arms_in_space_are_all_solutions(kinds, wrist, hunt: Hunt):
     """Of arms drawn at random each sign leads to the target, and together they are what `ik_all` finds."""
-    rng, task = hunt.rng(), "pose" if wrist else "position"
     for _ in range(hunt.cases(2)):
-        system = arm(rng, kinds, wrist)
-        turns = np.array([name != "P" for name in "R" + kinds + "RRR" * wrist])
-        formulas = system.inverse.plan("tip", task).formulas()
-        X = system.fk(rng.uniform(-2.0, 2.0, (6, len(turns))), "tip")
-        target = X if wrist else X[:, :3, 3]
-        found = system.ik_all(X, "tip", task=task)
-        assert found.success.all() and formulas.coordinates == system.joint_names
-        for i in range(6):
-            got = every(formulas, target[i])
-            Y = system.fk(got, "tip")
-            np.testing.assert_allclose(*((Y, X[i] + 0 * Y) if wrist else (Y[:, :3, 3], X[i, :3, 3] + 0 * Y[:, :3, 3])),
-                                       atol=1e-8)  # fmt: skip
-            assert same(got, found.q[i, found.mask[i]], turns)
+        compared(arm(hunt.rng(), kinds, wrist), kinds, wrist, hunt.rng())
+
+
+@pytest.mark.parametrize("kinds", IN_PLANE)
+def test_formulas_of_arms_with_three_joints_in_a_plane_are_all_solutions(kinds, hunt: Hunt):
+    """Such as those of Universal Robots, whose axes 2, 3 and 4 are parallel: as above."""
+    for _ in range(hunt.cases(2)):
+        compared(arm(hunt.rng(), kinds, True), kinds, True, hunt.rng())
+
+
+def compared(system, kinds, wrist, rng):
+    task, turns = "pose" if wrist else "position", np.array([k != "P" for k in "R" + kinds])
+    turns = np.append(turns, np.ones(system.nq - len(turns), dtype=bool))
+    formulas = system.inverse.plan("tip", task).formulas()
+    X = system.fk(rng.uniform(-2.0, 2.0, (6, len(turns))), "tip")
+    target = X if wrist else X[:, :3, 3]
+    found = system.ik_all(X, "tip", task=task)
+    assert found.success.all() and formulas.coordinates == system.joint_names
+    for i in range(6):
+        got = every(formulas, target[i])
+        Y = system.fk(got, "tip")
+        np.testing.assert_allclose(*((Y, X[i] + 0 * Y) if wrist else (Y[:, :3, 3], X[i, :3, 3] + 0 * Y[:, :3, 3])),
+                                   atol=1e-8)  # fmt: skip
+        assert same(got, found.q[i, found.mask[i]], turns)
 
 
 def test_the_formulas_of_a_puma_are_those_of_the_textbook():
@@ -97,17 +114,21 @@ def test_the_formulas_of_a_puma_are_those_of_the_textbook():
     assert "\\pm_{1}" in formulas.latex() and "\\pm_{3}" in formulas.latex()
 
 
-def test_signs_have_the_names_of_all_solutions():
+@pytest.mark.parametrize("system", [PUMA, kempe.load("ur5")], ids=lambda system: system.name)
+def test_signs_have_the_names_of_all_solutions(system):
     """The wrist's sign is that of `no flip` and `flip`; both shoulders and both elbows are distinguished by theirs."""
-    rng, formulas = np.random.default_rng(5), PUMA.symbolic.ik("tool")
-    X = PUMA.fk(rng.uniform(-3.0, 3.0, (10, 6)), "tool")
+    rng, formulas = np.random.default_rng(5), system.symbolic.ik("tool")
+    X = system.fk(rng.uniform(-3.0, 3.0, (10, 6)), "tool")
     for target in X:
-        both = PUMA.ik_all(target, "tool")
+        both = system.ik_all(target, "tool")
         words = {}
         for signs in itertools.product((-1, 1), repeat=3):
-            off = np.abs(np.sin(0.5 * (both.q - formulas(target, signs)))).max(axis=1)
+            if np.isnan(q := formulas(target, signs)).any():
+                continue
+            off = np.abs(np.sin(0.5 * (both.q - q))).max(axis=1)
             words[signs] = both.names[int(np.argmin(off))]
             assert off.min() < 1e-7
+        assert len(words) == len(both)
         assert all(("no flip" in name) == (signs[2] == 1) for signs, name in words.items())
         for place, word in ((0, "shoulder left"), (2, "no flip")):
             assert len({(word in name) == (signs[place] == 1) for signs, name in words.items()}) == 1
@@ -127,9 +148,9 @@ def test_the_printed_function_computes_the_same():
 
 
 def test_what_is_refused():
-    for name in ("ur5", "xarm6", "hc10"):
+    for name, frame in (("gen3_lite", "tool"), ("xarm6", "tool"), ("hc10", "tool0")):
         with pytest.raises(UnsupportedError, match="a wrist of three axes at right angles that meet"):
-            kempe.load(name).symbolic.ik("tool" if name != "hc10" else "tool0")
+            kempe.load(name).symbolic.ik(frame)
     with pytest.raises(UnsupportedError, match="ik_all"):
         PUMA.symbolic.ik("tool", "position")
     formulas, X = PUMA.symbolic.ik("tool"), PUMA.fk(PUMA.neutral, "tool")

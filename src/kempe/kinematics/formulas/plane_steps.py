@@ -61,7 +61,7 @@ def endings() -> Iterator[str]:
 
 
 class Names(NamedTuple):
-    """The symbols of one triangle, which have a common ending."""
+    """The symbols of one triangle."""
 
     r2: Any
     c2: Any
@@ -75,6 +75,11 @@ class Names(NamedTuple):
     def ending(cls, end: str) -> Names:
         """The symbols with an ending such as '_1'."""
         return cls(*(sympy.Symbol(f"{name}{end}") for name in cls._fields))
+
+    @classmethod
+    def among(cls, names: dict[str, Any]) -> Names:
+        """Those of several symbols, by their words, that are of a triangle."""
+        return cls(*(names[name] for name in cls._fields))
 
 
 def two_circles(

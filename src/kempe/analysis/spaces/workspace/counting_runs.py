@@ -43,9 +43,12 @@ class Threads:
         piece, done, broken = self.recipe.piece, first, None
         self.begun, self.last, self.free = first, last, list(range(self.n))
         with ThreadWorkers(self.n) as workers:
+
+            def begin(_: int, attempt: int) -> Any:
+                return workers.submit(self._piece)
+
             try:
-                pieces = range(first, last, piece)
-                for _ in finished(workers, pieces, lambda *_: workers.submit(self._piece), clock.check):
+                for _ in finished(workers, range(first, last, piece), begin, clock.check):
                     done = min(done + piece, last)
                     said(done)
             except BROKEN_OFF as error:

@@ -41,7 +41,7 @@ class PlaneJoint(NamedTuple):
 
 
 def in_plane(
-    n: Names, arm: list[PlaneJoint], to: Vector, end: Vector, angle: Any, names: list[Any]
+    n: Names, arm: list[PlaneJoint], to: Vector, end: Vector, angle: Any, names: list[Any], elbow: str = ELBOW
 ) -> tuple[list[FormulaStep], list[Any]]:
     """Steps and coordinates as `solved`; of a pose from the place of a last joint that turns, called `names`."""
     steps = list[FormulaStep]()
@@ -51,7 +51,7 @@ def in_plane(
             steps = [FormulaStep(s, x, "the target, less the last link") for s, x in zip(names, place, strict=True)]
             to = (steps[0].symbol, steps[1].symbol)
         end = arm[-1].at
-    more, found = solved(n, arm, to, end, angle, ELBOW)
+    more, found = solved(n, arm, to, end, angle, elbow)
     return steps + more, found
 
 

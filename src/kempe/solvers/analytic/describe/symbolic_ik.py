@@ -1,4 +1,4 @@
-"""The inverse model as formulas, in the steps of its derivation on paper: planar arms, SCARAs, arms with a wrist."""
+"""The inverse model as formulas, in the steps of its derivation on paper: planar arms, SCARAs, arms in space."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ from kempe.kinematics.formulas.symbolic import SymbolLeaves
 from kempe.kinematics.formulas.symbolic_dh import JointLine, joint_lines, tidy
 from kempe.kinematics.formulas.symbolic_turns import sympy
 from kempe.reals import is_whole
-from kempe.solvers.analytic.describe import spatial_arms
+from kempe.solvers.analytic.describe import arm_plane
+from kempe.solvers.analytic.describe.arm_plane import ArmPlane
+from kempe.solvers.analytic.describe.parallel_arms import ParallelArm
 from kempe.solvers.analytic.describe.plane_arms import PlaneJoint, in_plane
 from kempe.solvers.analytic.describe.spatial_arms import SpatialArm
 from kempe.spatial import Array
@@ -88,7 +90,7 @@ def symbolic_ik(
     system: System, frame: FrameLike, task: str | None = None, *, symbols: Mapping[str, Any] | None = None,
     snap: float = 0.0,
 ) -> InverseFormulas:  # fmt: skip
-    """Formulas of the inverse model: of planar arms, SCARAs, and arms in space that end in three axes that meet.
+    """Formulas of the inverse model: of planar arms, SCARAs, and arms in space with a wrist or three parallel axes.
 
     In the plane two joints reach a "position", three a "pose" x, y, angle: they turn about z or -z of the ground, or
     slide across it. One more may slide along it, at any place, as of a SCARA, which then reaches a height, too. Of two
@@ -98,7 +100,9 @@ def symbolic_ik(
 
     In space three joints reach a "position": the first turns about z or -z, the others turn about or slide across one
     horizontal direction, as of the Puma, of a Stanford arm, or of a cylindrical one. Six reach a "pose" if the axes of
-    the last three, turns about directions at right angles, meet in a point.
+    the last three, turns about directions at right angles, meet in a point; or if three joints turn about or slide
+    across that direction, and the axes of the last two, turns, meet at right angles, the first of them at right angles
+    to that direction, as of the arms of Universal Robots.
 
     Limits are not regarded. `ik_all` gives the solutions of other chains in numbers. `symbols` and `snap` are those of
     `symbolic_fk`.
@@ -117,19 +121,20 @@ def symbolic_ik(
     joints, tip = joint_lines(system, name, leaves, f"formulas for {name!r} need two or three joints that move it")
     taken: set[Any] = {sympy.Symbol(j.name) for j in joints} | set(tip.free_symbols)
     taken = taken.union(*(j.point.free_symbols for j in joints))
-    words = (*Names._fields, *OWN, *TURNED, *spatial_arms.OWN)
-    end = next(e for e in endings() if not any(sympy.Symbol(f"{word}{e}") in taken for word in words))
+    words = (*Names._fields, *OWN, *TURNED, *arm_plane.OWN)
+    free = {word: next(s for e in endings() if (s := sympy.Symbol(f"{word}{e}")) not in taken) for word in words}
     if _is_planar(joints, tip, task):
-        return _of_plane(system, joints, tip, task, end)
-    arm = SpatialArm.of(joints, tip)
+        return _of_plane(system, joints, tip, task, free)
+    arm = SpatialArm.of(joints, tip) or ParallelArm.of(joints, tip)
     if arm is None or task not in (None, SPATIAL[len(joints)]):
         raise UnsupportedError(
             f"formulas for {name!r} need two joints to a position, or three to a pose, that turn about z of the ground "
             "or slide across it, and at most one that slides along it; or in space a first turn about z, and two "
             "joints that turn about or slide across one horizontal direction, to a position, or to a pose with a wrist "
-            "of three axes at right angles that meet; ik_all gives numbers"
+            "of three axes at right angles that meet, or three such joints and two turns about axes at right angles "
+            "that meet, the first at right angles to that direction; ik_all gives numbers"
         )
-    return _of_space(system, arm, end)
+    return _of_space(system, arm, free)
 
 
 def _is_planar(joints: list[JointLine], tip: Any, task: str | None) -> bool:
@@ -141,13 +146,15 @@ def _is_planar(joints: list[JointLine], tip: Any, task: str | None) -> bool:
     return TASKS.get(len(arm)) == what and planar and len(joints) <= len(arm) + 1 and bool(upright)
 
 
-def _of_plane(system: System, joints: list[JointLine], tip: Any, task: str | None, end: str) -> InverseFormulas:
-    """Formulas of a planar arm with at most one slide along z; symbols end in `end`."""
+def _of_plane(
+    system: System, joints: list[JointLine], tip: Any, task: str | None, names: dict[str, Any]
+) -> InverseFormulas:  # fmt: skip
+    """Formulas of a planar arm with at most one slide along z; `names` are the symbols by their words."""
     arm, lifts = [j for j in joints if not _lifts(j)], [j for j in joints if _lifts(j)]
     what = task or TASKS[len(arm)]
-    x, y, z, phi, *last = (sympy.Symbol(f"{word}{end}") for word in OWN[:-1])
+    x, y, z, phi, *last = (names[word] for word in OWN[:-1])
     inputs: list[Any] = [x, y, *([z] if lifts else []), *([phi] if what == "pose" else [])]
-    n, angle = Names.ending(end), phi - sympy.atan2(tip[1, 0], tip[0, 0]) if what == "pose" else None
+    n, angle = Names.among(names), phi - sympy.atan2(tip[1, 0], tip[0, 0]) if what == "pose" else None
     flat = [PlaneJoint.of(j) for j in arm]
     steps, coordinates = in_plane(n, flat, (x, y), (tip[0, 3], tip[1, 3]), angle, last)
     found: dict[str, Any] = {j.name: x for j, x in zip(flat, coordinates, strict=True)}
@@ -158,21 +165,19 @@ def _of_plane(system: System, joints: list[JointLine], tip: Any, task: str | Non
     return _formulas(system, steps, inputs, [n.sign], joints)
 
 
-def _of_space(system: System, arm: SpatialArm, end: str) -> InverseFormulas:
-    """Formulas of an arm in space; symbols end in `end`."""
-    x, y, z, _, *place = (sympy.Symbol(f"{word}{end}") for word in OWN)
+def _of_space(system: System, arm: ArmPlane, names: dict[str, Any]) -> InverseFormulas:
+    """Formulas of an arm in space; `names` are the symbols by their words."""
+    x, y, z, _, *place = (names[word] for word in OWN)
     inputs, to, steps, R = [x, y, z], [x, y, z], list[FormulaStep](), None
     if len(arm.joints) > 3:
-        R = sympy.Matrix(3, 3, [sympy.Symbol(f"{word}{end}") for word in TURNED])
+        R = sympy.Matrix(3, 3, [names[word] for word in TURNED])
         inputs += list(R)
         hand = tidy(arm.tip[:3, :3].T * (arm.end - arm.tip[:3, 3]))
         if not hand.is_zero_matrix:
             steps = [FormulaStep(s, w, "the wrist: the target, less the hand")
                      for s, w in zip(place, sympy.Matrix(to) + R * hand, strict=True)]  # fmt: skip
             to = place
-    names = {word: sympy.Symbol(f"{word}{end}") for word in spatial_arms.OWN}
-    n = Names.ending(end)._replace(sign=names["elbow"])
-    steps += arm.steps(to, R, names, n)
+    steps += arm.steps(to, R, names, Names.among(names)._replace(sign=names["elbow"]))
     return _formulas(system, steps, inputs, [names[word] for word in ("shoulder", "elbow", "wrist")], list(arm.joints))
 
 
