@@ -407,6 +407,7 @@ def test_a_small_disk_is_refused_early(tmp_path, whole, monkeypatch):
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage)
     with pytest.raises(KempeError, match="are free on this disk"):
         mapped(whole[0], tmp_path / "out.zarr")
+    assert not list(tmp_path.glob("*.parts"))
 
 
 def test_a_place_that_may_not_be_written(tmp_path, whole, monkeypatch):

@@ -252,6 +252,7 @@ def test_a_small_disk_is_refused_early(tmp_path, monkeypatch):
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage)
     with pytest.raises(KempeError, match="are free on this disk"):
         made(tmp_path / "map.zarr")
+    assert not list(tmp_path.glob("*.parts"))
 
 
 @pytest.mark.parametrize(("words", "other"), [

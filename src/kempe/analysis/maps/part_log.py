@@ -71,16 +71,16 @@ class PartLog:
 
     def _make(self) -> None:
         """Make the folder, on a disk that has enough room. Errors: `DiskError`."""
+        free = shutil.disk_usage(self.path.parent).free
+        if free < self.needed:
+            raise DiskError(f"{self.path.parent}: {free / 1e6:.3g} MB are free on this disk; the map needs up to "
+                            f"{self.needed / 1e6:.3g} MB while it is made")  # fmt: skip
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
+            self.folder.mkdir(exist_ok=True)
         except OSError as error:
             raise DiskError(f"{self.folder} cannot be made: {error.strerror}") from error
         if not os.access(self.folder, os.W_OK):
             raise DiskError(f"{self.folder} may not be written to")
-        free = shutil.disk_usage(self.folder).free
-        if free < self.needed:
-            raise DiskError(f"{self.folder}: {free / 1e6:.3g} MB are free on this disk; the map needs up to "
-                            f"{self.needed / 1e6:.3g} MB while it is made")  # fmt: skip
 
     def add(self, part: DonePart) -> None:
         """Write down that one more part is done. Errors: `DiskError`."""
