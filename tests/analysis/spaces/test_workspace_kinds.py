@@ -14,7 +14,8 @@ from reached_sets import ANNULUS, two_bars
 import kempe
 from kempe import Budget, Mechanism, Status, constraints
 from kempe.analysis.spaces.kinds.legs import legs_of
-from kempe.analysis.spaces.kinds.questions import coordinates_of, rotations_at, spread_rotations
+from kempe.analysis.spaces.kinds.place_bounds import possible_places
+from kempe.analysis.spaces.kinds.questions import WorkspaceKind, coordinates_of, rotations_at, spread_rotations
 from kempe.analysis.spaces.workspace.cell_map import Grid
 from kempe.analysis.spaces.workspace.outer_bounds import outer_measure
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
@@ -238,16 +239,31 @@ def random_chain(rng):
 
 
 def test_hunt_for_places_outside_their_bounds(hunt: Hunt):
-    """A box about a place that is reached, however small, is never shut out as a whole."""
+    """A place that is reached, and a box about it, however small, is never shut out."""
     rng = hunt.rng()
     for _ in range(hunt.cases(40)):
         system = random_chain(rng)
+        assert possible_places(system, "tip", system.fk(system.random(rng, 100), "tip")[:, :3, 3]).all()
         for p in system.fk(system.random(rng, 4), "tip")[:, :3, 3]:
             size = 10.0 ** rng.uniform(-6.0, 0.0)
             part = rng.random(3) if system.dim == 3 else np.append(rng.random(2), 0.5)
             low, high = (tuple((p + size * x).tolist()) for x in (-part, 1.0 - part))
             grid = Grid(low, high, (1, 1, 1), ("x", "y", "z")[: system.dim])
             assert outer_measure(system, "tip", grid) > 0.0
+
+
+@pytest.mark.parametrize("make", [three_bars, hexapod, lambda: kempe.load("puma560"), lambda: kempe.load("stanford")])
+def test_places_beyond_all_lengths_need_no_inverse_model(make, monkeypatch):
+    system, tried = make(), []
+    workspace = system.workspace("tool", n=4096, cells=10)
+    monkeypatch.setattr(
+        WorkspaceKind,
+        "_reached",
+        lambda _, system, frame, points, seed: tried.append(points) or np.ones(len(points), dtype=bool),
+    )
+    far = np.random.default_rng(0).normal(size=(50, 3)) * [1.0, 1.0, system.dim == 3]
+    far *= 10.0 ** np.arange(1, 6)[:, None].repeat(10, 0) / np.linalg.norm(far, axis=1)[:, None]
+    assert not workspace.contains(far[:, : system.dim]).any() and not any(map(len, tried))
 
 
 def test_bounds_of_loops_are_those_of_each_leg():

@@ -15,6 +15,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.analysis.spaces.kinds.legs import legs_of
+from kempe.analysis.spaces.kinds.place_bounds import possible_places
 from kempe.budget import Budget
 from kempe.calls import known, numbers
 from kempe.errors import InputError, shown
@@ -73,6 +74,13 @@ class WorkspaceKind:
 
     def reached(self, system: System, frame: str, points: Array, seed: int) -> np.ndarray:
         """Which points (n, 3) are reached within all limits and constraints, as far as the inverse model finds."""
+        if self.kind == ORIENTATION:
+            return self._reached(system, frame, points, seed)
+        out = possible_places(system, frame, points)
+        out[out] = self._reached(system, frame, points[out], seed)
+        return out
+
+    def _reached(self, system: System, frame: str, points: Array, seed: int) -> np.ndarray:
         X = np.tile(np.eye(4), (len(points), 1, 1))
         X[:, :3, 3] = self.at or points
         if self.kind == REACHABLE:
