@@ -53,7 +53,7 @@ def place_bounds(system: System, frame: str) -> tuple[PlaceBounds, ...]:
 
 def possible_places(system: System, frame: str, points: Array) -> np.ndarray:
     """Which points (n, 3) are not proven to be out of reach of the origin by more than `MISSED`; of NaN none."""
-    out = np.isfinite(points).all(axis=1)
+    out = np.asarray(np.isfinite(points).all(axis=1))
     for (low, high), shells, slack in place_bounds(system, frame):
         slack += MISSED
         out &= ((points >= low - slack) & (points <= high + slack)).all(axis=1)

@@ -103,26 +103,30 @@ class RankLoss:
         A = self._transposed(self.matrices(q))
         return np.swapaxes(np.linalg.svd(A)[2][:, self.rank - 1 :], 1, 2)
 
-    def _slopes(self, q: Array) -> Array:
-        """Derivatives (k, nv, m, n) of the matrices along all velocity coordinates."""
+    def _products(self, q: Array, V: Array, steps: Array) -> Array:
+        """The matrices at steps (nv, nv) from q (k, nq), times V (k, n, d): (k, nv, m, d)."""
         n, k = self.system.nv, len(q)
-        steps = STEP * np.eye(n)
-        ends = [self.move(np.repeat(q, n, axis=0), np.tile(s * steps, (k, 1))) for s in (1.0, -1.0)]
-        above, below = (self._transposed(self.matrices(x)) for x in ends)
-        return ((above - below) / (2.0 * STEP)).reshape(k, n, *above.shape[1:])
+        A = self._transposed(self.matrices(self.move(np.repeat(q, n, axis=0), np.tile(steps, (k, 1)))))
+        return A.reshape(k, n, *A.shape[1:]) @ V[:, None]
 
-    def equations(self, q: Array, V: Array, frame: Array) -> tuple[Array, Array]:
-        """What is missing (k, e) at q (k, nq) and V (k, n, d), and derivatives (k, e, nv + n d); see above."""
+    def equations(self, q: Array, V: Array, frame: Array, sharp: bool = True) -> tuple[Array, Array]:
+        """What is missing (k, e) at q (k, nq) and V (k, n, d), and derivatives (k, e, nv + n d); see above.
+
+        With `sharp` derivatives are central differences, else of one side, which Newton's method is content with.
+        """
         k, nv = len(q), self.system.nv
         C, dC = self.closure(q)
-        A, dA = self._transposed(self.matrices(q)), self._slopes(q)
+        A, steps = self._transposed(self.matrices(q)), STEP * np.eye(nv)
+        above = self._products(q, V, steps)
+        below = self._products(q, V, -steps) if sharp else (A @ V)[:, None]
+        dA = (above - below) / (STEP + STEP * sharp)
         m, n, d = A.shape[1], A.shape[2], V.shape[2]
         fixed = np.swapaxes(frame, 1, 2) @ V - np.eye(d)
         F = np.concatenate([C, (A @ V).reshape(k, m * d), fixed.reshape(k, d * d)], axis=1)
         J = np.zeros((k, F.shape[1], nv + n * d))
         c = C.shape[1]
         J[:, :c, :nv] = dC
-        J[:, c : c + m * d, :nv] = np.einsum("kvmn,knd->kmdv", dA, V).reshape(k, m * d, nv)
+        J[:, c : c + m * d, :nv] = np.moveaxis(dA, 1, -1).reshape(k, m * d, nv)
         J[:, c : c + m * d, nv:] = np.einsum("kmn,de->kmdne", A, np.eye(d)).reshape(k, m * d, n * d)
         J[:, c + m * d :, nv:] = np.einsum("knd,ef->kdenf", frame, np.eye(d)).reshape(k, d * d, n * d)
         return F, J
@@ -149,7 +153,7 @@ class RankLoss:
         shape = frame.shape[1:]
 
         def equations(x: Array, at: np.ndarray) -> tuple[Array, Array]:
-            F, J = self.equations(x[:, :nq], x[:, nq:].reshape(len(x), *shape), frame[at])
+            F, J = self.equations(x[:, :nq], x[:, nq:].reshape(len(x), *shape), frame[at], False)
             if home is None:
                 return F, J
             pull = np.zeros((len(x), nv, J.shape[2]))

@@ -37,6 +37,8 @@ MATTERS = 1e-4
 """How far, of 1, a coordinate must be from the directions of the set, to matter."""
 BESIDE = 1e-3
 """How far, in radians and characteristic lengths, a configuration may be from one that is more singular, to be it."""
+FARTHER = 20.0 * BESIDE
+"""Singular value, as a part of the largest, above which none is looked for so near."""
 NEAR = 6
 """Configurations of each set from which the nearest is searched for."""
 FULL_TURN = 2.0 * np.pi
@@ -289,9 +291,11 @@ def _sharpened(problem: RankLoss, q: Array) -> Array:
 
     There the equations of a single loss are singular, and Newton's method comes near only.
     """
-    other = problem.led(q)
-    near = np.abs(problem.between(q, other)).max(axis=1, initial=0.0) < BESIDE if len(q) else np.zeros(0, dtype=bool)
-    return np.where(near[:, None], other, q)
+    q, some = q.copy(), np.flatnonzero(problem.least(q) < FARTHER) if len(q) else np.zeros(0, dtype=np.int64)
+    other = problem.led(q[some])
+    near = np.abs(problem.between(q[some], other)).max(axis=1, initial=0.0) < BESIDE if len(some) else some > 0
+    q[some[near]] = other[near]
+    return q
 
 
 def _set(system: System, key: Key, rows: list[Row], problems: list[RankLoss]) -> SingularSet:
