@@ -177,3 +177,30 @@ def test_words_are_upright_and_letters_are_not():
         assert r"\mathrm{cos}" not in text and r"\mathrm{theta}" not in text and r"\mathrm{l}" not in text
     short = arm.symbolic.fk("tip", short=True)._repr_latex_()
     assert r"c_{\mathrm{shoulder} \theta}" in short
+
+
+@pytest.mark.parametrize("name", ["a%b", "q#", "d$", "R&D"])
+def test_latex_of_names_with_signs_that_latex_reads(name):
+    m = Mechanism("named", dim=2)
+    m.revolute(name, m.ground, m.body("x^2 & " + name))
+    m.frame("e", "x^2 & " + name, at=(1, 0))
+    system, escaped = m.build(), name[0] + "\\" + name[1:]
+    for text in (system.symbolic.steps("e").latex(), system.symbolic.fk("e", short=True)._repr_latex_()):
+        assert escaped in text and name not in text and "x^2" not in text
+    assert r"\mathrm{x\wedge 2 \& " in system.symbolic.steps("e").latex()
+
+
+def test_the_jacobian_of_four_general_joints_is_not_multiplied_out():
+    """That takes five times as long with each joint, a minute for five of them."""
+    m, rng = Mechanism("cad"), np.random.default_rng(0)
+    body = m.ground
+    for i in range(4):
+        child = m.body(f"b{i}")
+        m.revolute(f"j{i}", body, child, at=rng.normal(size=3).round(3), rpy=rng.normal(size=3).round(4))
+        body = child
+    m.frame("tool", body, at=(0.1, 0, 0.2))
+    system, q = m.build(), rng.normal(size=4)
+    J = system.symbolic.jacobian("tool")
+    assert any(isinstance(factor, sympy.Add) for term in sympy.Add.make_args(J[0, 0]) for factor in term.args)
+    values = {sympy.Symbol(n): x for n, x in zip(system.coordinate_names, q, strict=True)}
+    np.testing.assert_allclose(np.array(J.subs(values), dtype=float), system.jacobian(q, "tool"), atol=1e-12)

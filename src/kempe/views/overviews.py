@@ -124,6 +124,7 @@ def plot_tree(system: System, ax: Axes | None = None) -> Axes:
                 size=style.FONT - 1.5,
                 zorder=style.TEXT,
                 color=style.GROUND,
+                bbox={"fc": style.PAPER, "ec": "none", "pad": 0.5},
             )
     ax.set_xlim(at[:, 0].min() - max(1.0, 0.5 * _widest(system) + 0.1), at[:, 0].max() + max(1.0, _beyond(system)))
     ax.set_ylim(lowest - 1.2, at[:, 1].max() + 0.6)

@@ -200,3 +200,31 @@ def test_looking_for_five_bars_warns_of_nothing():
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
         assert m.build().configuration_space.components().count == 1
+
+
+@pytest.mark.parametrize(("law", "turns"), [("a - b", {"a": 1, "b": 1}), ("a - 2*b", {"a": 2, "b": 1}),
+                                            ("2*a + 3*b - 1", {"a": 3, "b": -2})])  # fmt: skip
+def test_a_law_of_angles_leaves_one_endless_line(law, turns):
+    """Of which turns of both angles by the law's ratio lead to the same poses: starts are not taken out of the law."""
+    m = kempe.Mechanism("law", dim=2)
+    m.revolute("a", m.ground, m.body("A"))
+    m.revolute("b", "A", m.body("B"), at=(0.5, 0))
+    m.equation("law", law)
+    system = m.build()
+    found = system.configuration_space.components()
+    assert found.count == len(found.parts) == 1 and not found.complete
+    (path,) = found.parts[0].paths
+    assert path.turns in (turns, {n: -k for n, k in turns.items()}) and "endless curve" in str(found.parts[0])
+    q = system.configuration_space.sample(300, 0).q
+    assert np.abs([eval(law, {"a": a, "b": b}) for a, b in q]).max() < 1e-9
+    modes = system.assembly_modes({"b": 2.5})
+    assert len(modes) == 1 and abs(eval(law, {"a": modes.q[0][0], "b": 2.5})) < 1e-9 and "even" not in modes.status
+
+
+def test_a_law_of_cosines_leaves_a_closed_curve():
+    m = kempe.Mechanism("law", dim=2)
+    m.revolute("a", m.ground, m.body("A"))
+    m.revolute("b", "A", m.body("B"), at=(0.5, 0))
+    m.equation("law", "0.5*cos(a) + 0.4*cos(a + b) - 0.3")
+    found = m.build().configuration_space.components()
+    assert found.count == 1 and "closed curve" in str(found.parts[0])

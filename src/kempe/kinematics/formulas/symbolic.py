@@ -27,6 +27,10 @@ if TYPE_CHECKING:
 
 WORD = re.compile(r"(?<![\\A-Za-z])[A-Za-z][A-Za-z.]+")
 """What is a word in the LaTeX of a name, not a letter or a command."""
+SPECIAL = re.compile(r"(?<!\\)[%#$&]")
+"""What LaTeX would read as a command in a name of which sympy has set the indices."""
+ESCAPED = str.maketrans({c: "\\" + c for c in "%#$&_{}"} | {"^": r"\wedge ", "\\": r"\backslash ", "~": r"\sim "})
+"""All that LaTeX would read as a command in a name."""
 
 
 def _hypot(x: Any, y: Any) -> Any:
@@ -88,9 +92,15 @@ def symbolic_fk(
 def in_latex(formula: Any, names: Mapping[Any, str] | None = None) -> str:
     """A formula in LaTeX, names of several letters upright: sympy sets them as products. `names` says other ones."""
     own = {
-        s: WORD.sub(r"\\mathrm{\g<0>}", sympy.latex(s)).replace(r" \mathrm", r"\,\mathrm") for s in formula.free_symbols
+        s: SPECIAL.sub(r"\\\g<0>", WORD.sub(r"\\mathrm{\g<0>}", sympy.latex(s)).replace(r" \mathrm", r"\,\mathrm"))
+        for s in formula.free_symbols
     }
     return str(sympy.latex(formula, symbol_names={**own, **(names or {})}))
+
+
+def upright(name: str) -> str:
+    """A name of a body or frame in LaTeX, in upright letters."""
+    return rf"\mathrm{{{name.translate(ESCAPED)}}}"
 
 
 def aligned(lines: Iterable[str]) -> str:

@@ -24,7 +24,10 @@ if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
 
 SMALL = 1e-12
-"""Numbers below this are rounding, and directions nearer than this are parallel."""
+"""Numbers below this are rounding."""
+PARALLEL, NEARLY = 1e-8, 1e-3
+"""Directions nearer than the first [rad] are parallel: the feet of their common normal would be so far away that their
+digits say less. Of those nearer than the second the normal is small."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,9 +203,9 @@ def _normal(one: JointLine, two: JointLine, at: Any, x: Any, system: System, las
     lengths these are its symbols.
     """
     h, k, gap = one.along, two.along, two.point - at
-    n = tidy(h.cross(k))
-    size = n.dot(n)
-    if float(size) < SMALL:
+    n = h.cross(k)
+    sine = math.sqrt(float(n.dot(n)))
+    if sine < PARALLEL:
         foot = at + h * h.dot(gap) if last else at
         other = two.point if last else two.point - k * k.dot(gap)
         way = tidy(other - foot)
@@ -213,6 +216,8 @@ def _normal(one: JointLine, two: JointLine, at: Any, x: Any, system: System, las
         ratio = sympy.simplify(way / pivot)
         sense = -1 if float(_numbers(sympy.Matrix([pivot]), system)[0]) < 0.0 else 1
         return foot, other, tidy(sense * ratio / sympy.sqrt(ratio.dot(ratio)))
+    n = tidy(n) if sine > NEARLY else n  # else what is tidied away may count
+    size = n.dot(n)
     foot = at + h * (gap.cross(k).dot(n) / size)
     other = two.point + k * (gap.cross(h).dot(n) / size)
     unit = n / sympy.sqrt(size)

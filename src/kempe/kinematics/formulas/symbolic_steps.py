@@ -12,13 +12,15 @@ import numpy as np
 from kempe import spatial
 from kempe.calls import explained, flag, known
 from kempe.errors import InputError, UnsupportedError, shown
-from kempe.kinematics.formulas.symbolic import SymbolLeaves, aligned, in_latex, oriented_way, symbolic_fk
+from kempe.kinematics.formulas.symbolic import SymbolLeaves, aligned, in_latex, oriented_way, symbolic_fk, upright
 from kempe.kinematics.formulas.symbolic_turns import pose_of, sympy, unwrapped
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
 
+LONG = 3000
+"""Operations from which on a Jacobian is not multiplied out: each general joint makes it five times as long."""
 FORMS = ("matrices", "separate", "products")
 """How `SymbolicSteps.latex` writes the model."""
 
@@ -120,7 +122,7 @@ def symbolic_steps(
 
 def _left(upper: str, lower: str, what: str = "T") -> str:
     """T, R or p with the names of its two frames at its left; of p the second one at its right."""
-    a, b = (r"\mathrm{" + name.replace("_", r"\_") + "}" for name in (upper, lower))
+    a, b = (upright(name) for name in (upper, lower))
     return f"{{}}^{{{a}}}p_{{{b}}}" if what == "p" else f"{{}}^{{{a}}}_{{{b}}}{what}"
 
 
@@ -136,8 +138,8 @@ def symbolic_jacobian(
 
     A joint that turns about a has the column [a x (p - c); a], with a point c of its axis; one that slides along a has
     [a; 0] (Siciliano, Sciavicco, Villani, Oriolo 2009, section 3.1). Multiplied with velocities it gives what
-    `system.jacobian` gives in numbers. `symbols`, `snap` and errors are those of `symbolic_steps`; besides,
-    `UnsupportedError` where a ball with a quaternion moves the frame.
+    `system.jacobian` gives in numbers. It is multiplied out where that is short. `symbols`, `snap` and errors are those
+    of `symbolic_steps`; besides, `UnsupportedError` where a ball with a quaternion moves the frame.
     """
     leaves, given = SymbolLeaves(system, {}, snap), SymbolLeaves(system, symbols or {}, snap).given
     parts = oriented_way(system, frame, leaves)
@@ -155,7 +157,9 @@ def symbolic_jacobian(
             a = here[:3, :3] * step.axis
             column = [*a.cross(end - here[:3, 3]), *a] if step.kind == "turn" else [*a, 0, 0, 0]
             J += sympy.Matrix(column) * sympy.Matrix([rates])
-    return J.applyfunc(sympy.expand).xreplace({sympy.Symbol(n): x for n, x in given.items()})
+    if int(sympy.count_ops(J)) < LONG:
+        J = J.applyfunc(sympy.expand)
+    return J.xreplace({sympy.Symbol(n): x for n, x in given.items()})
 
 
 class ShortForm(NamedTuple):

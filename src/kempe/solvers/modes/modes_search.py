@@ -24,6 +24,7 @@ from kempe.errors import InputError
 from kempe.joints import P
 from kempe.kinematics.closure_rows import RANK_TOLERANCE, evaluate
 from kempe.kinematics.configuration import home_of, random
+from kempe.model.tree.coordinates import distinct
 from kempe.model.tree.own_tree import own_tree
 from kempe.solvers.assembly.assembler import Assembler, of_equations
 from kempe.solvers.common.clock import BROKEN_OFF, TimeLimit
@@ -295,6 +296,8 @@ def must_be_even(s: ModesSearch) -> bool:
     if bound.frames or (s.clusters.frames and not s.spins) or not len(s.clusters.q):
         return False
     free = [i for i, n in enumerate(system.structure.velocity_names) if n not in bound.held]
+    if distinct(system.mechanism, system.structure.coordinates)[free].any():  # laws may read angles of no circle
+        return False
     J = evaluate(system, s.clusters.q, True, True)[1][..., free]
     if J.shape[1] + len(s.spins) != J.shape[2] or not J.size or not all(_rigid(s, f) for f in s.spins):
         return False

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.joints import R
+from kempe.kinematics import closure_rows
+from kempe.kinematics.configuration import winding_angles
 from kempe.kinematics.forward import fk
 from kempe.model.closures.packed_loops import characteristic_length
 from kempe.model.kept import kept
@@ -18,6 +20,8 @@ from kempe.spatial import Array, unit
 if TYPE_CHECKING:
     from kempe.model.system import System
 
+HELD = 1e-6
+"""By how much more of the equations may be missing after whole turns, in radians and characteristic lengths."""
 MOST_TURNS = 100
 """Most turns of a source after which those that are geared to it must be back, to count as periodic."""
 SAME = 1e-6
@@ -65,8 +69,11 @@ class Metric:
         return np.abs(v / self.scale)[..., counts].max(axis=-1, initial=0.0)
 
     def representatives(self, q: Array, near: Array | None) -> Array:
-        """The configurations (n, nq), each angle turned to be nearest to `near`, or to zero, and inside its limits."""
-        system = self.system
+        """The configurations (n, nq), each angle turned to be nearest to `near`, or to zero, and inside its limits.
+
+        Angles of which a constraint tells whole turns apart stay as they are where it would else not hold.
+        """
+        system, given = self.system, q
         low, high = np.maximum(system.lower, -1e300), np.minimum(system.upper, 1e300)
         q = np.array(q)
         for iq, iv in zip(
@@ -80,6 +87,12 @@ class Metric:
             down = np.where(x > high[iv], x - turn * np.ceil((x - high[iv]) / turn), x)
             up = np.where(down < low[iv], down + turn * np.ceil((low[iv] - down) / turn), down)
             q[:, iq] = np.where(up > high[iv] + INSIDE, x, up)
+        winding = winding_angles(system)[system.structure.layout.vector_v]
+        if winding.any() and len(q):
+            off, before = (np.abs(closure_rows.evaluate(system, x, False, scaled=True)[0]).max(axis=1, initial=0.0)
+                           for x in (q, given))  # fmt: skip
+            at = system.structure.layout.vector_q[winding]
+            q[:, at] = np.where((off > before + HELD)[:, None], np.asarray(given)[:, at], q[:, at])
         return q
 
 

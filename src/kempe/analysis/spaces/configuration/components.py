@@ -18,7 +18,7 @@ from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods
 from kempe.kinematics.closure_rows import RANK_TOLERANCE
 from kempe.kinematics.common.result import Report
-from kempe.kinematics.configuration import has_loops
+from kempe.kinematics.configuration import has_loops, winding_angles
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.solvers.assembly.idle import moved_by_spins
 from kempe.solvers.common.arguments import start_count
@@ -35,6 +35,8 @@ STARTS, VALUES = 256, 24
 """Random assemblies from which curves are traced, and values of each coordinate at which assembly modes are."""
 NEAR, SAME = 0.3, 1e-5
 """Distance from a node of a curve from which it is looked closer at, and that below which a point is on it."""
+NOTHING = 1e-9
+"""Part of a period that is rounding."""
 USUAL = Usual("components", starts=STARTS, rng=0, time_limit=TIME_LIMIT)
 
 
@@ -101,6 +103,8 @@ class Component(InWords):
         if not self.dimension:
             return "a configuration that cannot move"
         kind = "closed curve" if first.closed else "curve"
+        if first.closed and _wound(first):
+            kind = "endless curve that repeats with a period"
         turns = [f"{counted(abs(k), 'turn')} of {n!r}" for n, k in first.turns.items()]
         text = f"{kind} of length {first.length:.6g}" if len(self.paths) == 1 else \
             f"{counted(len(self.paths), 'curve')} of total length {self.length:.6g}"  # fmt: skip
@@ -109,9 +113,28 @@ class Component(InWords):
         return text + (f", {counted(points, 'singular point')}" if points else "")
 
 
+def _wound(path: Path) -> dict[int, int]:
+    """How many whole turns a curve goes on by until it repeats, by the place in q of angles of which turns count."""
+    layout, names = path.system.structure.layout, path.system.structure.velocity_names
+    place = dict(zip(layout.vector_v.tolist(), layout.vector_q.tolist(), strict=True))
+    return {place[int(v)]: path.turns[names[v]] for v in np.flatnonzero(winding_angles(path.system))
+            if path.turns.get(names[v])}  # fmt: skip
+
+
+def _at_first(path: Path, q: Array) -> Array:
+    """Configurations (k, nq), led by the periods of a curve that repeats to where it was traced."""
+    wound = _wound(path)
+    if not wound:
+        return q
+    at, turns = list(wound), 2.0 * np.pi * np.array(list(wound.values()))
+    out, periods = q.copy(), np.floor((q[:, at[0]] - path.track.q[0, at[0]]) / turns[0] + NOTHING)
+    out[:, at] -= periods[:, None] * turns
+    return out
+
+
 def _nearest(path: Path, q: Array, useful: np.ndarray) -> tuple[Array, Array]:
     """Arc lengths (k,) of the points of a path nearest to configurations (k, nq), and their distances (k,)."""
-    manifold, track = Manifold(path.system, 1), path.track
+    manifold, track, q = Manifold(path.system, 1), path.track, _at_first(path, q)
     nodes, t = track.q, np.where(useful, track.t, 0.0)
     best, far = np.zeros(len(q), dtype=int), np.full(len(q), np.inf)
     for k, node in enumerate(nodes):
