@@ -258,7 +258,10 @@ def _numbers(v: Any, system: System) -> Array:
 
 
 def _pose(x: Any, z: Any, origin: Any, system: System) -> Array:
-    axes = [_numbers(v, system) for v in (x, z.cross(x), z)]
+    across, along = _numbers(x, system), _numbers(z, system)
+    across = across - along * (along @ across)  # of axes that are nearly parallel x is a rounded normal
+    across = across / np.linalg.norm(across)
+    axes = [across, np.cross(along, across), along]
     return spatial.pose(np.stack(axes, axis=1), _numbers(origin, system))
 
 
