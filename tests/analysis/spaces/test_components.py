@@ -228,3 +228,12 @@ def test_a_law_of_cosines_leaves_a_closed_curve():
     m.equation("law", "0.5*cos(a) + 0.4*cos(a + b) - 0.3")
     found = m.build().configuration_space.components()
     assert found.count == 1 and "closed curve" in str(found.parts[0])
+
+
+def test_a_law_of_angles_within_limits_leaves_one_line():
+    m = kempe.Mechanism("law", dim=2)
+    m.revolute("a", m.ground, m.body("A"), limits=(-3, 3))
+    m.revolute("b", m.ground, m.body("B"), at=(1, 0), limits=(-3, 3))
+    m.equation("law", "a - 2*b")
+    found = m.build().configuration_space.components()
+    assert found.count == 1 and found.parts[0].length == pytest.approx(np.hypot(6.0, 3.0))

@@ -10,11 +10,10 @@ import numpy as np
 
 from kempe.joints import R
 from kempe.kinematics import closure_rows
-from kempe.kinematics.configuration import winding_angles
 from kempe.kinematics.forward import fk
 from kempe.model.closures.packed_loops import characteristic_length
 from kempe.model.kept import kept
-from kempe.model.tree.coordinates import coordinate_names
+from kempe.model.tree.coordinates import coordinate_names, distinct
 from kempe.spatial import Array, unit
 
 if TYPE_CHECKING:
@@ -87,11 +86,11 @@ class Metric:
             down = np.where(x > high[iv], x - turn * np.ceil((x - high[iv]) / turn), x)
             up = np.where(down < low[iv], down + turn * np.ceil((low[iv] - down) / turn), down)
             q[:, iq] = np.where(up > high[iv] + INSIDE, x, up)
-        winding = winding_angles(system)[system.structure.layout.vector_v]
-        if winding.any() and len(q):
+        read = distinct(system.mechanism, system.structure.coordinates)[system.structure.layout.vector_v]
+        if read.any() and len(q):
             off, before = (np.abs(closure_rows.evaluate(system, x, False, scaled=True)[0]).max(axis=1, initial=0.0)
                            for x in (q, given))  # fmt: skip
-            at = system.structure.layout.vector_q[winding]
+            at = system.structure.layout.vector_q[read]
             q[:, at] = np.where((off > before + HELD)[:, None], np.asarray(given)[:, at], q[:, at])
         return q
 
