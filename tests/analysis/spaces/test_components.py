@@ -237,3 +237,29 @@ def test_a_law_of_angles_within_limits_leaves_one_line():
     m.equation("law", "a - 2*b")
     found = m.build().configuration_space.components()
     assert found.count == 1 and found.parts[0].length == pytest.approx(np.hypot(6.0, 3.0))
+
+
+@pytest.mark.parametrize(("least", "count"), [(2.0, 0), (0.85, 1)])
+def test_of_a_space_in_which_nothing_was_found_none_is_counted(least, count):
+    """The tip comes at most 0.9 m from the ground: beyond that a space is empty, which is not proven here."""
+    m = kempe.Mechanism("arm", dim=2)
+    m.revolute("a", m.ground, m.body("A"), limits=(-1, 1))
+    m.revolute("b", "A", m.body("B"), at=(0.5, 0), limits=(-1, 1))
+    m.frame("tip", "B", at=(0.4, 0))
+    m.constrain(kempe.constraints.Distance("tip", "ground", at_least=least), "far")
+    found = m.build().configuration_space.components()
+    assert found.count == count and not found.complete and ("no configuration within" in found.status) == (count == 0)
+    assert found.code is (Status.PARTLY if count else Status.NOT_FOUND)
+
+
+@pytest.mark.parametrize(("limit", "count"), [(0.3, 0), (2.5, 1)])
+def test_limits_can_leave_nothing_of_a_loop_with_two_freedoms(limit, count):
+    """Three bars of 1 m end at x >= cos(0.3) + cos(0.6) + cos(0.9) = 2.4, and the fourth, of 0.5 m, begins at 1."""
+    m = kempe.Mechanism("five", dim=2)
+    m.revolute("A", m.ground, m.body("a"), limits=(-limit, limit))
+    m.revolute("B", "a", m.body("b"), at=(1, 0), limits=(-limit, limit))
+    m.revolute("C", "b", m.body("c"), at=(1, 0), limits=(-limit, limit))
+    m.revolute("E", m.ground, m.body("d"), at=(1, 0))
+    m.revolute("D", "c", "d", at=(1, 0), child_at=(0.5, 0))
+    found = m.build().configuration_space.components()
+    assert found.count == count and not found.complete

@@ -155,3 +155,10 @@ def test_wrong_calls_of_commands(arguments, said):
     for more in ((), ("--json",)):
         run = Result(*arguments, *more)
         assert run.code == 2 and said in run.out + run.err
+
+
+def test_poses_with_several_leading_axes_are_refused():
+    robot = kempe.load("ur5")
+    X = robot.fk(robot.random(0, 6), "tool").reshape(2, 3, 4, 4)
+    with pytest.raises(kempe.errors.InputError, match=r"targets have shape \(2, 3, 4, 4\); they must be a list"):
+        robot.reach.poses(X, "tool")

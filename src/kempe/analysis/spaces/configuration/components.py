@@ -18,7 +18,7 @@ from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods
 from kempe.kinematics.closure_rows import RANK_TOLERANCE
 from kempe.kinematics.common.result import Report
-from kempe.kinematics.configuration import has_loops, winding_angles
+from kempe.kinematics.configuration import has_loops, random, winding_angles
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.solvers.assembly.idle import moved_by_spins
 from kempe.solvers.common.arguments import start_count
@@ -35,6 +35,7 @@ STARTS, VALUES = 256, 24
 """Random assemblies from which curves are traced, and values of each coordinate at which assembly modes are."""
 NEAR, SAME = 0.3, 1e-5
 """Distance from a node of a curve from which it is looked closer at, and that below which a point is on it."""
+NONE_INSIDE = "no configuration within limits and one-sided constraints was found"
 NOTHING = 1e-9
 """Part of a period that is rounding."""
 USUAL = Usual("components", starts=STARTS, rng=0, time_limit=TIME_LIMIT)
@@ -233,6 +234,8 @@ def components(system: System, *, budget: Budget | None = None) -> Components:
     if not has_loops(system):
         divided = bool(one_sided_rows(system).declared)
         why = "one-sided constraints may divide it" if divided else "a product of circles, intervals and rotations"
+        if divided and not _inside(system, system.mid, spend):
+            return Components(system, 0, False, NONE_INSIDE, None)
         return Components(system, 1, not divided, why, system.nv)
     known, sweep, late = _proven(system, time)
     if known and not known[0]:
@@ -248,6 +251,8 @@ def components(system: System, *, budget: Budget | None = None) -> Components:
     if mobility.useful != 1:
         why = f"no theorem is known here for {counted(mobility.dof or 0, 'freedom')}; one configuration is known"
         least = sweep.count if sweep else 1
+        if known is None and sweep is None and not _inside(system, mobility.q, spend):
+            return Components(system, 0, False, NONE_INSIDE, None, mobility.idle, late=late)
         count, why = known or (least, sweep.reason if sweep and least > 1 else why)
         return Components(system, count, known is not None, why, mobility.dof, mobility.idle, (), singular, late)
     found = _traced(system, mobility, sweep, spend, time, known[0] if known else None)
@@ -257,6 +262,16 @@ def components(system: System, *, budget: Budget | None = None) -> Components:
     count, why = _lower_bound(system, found, sweep) if known is None else (known[0], known[1] + found.said(known[0]))
     return Components(system, count, known is not None, why, mobility.dof, mobility.idle, found.parts, singular,
                       late or found.late)  # fmt: skip
+
+
+def _inside(system: System, home: Array, spend: Budget) -> bool:
+    """Whether a configuration within limits and one-sided constraints is known: `home`, or one that starts lead to."""
+    manifold = Manifold(system, 1)
+    if manifold.inside(home[None]).any():
+        return True
+    found = system.assemble(None, random(system, np.random.default_rng(spend.rng), start_count(spend.starts)))
+    ok = np.asarray(found.success, dtype=bool)
+    return bool(ok.any() and manifold.inside(found.q[ok]).any())
 
 
 def _proven(system: System, time: TimeLimit) -> tuple[tuple[int, str] | None, CurveSweep | None, bool]:

@@ -225,6 +225,9 @@ def reach_poses(
     X = numbers(targets, "targets")
     if X.ndim < 2 or (X.ndim == 2 and X.shape == (4, 4)):
         X = X[None]
+    if X.ndim > 3 or (X.ndim == 3 and X.shape[1:] not in ((4, 4), (3, 3))):
+        raise InputError(f"targets have shape {X.shape}; they must be a list: poses (n, 4, 4), rotations (n, 3, 3) or "
+                         f"places (n, {system.dim})")  # fmt: skip
     X = checked_poses(X)
 
     def work(first: int, last: int, each: Budget) -> list[Array]:
