@@ -263,3 +263,15 @@ def test_limits_can_leave_nothing_of_a_loop_with_two_freedoms(limit, count):
     m.revolute("D", "c", "d", at=(1, 0), child_at=(0.5, 0))
     found = m.build().configuration_space.components()
     assert found.count == count and not found.complete
+
+
+def test_the_image_of_a_task_is_of_configurations_within_one_sided_constraints():
+    def image(least):
+        m = kempe.Mechanism("arm", dim=2)
+        m.revolute("a", m.ground, m.body("A"), limits=(-1, 1))
+        m.revolute("b", "A", m.body("B"), at=(0.5, 0), limits=(-1, 1))
+        m.frame("tip", "B", at=(0.4, 0))
+        m.constrain(kempe.constraints.Distance("tip", "ground", at_least=least), "far")
+        return m.build().task_space("tip").image
+
+    assert image(2.0) == {} and image(0.85)["x"][0] >= 0.85 * np.cos(1.5)

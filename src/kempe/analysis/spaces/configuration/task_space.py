@@ -106,9 +106,9 @@ def task_space(
 
     `tasks` is a frame, whose pose counts (or, with ``task="position"``, its position), a task of `kempe.tasks` or a
     list of them. Ranks are those of the task's rates by the velocities that loops leave, at `q` (nq,) (by default a
-    configuration that was drawn) and, for the generic rank, at random configurations; the image of a tree is that of
-    10 000 more. Of the `budget` are read: starts (64 random configurations), rng (0). Errors: `InputError`,
-    `UnknownNameError`.
+    configuration that was drawn) and, for the generic rank, at random configurations; the image is that of those within
+    limits and one-sided constraints, of a tree of 10 000 more. Of the `budget` are read: starts (64 random
+    configurations), rng (0). Errors: `InputError`, `UnknownNameError`.
 
     >>> from kempe import load
     >>> print(task_space(load("two_link"), "e", task="position").status)
@@ -124,10 +124,12 @@ def task_space(
     every, m = np.concatenate([at[None], drawn]), sum(count(system, t) for t in wanted)
     ranks, n = image_ranks(system, every, np.concatenate([jacobian(system, t, every) for t in wanted], axis=-2))
     rank, generic = int(ranks[0]), int(ranks.max())
-    image = {}
+    image, p = dict[str, tuple[float, float]](), np.empty((0, 3))
     if frame is not None:
         seen = drawn if has_loops(system) else np.concatenate([drawn, random(system, rng, SEEN)])
+        seen = seen[Manifold(system, 1).inside(seen)]
         p = system.fk(seen, frame, form="position")
+    if frame is not None and len(p):
         image = {axis: (float(p[:, i].min()), float(p[:, i].max())) for i, axis in enumerate("xyz"[: system.dim])}
     return TaskSpace(system, name, m, n, rank, generic, at.copy(), image, len(drawn))
 
