@@ -96,10 +96,10 @@ def to_dh(
     """The Denavit-Hartenberg table of the chain that moves a frame; ``print`` it.
 
     Frames stand on the common normals of neighbouring axes (Denavit and Hartenberg, 1955); where axes are parallel, d
-    is zero. `convention` is "standard" or "modified", as `kempe.from_dh` explains it. Parameters on which directions
-    depend are replaced by their numbers. `symbols` and `snap` are those of `symbolic_fk`, for files whose angles are
-    rounded. Errors: those of `symbolic_steps`; `UnsupportedError` for quaternions, screws and gears, and where nothing
-    moves the frame.
+    is zero; of axes that are nearly so the common normal is far away, unless `snap` makes them parallel. `convention`
+    is "standard" or "modified", as `kempe.from_dh` explains it. Parameters on which directions depend are replaced by
+    their numbers. `symbols` and `snap` are those of `symbolic_fk`, for files whose angles are rounded. Errors: those of
+    `symbolic_steps`; `UnsupportedError` for quaternions, screws and gears, and where nothing moves the frame.
 
     >>> import kempe
     >>> print(to_dh(kempe.load("two_link"), "e"))

@@ -155,7 +155,7 @@ def coordinates_of(R: Array, dim: int) -> Array:
 def spread_rotations(n: int, dim: int) -> Array:
     """Rotations (n, 3, 3), spread evenly: in space a super-Fibonacci spiral.
 
-    Source: Alexa, "Super-Fibonacci winding_angles: fast, low-discrepancy sampling of SO(3)", CVPR 2022.
+    Source: Alexa, "Super-Fibonacci Spirals: Fast, Low-Discrepancy Sampling of SO(3)", CVPR 2022.
     """
     if dim == 2:
         return rotations_at(np.pad(2.0 * np.pi * np.arange(n)[:, None] / n, ((0, 0), (0, 2))), 2)

@@ -291,9 +291,11 @@ def _sharpened(problem: RankLoss, q: Array) -> Array:
 
     There the equations of a single loss are singular, and Newton's method comes near only.
     """
-    q, some = q.copy(), np.flatnonzero(problem.least(q) < FARTHER) if len(q) else np.zeros(0, dtype=np.int64)
-    other = problem.led(q[some])
-    near = np.abs(problem.between(q[some], other)).max(axis=1, initial=0.0) < BESIDE if len(some) else some > 0
+    if not len(q):
+        return q
+    some = np.flatnonzero(problem.least(q) < FARTHER)
+    q, other = q.copy(), problem.led(q[some])
+    near = np.abs(problem.between(q[some], other)).max(axis=1, initial=0.0) < BESIDE
     q[some[near]] = other[near]
     return q
 

@@ -18,7 +18,8 @@ OWN = ("rho", "theta", "phi", *(f"m_{k}" for k in (1, 2, 3)), *(f"n_{k}" for k i
 """Names of what is computed, and of the signs."""
 Z: Any = sympy.Matrix([0, 0, 1])
 BEND = "the bend, +1 in the sense of the first turn in the plane"
-PLACES = ("first", "second", "third", "fourth", "fifth", "sixth")
+PLACES = ("first", "second", "third", "fourth")
+"""Numbers of the joints that place the end, in words."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,32 @@ class ArmPlane:
         return steps + [FormulaStep(sympy.Symbol(j.coordinate), x, f"the {place} coordinate")
                         for j, x, place in zip(joints, found, PLACES[1:], strict=False)]  # fmt: skip
 
+    def wrist(
+        self, S: Any, a: Any, called: str, turn: tuple[Any, str], R: Any, names: dict[str, Any]
+    ) -> list[FormulaStep]:
+        """The last two coordinates, and the turn about the direction `a` before them, by the orientation R of the tip.
+
+        S (3, 3) is how that is turned which `a`, `called` so, turns in; `turn` is the symbol of the turn, and in words.
+        """
+        five, six = self.joints[-2:]
+        b, c, tip = five.along, six.along, self.tip[:3, :3]
+        m, k, wrist = [names[f"m_{i}"] for i in (1, 2, 3)], [names[f"n_{i}"] for i in (2, 3)], names["wrist"]
+        own = ((a, f"part of axis 6 along {called}"), (b, "along axis 5 at zero"), (tidy(a.cross(b)), "across both"))
+        far = ((b, f"part of {called} along axis 5 at zero, seen by the tip"), (tidy(c.cross(b)), "across both"))
+        seen = R * tidy(tip.T * c)
+        steps = [FormulaStep(s, short((S * e).dot(seen)), says) for s, (e, says) in zip(m, own, strict=True)]
+        steps += [FormulaStep(s, short((S * a).dot(R * tidy(tip.T * e))), says)
+                  for s, (e, says) in zip(k, far, strict=True)]  # fmt: skip
+        zero, some = sympy.atan2(b.dot(a.cross(c)), a.dot(c)), f"{m[1]} != 0 or {m[2]} != 0"
+        bend = sympy.atan2(wrist * sympy.sqrt(m[1] ** 2 + m[2] ** 2), m[0])
+        return steps + [
+            FormulaStep(sympy.Symbol(five.coordinate), bend - (0 if abs(float(zero)) < SMALL else zero),
+                        "+1 is no flip, -1 flip"),
+            FormulaStep(turn[0], sympy.atan2(wrist * m[1], -wrist * m[2]), turn[1], some),
+            FormulaStep(sympy.Symbol(six.coordinate), sympy.atan2(wrist * k[0], wrist * k[1]), "the sixth coordinate",
+                        some),
+        ]  # fmt: skip
+
     def flat(self, across: Any, up: Any) -> Vector:
         """Parts of a vector along `out`, and of another along z."""
         return tidy(sympy.Matrix([self.out.dot(across)]))[0], up[2]
@@ -105,11 +132,6 @@ def short(x: Any) -> Any:
     """The expression without products by zero and rounding, terms of a target's entry together."""
     x = tidy(sympy.Matrix([x]))[0]
     return sympy.collect(x, sorted((s for s in x.free_symbols if str(s).startswith("r_")), key=str))
-
-
-def less_zero(turn: Any, zero: Any) -> Any:
-    """A turn, less what it is at q = 0."""
-    return turn if abs(float(zero)) < SMALL else turn - zero
 
 
 def meeting(a: JointLine, b: JointLine) -> Any:

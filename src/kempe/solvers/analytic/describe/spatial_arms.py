@@ -10,17 +10,15 @@ from typing import Any
 
 from kempe.kinematics.formulas.derivation import FormulaStep
 from kempe.kinematics.formulas.plane_steps import Names
-from kempe.kinematics.formulas.symbolic_dh import JointLine, tidy
+from kempe.kinematics.formulas.symbolic_dh import JointLine
 from kempe.kinematics.formulas.symbolic_turns import sympy
 from kempe.solvers.analytic.describe.arm_plane import (
     ArmPlane,
     Z,
     is_on,
-    less_zero,
     meeting,
     normal_of,
     parallel,
-    short,
     turn_about,
     upright,
 )
@@ -41,27 +39,11 @@ class SpatialArm(ArmPlane):
     def steps(self, to: list[Any], R: Any, names: dict[str, Any], n: Names) -> list[FormulaStep]:
         """The first three coordinates, and those of the wrist."""
         three = [*self.turned_to(to, names), *self.placed(2, to[2], None, names, n)]
-        return three + (self._wrist(R, names) if R else [])
-
-    def _wrist(self, R: Any, names: dict[str, Any]) -> list[FormulaStep]:
-        """The last three coordinates: the parts of axis 6 along axes 4, 5 and across, as the third body sees them."""
-        four, five, six = self.joints[3:]
-        a, b, c, tip = four.along, five.along, six.along, self.tip[:3, :3]
-        m, k, wrist = [names[f"m_{i}"] for i in (1, 2, 3)], [names[f"n_{i}"] for i in (2, 3)], names["wrist"]
-        S, seen = self._third(), R * tidy(tip.T * c)
-        own = ((a, "part of axis 6 along axis 4"), (b, "along axis 5 at zero"), (tidy(a.cross(b)), "across both"))
-        far = ((b, "part of axis 4 along axis 5 at zero, seen by the tip"), (tidy(c.cross(b)), "across both"))
-        steps = [FormulaStep(s, short((S * e).dot(seen)), says) for s, (e, says) in zip(m, own, strict=True)]
-        steps += [FormulaStep(s, short((S * a).dot(R * tidy(tip.T * e))), says)
-                  for s, (e, says) in zip(k, far, strict=True)]  # fmt: skip
-        zero = sympy.atan2(b.dot(a.cross(c)), a.dot(c))
-        bend = sympy.atan2(wrist * sympy.sqrt(m[1] ** 2 + m[2] ** 2), m[0])
-        turns = (less_zero(bend, zero), sympy.atan2(wrist * m[1], -wrist * m[2]),
-                 sympy.atan2(wrist * k[0], wrist * k[1]))  # fmt: skip
-        says = ("+1 is no flip, -1 flip", "the fourth coordinate", "the sixth coordinate")
-        some = f"{m[1]} != 0 or {m[2]} != 0"
-        return steps + [FormulaStep(sympy.Symbol(j.coordinate), x, w, "" if j is five else some)
-                        for j, x, w in zip((five, four, six), turns, says, strict=True)]  # fmt: skip
+        if not R:
+            return three
+        four = self.joints[3]
+        turn = (sympy.Symbol(four.coordinate), "the fourth coordinate")
+        return three + self.wrist(self._third(), four.along, "axis 4", turn, R, names)
 
     def _third(self) -> Any:
         """How the third body is turned (3, 3) against q = 0."""

@@ -18,7 +18,7 @@ from kempe.kinematics.formulas.symbolic_dh import JointLine, joint_lines, tidy
 from kempe.kinematics.formulas.symbolic_turns import sympy
 from kempe.reals import is_whole
 from kempe.solvers.analytic.describe import arm_plane
-from kempe.solvers.analytic.describe.arm_plane import ArmPlane
+from kempe.solvers.analytic.describe.arm_plane import PLACES, ArmPlane
 from kempe.solvers.analytic.describe.parallel_arms import ParallelArm
 from kempe.solvers.analytic.describe.plane_arms import PlaneJoint, in_plane
 from kempe.solvers.analytic.describe.spatial_arms import SpatialArm
@@ -35,7 +35,6 @@ OWN = ("p_x", "p_y", "p_z", "phi", "w_x", "w_y", "w_z")
 """Names of the target, and of the place of the last joint, or of the wrist."""
 TURNED = tuple(f"r_{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))
 """Names of the entries of a target's rotation matrix."""
-PLACES = ("first", "second", "third", "fourth")
 
 
 @dataclass(frozen=True, eq=False)
