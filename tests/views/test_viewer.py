@@ -303,6 +303,13 @@ def test_the_panel_leaves_the_system_in_sight(browser, name, wide):
         assert seen.until(uncovered)
         points = places()
         assert np.ptp(points, axis=0).max() > 70
+        gear = seen.tab.locator(".mantine-ActionIcon-root").first
+        seen.drag((20, 30), (70, 130))
+        assert seen.until(lambda: np.abs(places() - points).max() > 20)
+        gear.click()
+        seen.press("Reset View")
+        gear.click()
+        assert seen.until(lambda: np.abs(places() - points).max() < 2) and uncovered()
         seen.tab.close()
 
 

@@ -14,6 +14,8 @@ import webbrowser
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Self
 
+import numpy as np
+
 from kempe.calls import flag
 from kempe.errors import InputError, MissingExtraError
 from kempe.reals import is_whole
@@ -41,6 +43,8 @@ SHEET = 576
 """Pixels up to which a page is so narrow that viser lays the panel over the picture, from below, as on phones."""
 COVERED = 0.6
 """Part of the height that it covers there at most."""
+SAME_VIEW = 1e-4
+"""Parts of its distance by which a camera may be off the one that pages begin with, to count as that."""
 
 
 def show(
@@ -108,13 +112,21 @@ class Viewer:
     def _connected(self, client: Any) -> None:
         session = self.session if self.share else copy.copy(self.session)
         session.lock = self.session.lock if self.share else threading.RLock()
-        wide, high = client.camera.image_width, client.camera.image_height
         client.camera.max_orbit_distance, client.camera.min_orbit_distance = float("inf"), self.drawn.near
+        client.camera.on_update(self._uncover)
+        self._uncover(client.camera)
+        self.pages[client.client_id] = Page(self, client, session, self.drawn)
+
+    def _uncover(self, camera: Any) -> None:
+        """Look past the panel from a camera that is where pages begin: put there at any moment, or by "Reset View"."""
+        begin, wide, high = self.server.initial_camera, camera.image_width, camera.image_height
+        off = np.linalg.norm([camera.position - begin.position, camera.look_at - begin.look_at])
+        if off > SAME_VIEW * np.linalg.norm(begin.position - begin.look_at):
+            return
         below = COVERED if wide <= SHEET else 0.0  # a width of 575 may be reported as 576
         aspect = (wide if below else wide - PANEL) / high
         if below or aspect < 1.0:
-            self.drawn.look_from(client.camera, aspect, below)
-        self.pages[client.client_id] = Page(self, client, session, self.drawn)
+            self.drawn.look_from(camera, aspect, below)
 
     def _gone(self, client: Any) -> None:
         page = self.pages.pop(client.client_id, None)
