@@ -113,19 +113,19 @@ class Viewer:
         session = self.session if self.share else copy.copy(self.session)
         session.lock = self.session.lock if self.share else threading.RLock()
         client.camera.max_orbit_distance, client.camera.min_orbit_distance = float("inf"), self.drawn.near
-        client.camera.on_update(self._uncover)
-        self._uncover(client.camera)
-        self.pages[client.client_id] = Page(self, client, session, self.drawn)
-
-    def _uncover(self, camera: Any) -> None:
-        """Look past the panel from a camera that is where pages begin: put there at any moment, or by "Reset View"."""
-        begin, wide, high = self.server.initial_camera, camera.image_width, camera.image_height
-        off = np.linalg.norm([camera.position - begin.position, camera.look_at - begin.look_at])
-        if off > SAME_VIEW * np.linalg.norm(begin.position - begin.look_at):
-            return
+        wide, high = client.camera.image_width, client.camera.image_height  # later without the panel
         below = COVERED if wide <= SHEET else 0.0  # a width of 575 may be reported as 576
         aspect = (wide if below else wide - PANEL) / high
         if below or aspect < 1.0:
+            client.camera.on_update(lambda _: self._uncover(client.camera, aspect, below))
+            self.drawn.look_from(client.camera, aspect, below)
+        self.pages[client.client_id] = Page(self, client, session, self.drawn)
+
+    def _uncover(self, camera: Any, aspect: float, below: float) -> None:
+        """Look past the panel from a camera that is where pages begin: put there late, or by "Reset View"."""
+        begin = self.server.initial_camera
+        off = np.linalg.norm([camera.position - begin.position, camera.look_at - begin.look_at])
+        if off <= SAME_VIEW * np.linalg.norm(begin.position - begin.look_at):
             self.drawn.look_from(camera, aspect, below)
 
     def _gone(self, client: Any) -> None:
