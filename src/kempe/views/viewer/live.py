@@ -12,6 +12,7 @@ import socket
 import threading
 import webbrowser
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -117,12 +118,12 @@ class Viewer:
         below = COVERED if wide <= SHEET else 0.0  # a width of 575 may be reported as 576
         aspect = (wide if below else wide - PANEL) / high
         if below or aspect < 1.0:
-            client.camera.on_update(lambda _: self._uncover(client.camera, aspect, below))
+            client.camera.on_update(partial(self._uncover, aspect=aspect, below=below))
             self.drawn.look_from(client.camera, aspect, below)
         self.pages[client.client_id] = Page(self, client, session, self.drawn)
 
     def _uncover(self, camera: Any, aspect: float, below: float) -> None:
-        """Look past the panel from a camera that is where pages begin: put there late, or by "Reset View"."""
+        """Put a camera that is where pages begin, late or by "Reset View", past the panel."""
         begin = self.server.initial_camera
         off = np.linalg.norm([camera.position - begin.position, camera.look_at - begin.look_at])
         if off <= SAME_VIEW * np.linalg.norm(begin.position - begin.look_at):
