@@ -136,7 +136,7 @@ def _tabled(system: System, frame: str, convention: str, leaves: SymbolLeaves) -
     for i, axis in enumerate(axes):
         (_, at), (foot, other), h, x = ends[i], ends[i + 1], axis.along, x_axes[i + 1]
         a, d = _value(_chopped((other - foot).dot(x))), _value(_chopped((foot - at).dot(h)))
-        alpha, theta = _angle(h, lines[i + 1].along, x), _angle(x_axes[i], x, h)
+        alpha, theta = _value(angle_about(h, lines[i + 1].along, x)), _value(angle_about(x_axes[i], x, h))
         held, before = ((a, alpha) if convention == "standard" else before), (a, alpha)
         rows.append(DHRow(*held, d, theta, "revolute" if axis.turns else "prismatic", axis.name, limits=axis.limits))
     base = _pose(x_axes[0], lines[0].along, start, system)
@@ -226,11 +226,11 @@ def _normal(one: JointLine, two: JointLine, at: Any, x: Any, system: System, las
     return foot, other, tidy(unit)
 
 
-def _angle(a: Any, b: Any, about: Any) -> Any:
-    """The angle from a to b about an axis that is perpendicular to both."""
+def angle_about(a: Any, b: Any, about: Any) -> Any:
+    """The angle from a to b about an axis that is perpendicular to both; multiples of 15 degrees exactly."""
     angle = sympy.atan2(about.dot(a.cross(b)), a.dot(b))
     exact = sympy.pi * sympy.Rational(round(float(angle) / math.pi * 12), 12)
-    return _value(exact if abs(float(angle - exact)) < SMALL else angle)
+    return exact if abs(float(angle - exact)) < SMALL else angle
 
 
 def tidy(matrix: Any) -> Any:

@@ -7,7 +7,7 @@ from typing import Any
 
 from kempe.kinematics.formulas.derivation import FormulaStep
 from kempe.kinematics.formulas.plane_steps import Names, Vector, polar
-from kempe.kinematics.formulas.symbolic_dh import JointLine, tidy
+from kempe.kinematics.formulas.symbolic_dh import JointLine, angle_about, tidy
 from kempe.kinematics.formulas.symbolic_turns import sympy
 from kempe.solvers.analytic.describe.plane_arms import PlaneJoint, in_plane
 
@@ -91,11 +91,10 @@ class ArmPlane:
         steps = [FormulaStep(s, short((S * e).dot(seen)), says) for s, (e, says) in zip(m, own, strict=True)]
         steps += [FormulaStep(s, short((S * a).dot(R * tidy(tip.T * e))), says)
                   for s, (e, says) in zip(k, far, strict=True)]  # fmt: skip
-        zero, some = sympy.atan2(b.dot(a.cross(c)), a.dot(c)), f"{m[1]} != 0 or {m[2]} != 0"
-        bend = sympy.atan2(wrist * sympy.sqrt(m[1] ** 2 + m[2] ** 2), m[0])
+        some = f"{m[1]} != 0 or {m[2]} != 0"
+        bend = sympy.atan2(wrist * sympy.sqrt(m[1] ** 2 + m[2] ** 2), m[0]) - angle_about(a, c, b)
         return steps + [
-            FormulaStep(sympy.Symbol(five.coordinate), bend - (0 if abs(float(zero)) < SMALL else zero),
-                        "+1 is no flip, -1 flip"),
+            FormulaStep(sympy.Symbol(five.coordinate), bend, "+1 is no flip, -1 flip"),
             FormulaStep(turn[0], sympy.atan2(wrist * m[1], -wrist * m[2]), turn[1], some),
             FormulaStep(sympy.Symbol(six.coordinate), sympy.atan2(wrist * k[0], wrist * k[1]), "the sixth coordinate",
                         some),
