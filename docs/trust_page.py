@@ -1,8 +1,7 @@
 """Writes docs/trust.md from the marks in README.md and docs/*.md: `python docs/trust_page.py`.
 
 A mark is a comment after a sentence, ``<!-- hunted: tests/path/test_file.py::test_name -->``, with several tests
-separated by blanks. A test fails where the page is stale, where a mark names no hunt, and where a sentence that claims
-something in general has no mark.
+separated by blanks. A test fails where the page is stale and where a mark names no hunt.
 """
 
 from __future__ import annotations
@@ -23,16 +22,6 @@ MARK = re.compile(r"<!--\s*hunted:\s*(.*?)\s*-->", re.DOTALL)
 COMMENT = re.compile(r"<!--(?!\s*hunted:).*?-->", re.DOTALL)
 BLOCK = re.compile(r"\n\s*\n|\n(?=\s*(?:[-*]|\d+\.)\s|\||#)")
 STOP = re.compile(r"(?<=[.!?])(?<!e\.g\.)(?<!\bp\.)\s+(?!<!--)(?=[^a-z])|(?<=-->)\s*(?=\S)")
-CODE = re.compile(r"(`+).*?\1|\]\([^)]*\)|\[[^\]]*\](?=\()", re.DOTALL)
-STRONG = (
-    "every|everything|always|never|cannot|exactly|whatever|wherever|whichever|whenever|impossible|guarantee[ds]?|"
-    "proofs?|proves?|proven|ever|without loss|without exception"
-)
-IN_CELLS = re.compile(rf"\b({STRONG})\b", re.IGNORECASE)
-IN_TEXT = re.compile(
-    rf"^(?:- )?No(?:body)? |\b({STRONG}|all|any|anything|nothing|none|complete|completely)\b", re.IGNORECASE
-)
-"""Words of a claim in general; a cell of a table that says "all" or "none" mostly names a thing."""
 HEAD = """\
 # What has been hunted
 
@@ -75,11 +64,6 @@ class Sentence(NamedTuple):
     text: str
     tests: tuple[str, ...]
     cell: bool
-
-    @property
-    def is_general(self) -> bool:
-        """Whether it has a word of a claim in general; what is in backticks and the texts of links do not count."""
-        return (IN_CELLS if self.cell else IN_TEXT).search(CODE.sub("", self.text)) is not None
 
 
 def pages() -> list[Path]:

@@ -53,8 +53,6 @@ LATER = {
 }  # fmt: skip
 """Modules that import to the right inside functions: another solver answers, or what is required of an answer later."""
 
-LARGEST_FOLDER = 14
-
 UPWARD = {
     ("description/mechanism.py", "build"), ("model/system.py", "*"), ("model/namespaces.py", "*"),
     ("model/pictured.py", "*"), ("model/former_names.py", "found"),
@@ -139,26 +137,6 @@ def test_folders_of_a_package_are_imported_in_their_order(package):
                 (to, folder), (at, here) = place(package, module), place(package, own)
                 later = function and folder in LATER.get(own, ())
                 assert folder == here or to < at or later, f"{own}:{line} imports {module}"
-
-
-@pytest.mark.parametrize("folder", sorted({p.parent for p in MODULES} - {SOURCE}), ids=lambda p: p.name)
-def test_a_folder_can_be_overlooked(folder):
-    count = len([path for path in folder.glob("*.py") if path.stem != "__init__"])
-    assert count <= LARGEST_FOLDER, f"{folder.name}: {count} modules"
-
-
-def test_a_module_has_its_name_alone():
-    """No name of a module stands in two folders: what is imported, or said in a message, is found at once."""
-    names = sorted(path.stem for path in MODULES if path.stem != "__init__")
-    assert sorted(set(names)) == names
-
-
-def test_a_class_has_its_name_alone():
-    """No name of a class has two meanings, be it with an underscore or without."""
-    names = sorted(
-        node.name.lstrip("_") for path in MODULES for node in sources.tree(path).body if isinstance(node, ast.ClassDef)
-    )
-    assert sorted(set(names)) == names
 
 
 @pytest.mark.parametrize("module", ["system.py", "namespaces.py", "pictured.py"])

@@ -19,7 +19,6 @@ import pytest
 import sources
 from command import Result
 from hunts import some
-from reviewed_sentences import REVIEWED
 from tables import restored
 from test_lecture import SAID
 
@@ -222,11 +221,6 @@ def test_pictures_of_the_gallery(tmp_path):
     assert all(0.002 < float((imread(p)[..., :3].min(axis=-1) < 0.9).mean()) < 0.6 for p in drawn)
 
 
-def test_the_map_is_up_to_date():
-    shown = (ROOT / "docs" / "_static" / "map.svg").read_text(encoding="utf-8")
-    assert shown == written_by("map_page").picture(), "run  python docs/map_page.py"
-
-
 def test_arrows_of_the_map_are_what_cannot_be_left_out():
     """Short cuts go, levels are longest paths, and a cycle has no levels."""
     chart = written_by("map_page")
@@ -269,11 +263,6 @@ trust = written_by("trust_page")
 claims = pytest.mark.parametrize("path", trust.pages(), ids=lambda p: p.stem)
 
 
-def reviewed(page: str) -> list[str]:
-    """Beginnings of the sentences of a page that have been read and need no hunt."""
-    return [start for pages_ in REVIEWED.values() for start in pages_.get(page, ())]
-
-
 @claims
 def test_marks_name_hunts(path):
     """A hunt, a property by Hypothesis or a battery of cases, which exists; a plain example hunts nothing."""
@@ -290,40 +279,6 @@ def test_marks_stand_behind_what_they_mark(path):
     assert len(re.findall("hunted:", text)) == len(trust.MARK.findall(text)) == sum(
         len(s.tests) > 0 for s in trust.sentences(path)
     )  # fmt: skip
-
-
-@claims
-def test_general_sentences_are_hunted_or_reviewed(path):
-    page = path.relative_to(ROOT).as_posix()
-    starts = reviewed(page)
-    open_ = [
-        s.text for s in trust.sentences(path)
-        if s.is_general and not s.tests and not any(s.text.startswith(x) for x in starts)
-    ]  # fmt: skip
-    assert not open_, "name the test that hunts it (<!-- hunted: ... -->), or say less:\n" + "\n".join(open_)
-
-
-def test_reviewed_sentences_stand_where_they_are_said_to():
-    """And need the review: they are general, and not hunted."""
-    for page in {p for pages_ in REVIEWED.values() for p in pages_}:
-        found = [s for s in trust.sentences(ROOT / page) if s.is_general and not s.tests]
-        for start in reviewed(page):
-            assert sum(s.text.startswith(start) for s in found) == 1, f"{page} has no open sentence {start!r}"
-    assert sum(len(reviewed(p)) for p in {p for pages_ in REVIEWED.values() for p in pages_}) <= 20, "keep it short"
-
-
-@pytest.mark.parametrize(
-    ("text", "general"),
-    [
-        ("It never fails.", [True]), ("It may fail.", [False]), ("One. All are found. Some are.", [False, True, False]),
-        ("The call `all(x)` ends.", [False]), ("[All solutions](ik_all.md) has more.", [False]),
-        ("# Every heading", []), ("| all | always right |", [False, True]), ("It cannot be (e.g. now).", [True]),
-        ("- Some.\n- Whatever\n  it is.", [False, True]), ("This is a proof: it follows.", [True]),
-        ("Version 0.1 is out.", [False]), ("Any\nbody is meant.", [True]), ("It is complete. Not so.", [True, False]),
-    ],
-)  # fmt: skip
-def test_general_sentences_are_noticed(text, general):
-    assert [s.is_general for s in trust.sentences_of(text, "page")] == general
 
 
 def test_marks_are_read():
