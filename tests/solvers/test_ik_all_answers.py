@@ -186,3 +186,58 @@ def test_many_starts_find_what_closed_forms_find(name):
         np.testing.assert_array_equal(rows[i, used, n + 1] % 2 == 1, inside)
         np.testing.assert_allclose(found[inside], wanted[order][inside], atol=1e-6)
         assert (rows[i, used, n] <= question.tolerance).all()
+
+
+# ---- joints that do not move the frame
+
+
+def two_arms(joints: int) -> kempe.System:
+    """Arms beside each other: zero is inside the limits of the first, outside those of the other."""
+    m = kempe.Mechanism("two arms")
+    for side, limits in (("a", (-3.0, 3.0)), ("b", (0.5, 2.0))):
+        body = m.ground
+        for k in range(joints):
+            child, axis = m.body(f"{side}{k}"), np.eye(3)[(2, 1, 0)[k % 3] if joints == 7 else (2, 1, 1)[k]]
+            at = (0.4 if k and joints == 3 or k % 2 else 0.0, 0.0, 0.1)
+            m.revolute(f"{side} q{k}", body, child, at=at, axis=axis, limits=limits)
+            body = child
+        m.frame(f"{side} tip", body, at=(0.3, 0.0, 0.0))
+    return m.build()
+
+
+def assert_inside(system, q):
+    """Configurations (..., nq) are inside the limits of every joint."""
+    q = np.atleast_2d(q)
+    assert len(q) and np.isfinite(q).all()
+    assert ((q >= system.lower - 1e-12) & (q <= system.upper + 1e-12)).all(), q
+
+
+@pytest.mark.parametrize("with_start", [False, True])
+def test_solutions_inside_the_limits_are_so_for_joints_outside_the_chain(with_start):
+    system = two_arms(3)
+    q = np.concatenate([[0.3, 0.4, 0.5], np.ones(3)])
+    X = system.fk(q, "a tip")[:3, 3]
+    start = np.concatenate([q[:3], np.zeros(3)]) if with_start else None
+    for options in ({}, {"limits": True}, {"limits": "turns"}):
+        answer = system.ik_all(X, "a tip", start, **options)
+        assert answer and answer.inside.any()
+        assert_inside(system, answer.q[answer.inside])
+        np.testing.assert_array_equal(answer.q[:, 3:], np.full((len(answer), 3), 0.5))  # as of `ik`
+        np.testing.assert_array_equal(answer.q[0, 3:], system.ik(X, "a tip", start).q[3:])
+    batch = system.ik_all(np.tile(X, (5, 1)), "a tip", start)
+    assert_inside(system, batch.q[batch.mask & batch.inside])
+    kept = system.ik_all(X, "a tip", np.concatenate([q[:3], np.full(3, 1.7)]))
+    np.testing.assert_array_equal(kept.q[:, 3:], np.full((len(kept), 3), 1.7))
+
+
+@pytest.mark.parametrize("with_start", [False, True])
+def test_the_best_of_a_sweep_is_inside_the_limits_of_joints_outside_the_chain(with_start):
+    system = two_arms(7)
+    q = np.concatenate([[0.3, 0.5, -0.4, 0.8, 0.3, 0.4, 0.2], np.ones(7)])
+    X, start = system.fk(q, "a tip"), np.concatenate([q[:7], np.zeros(7)]) if with_start else None
+    sweep = system.inverse.sweep(X, "a tip", "a q2", n=8, start=start)
+    assert_inside(system, sweep.q[sweep.inside])
+    best = sweep.best()
+    assert_inside(system, best.q)
+    at = sweep.at(best.value)
+    assert_inside(system, at.q[at.inside])

@@ -94,12 +94,84 @@ def test_structured_arms_of_few_joints(kinds, task, hunt):
         assert not false_of(arm, task, rng, 20), f"{rows}"
 
 
-def false_of(arm: arms.Arm, task: str, rng: np.random.Generator, count: int) -> list[tuple]:
+WRIST, SHOULDER = [(0, H, 0), (0, -H, 0), (0, 0, 0.1)], [(0, H, 0.4), (0.3, 0, 0), (0.1, H, 0)]
+"""Rows (a, alpha, d) of three axes through a point, and of an axis across two that are parallel."""
+
+STRUCTURES = {  # rows (a, alpha, d), kinds, tasks
+    "shoulder": (SHOULDER, "RRR", ["position"]),
+    "meeting": ([(0, H, 0), (0.1, 0, 0), (0.35, H, 0)], "RRR", ["position"]),
+    "slide first": ([(0, H, 0), (0, H, 0.2), (0.3, 0, 0)], "PRR", ["position"]),
+    "slide last": ([(0, H, 0.2), (0, H, 0), (0.3, 0, 0)], "RRP", ["position"]),
+    "slide between": ([(0, H, 0), (0.2, H, 0), (0.3, 0, 0.1)], "RPR", ["position"]),
+    "cylinder": ([(0, H, 0), (0.35, 0, 0.1), (0, 0, 0)], "RPR", ["position"]),
+    "wrist": (WRIST, "RRR", ["orientation", "direction"]),
+    "parallel": ([(0.3, 0, 0), (0.2, 0, 0), (0.1, 0, 0)], "RRR", ["pose"]),
+    "scara": ([(0.3, 0, 0.2), (0.2, PI, 0), (0, 0, 0), (0, 0, 0.1)], "RRPR", ["pose", "position_axis"]),
+    "four": ([*SHOULDER[:2], (0.2, 0, 0), (0.1, H, 0)], "RRRR", ["pose"]),
+    "five": ([*SHOULDER[:2], (0.2, H, 0), (0, 0, 0.1), (0, H, 0.1)], "RRRRR", ["pose", "position_axis"]),
+    "three parallel": ([*SHOULDER[:2], (0.25, 0, 0), (0, H, 0.1), (0, -H, 0.1), (0, 0, 0.1)], "RRRRRR", ["pose"]),
+    "spherical wrist": ([*SHOULDER[:2], (0.1, H, 0), (0, H, 0.3), *WRIST[1:]], "RRRRRR", ["pose"]),
+    "orthogonal": ([(0, H, 0.3), (0.1, H, 0), (0, -H, 0.2), (0.2, H, 0), (0, -H, 0.1), (0, 0, 0.1)], "RRRRRR",
+                   ["pose"]),
+    "Stanford": ([(0, -H, 0.4), (0, H, 0.1), (0, 0, 0), *WRIST], "RRPRRR", ["pose"]),
+    "slides": ([(0, H, 0), (0, H, 0), (0, 0, 0), *WRIST], "PPPRRR", ["pose"]),
+}  # fmt: skip
+
+
+def nearly_structured(name: str, rng: np.random.Generator) -> tuple[arms.Arm, str, list[tuple]]:
+    """An arm of which some numbers, or all, are off by 1e-12 to 1e-6, a task, and its rows."""
+    table, kinds, tasks = STRUCTURES[name]
+    size, part = 10.0 ** rng.uniform(-12, -6), rng.choice([0.1, 0.3, 1.0])
+    rows: list[tuple] = []
+    for row, kind in zip(table, kinds, strict=True):
+        off = size * rng.standard_normal(3) * (rng.random(3) < part)
+        values = (float(x + e) for x, e in zip(row, off, strict=True))
+        rows.append((*values, 0.0, "prismatic" if kind == "P" else "revolute"))
+    return arms.table(name, rows, "nearly structured", 16), str(rng.choice(tasks)), rows
+
+
+@pytest.mark.parametrize("name", some(STRUCTURES, 3))
+def test_nearly_structured_arms_lose_no_solution(name, hunt):
+    """Arms whose numbers are off by what rounding and calibration leave: equations that are nearly apart are solved."""
+    rng = hunt.rng()
+    for _ in range(hunt.cases(6)):
+        arm, task, rows = nearly_structured(name, rng)
+        assert not false_of(arm, task, rng, 20), f"{task}, {rows}"
+        q = rng.uniform(-PI, PI, (50, len(rows))) * np.where(arm.model.kinds == oracle.SLIDE, 0.2, 1.0)
+        assert not false_of(arm, task, rng, q=q), f"{task}, {rows}"
+
+
+def test_three_joints_off_by_rounding_of_their_table():
+    """A shoulder whose axes meet, and two parallel ones, but for nanometres: one in nine solutions was missing."""
+    for seed in range(2):
+        rng, rows = np.random.default_rng(seed), STRUCTURES["meeting"][0]
+        off = 3e-9 * rng.standard_normal((3, 3))
+        table = [(*(x + e for x, e in zip(row, o, strict=True)), 0.0) for row, o in zip(rows, off, strict=True)]
+        arm = arms.table("rounded", table, "nearly structured", 16)
+        q = rng.uniform(-PI, PI, (200, 3))
+        answer = arm.system.ik_all(arm.model.fk(q), arm.frame, task="position")
+        assert answer.complete.all()
+        assert not false_of(arm, "position", rng, q=q)
+
+
+@pytest.mark.parametrize("rows", [
+    [(0.35, 0.7, -5e-8), (6e-8, H - 6e-8, 5e-9), (0.1, PI - 2.3e-8, 4e-8), (-0.2, PI - 5.6e-9, 0.35), (0, 0.7, 0.1)],
+    [(0.5, 0.7, 0.35), (0.5, PI + 2.3e-9, 0.0), (0.5, PI - 2.1e-9, 0.0), (0.5, H, 0.35), (0.1, 0.7, -0.2)],
+])  # fmt: skip
+def test_three_axes_that_are_parallel_to_rounding_have_no_point_in_common(rows):
+    """The point in which they meet lies anywhere: it was computed from a singular matrix."""
+    arm = arms.table("parallel", [(*row, 0.0) for row in rows], "nearly structured", 16)
+    rng = np.random.default_rng(0)
+    assert not false_of(arm, "position_axis", rng, q=rng.uniform(-PI, PI, (20, 5)))
+
+
+def false_of(arm: arms.Arm, task: str, rng: np.random.Generator, count: int = 0, q=None) -> list[tuple]:
     """Regular solutions that answers said to be complete have not: (q that gave the target, solution)."""
     m = arm.model
-    shape = (count, arm.system.nq)
-    q = 0.25 * PI * rng.integers(-4, 5, shape) + np.where(rng.random(shape) < 0.4, rng.uniform(-1, 1, shape), 0.0)
-    X = m.fk(q)
+    if q is None:
+        shape = (count, arm.system.nq)
+        q = 0.25 * PI * rng.integers(-4, 5, shape) + np.where(rng.random(shape) < 0.4, rng.uniform(-1, 1, shape), 0.0)
+    shape, X = q.shape, m.fk(q)
     answer = arm.system.ik_all(X, arm.frame, task=task)
     if answer.plan.locked or answer.plan.method == "search":
         return []

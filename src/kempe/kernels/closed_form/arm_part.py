@@ -33,8 +33,9 @@ OPEN if there is a root that it may lead to."""
 FAINT = 1e-5
 """Size below which the square root of rounding leaves open what a joint does between others: values are tried."""
 
-SAMPLES, MOST, OPEN = 4, 6, 0.25
-"""Samples of a joint that is free; values of one joint at most: samples after roots."""
+SAMPLES, MOST, OPEN, REPEATED = 4, 6, 0.25, 1e-3
+"""Samples of a joint that is free; values of one joint at most: samples after roots; marks in the place of SAMPLED: of
+a sample that may lead to a root, and of a value that may lead to a root that is a candidate already."""
 
 
 class PointOrPlane(NamedTuple):

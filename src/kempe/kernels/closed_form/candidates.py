@@ -32,6 +32,7 @@ from kempe.kernels.closed_form.arm_part import (
     FAINT,
     NOTHING,
     OPEN,
+    REPEATED,
     SAMPLED,
     VALUE_STRIDE,
     WIDE,
@@ -40,16 +41,18 @@ from kempe.kernels.closed_form.arm_part import (
     outer_of,
     put_samples,
     second_values,
+    x_centre,
     x_terms,
+    z_centre,
     z_terms,
 )
-from kempe.kernels.closed_form.quartic import coupled_pairs, faint, steadiness
+from kempe.kernels.closed_form.quartic import coupled_pairs, faint, steadiness, uncoupled, uncoupled_pairs
 from kempe.kernels.closed_form.wrist_part import ANY, ball_triple, planar_triple
 from kempe.kernels.forward.table_layout import SLIDE
 
 CANDIDATE, SLOT, SAMPLE = 8, 6, 7
 """Numbers of a candidate: six variables; its slot by signs; 1 if it has a sample of a free joint, less if that may lead
-to a root."""
+to a root, REPEATED if it may be one of those before."""
 
 DEPENDENT = 1e-7
 """Steadiness of both outer joints below which their two equations are nearly one."""
@@ -58,9 +61,9 @@ MOST_CANDIDATES = 192
 """Candidates at most."""
 
 AT_LINES, AT_TERMS, AT_X, AT_Z, AT_Y, AT_INNER = 0, 48, 60, 84, 108, 132
-AT_WORK, AT_MOTION, AT_DOUBT, AT_SOME, SCRATCH = 204, 228, 240, 241, 265
+AT_WORK, AT_MOTION, AT_DOUBT, AT_SOME, AT_APART, SCRATCH = 204, 228, 240, 241, 265, 313
 """Places in the scratch: lines round the loop, terms, values of x, z, y and the inner joints, work, a motion, doubt,
-samples."""
+samples, values of two equations that are solved apart."""
 
 
 @device
@@ -120,7 +123,7 @@ def inner_values(kinds, lines, goal, k, what, x, y, z, scratch):
         follow(d, three(around, at), three(around, at + 4), kinds[j] == SLIDE, -v[2], v[0], -v[1])
     a, b, c = LINE_STRIDE * k, LINE_STRIDE * (k + 1), LINE_STRIDE * (k + 2)
     work, out = beyond(scratch, AT_WORK), beyond(scratch, AT_INNER)
-    wide = ANY if x[SAMPLED] + y[SAMPLED] + z[SAMPLED] > 0.0 else WIDE
+    wide = ANY if x[SAMPLED] + y[SAMPLED] + z[SAMPLED] > REPEATED else WIDE
     if what == POINT:
         return ball_triple(three(lines, a), three(lines, b), three(lines, c), d, wide, work, out)
     return planar_triple(
@@ -207,7 +210,15 @@ def closed_candidates(kinds, lines, goal, k, what, mode, measure, option, scratc
                 for j in range(put_samples(outer.kz == SLIDE, 0, some, OPEN, z[2])):
                     z = beyond(some, VALUE_STRIDE * j)
                     count = with_middles(kinds, lines, goal, k, outer, x, z, -1 - i, scratch, out, count)
-        dependent = max(steadiness(tx), steadiness(tz)) < DEPENDENT
+        apart = uncoupled(tx, tz)
+        if apart:
+            work = beyond(scratch, AT_APART)
+            pairs = uncoupled_pairs(outer.kx == SLIDE, outer.kz == SLIDE, tx, tz, x_centre(outer), z_centre(outer),
+                                    work, xs, zs)  # fmt: skip
+            for i in range(pairs):
+                x, z = beyond(xs, VALUE_STRIDE * i), beyond(zs, VALUE_STRIDE * i)
+                count = with_middles(kinds, lines, goal, k, outer, x, z, -1 - i, scratch, out, count)
+        dependent = not apart and max(steadiness(tx), steadiness(tz)) < DEPENDENT
         return count, dependent or scratch[AT_DOUBT] != 0.0
     firsts = zs if mode == Z_FIRST else xs
     seconds = xs if mode == Z_FIRST else zs

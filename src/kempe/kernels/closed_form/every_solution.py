@@ -9,6 +9,7 @@ from kempe.kernels.base.declare import FLOAT, INT, OUT, OUTI, F, I
 from kempe.kernels.base.scratch import beyond
 from kempe.kernels.base.vectors import keep, raw
 from kempe.kernels.closed_form.analytic_layout import INFO, INNER, MEASURE, MODE, N_JOINTS, OPTION, ORDER, WHAT
+from kempe.kernels.closed_form.arm_part import REPEATED
 from kempe.kernels.closed_form.candidates import CANDIDATE, MOST_CANDIDATES, SAMPLE, SCRATCH, closed_candidates
 from kempe.kernels.closed_form.folds import split
 from kempe.kernels.closed_form.merging import (
@@ -33,7 +34,7 @@ def led_nowhere(d, candidates, count):
     """
     tried, singular, exact = False, False, True
     for k in range(candidates):
-        tried = tried or d.candidates[CANDIDATE * k + SAMPLE] != 0.0
+        tried = tried or d.candidates[CANDIDATE * k + SAMPLE] > REPEATED
     for k in range(count):
         row = beyond(d.found.rows, (SOLUTION + d.n) * k)
         if row[TURNS] == 0.0:

@@ -44,9 +44,11 @@ from kempe.kernels.closed_form.analytic_layout import (
     WEAK_BIT,
 )
 from kempe.kernels.closed_form.analytic_layout import ERROR as ERROR_AT
+from kempe.kernels.closed_form.arm_part import REPEATED
 from kempe.kernels.closed_form.candidates import CANDIDATE, MOST_CANDIDATES, SAMPLE
 from kempe.kernels.closed_form.candidates import SLOT as CANDIDATE_SLOT
 from kempe.kernels.closed_form.merging import (
+    AGAIN,
     ERROR,
     MERGED,
     MOST_SOLUTIONS,
@@ -251,9 +253,11 @@ def take_candidates(d, order, first, last, kind, count):
         row = beyond(d.candidates, CANDIDATE * k)
         for i in range(d.n):
             d.theta[i] = d.fixed[i]
-        sound, sampled, of = True, row[SAMPLE] != 0.0, kind
+        sound, sampled, of = True, row[SAMPLE] > REPEATED, kind
         if sampled:
             of = SAMPLED if row[SAMPLE] == 1.0 else OPENED
+        elif row[SAMPLE] == REPEATED:
+            of = AGAIN
         for i in range(6):
             j = order[i]
             if j < d.n:

@@ -5,7 +5,18 @@ from __future__ import annotations
 import math
 
 from kempe.kernels.base._jit import device, routine
-from kempe.kernels.closed_form.arm_part import FAINT, VOID, put, put_angle
+from kempe.kernels.base.scratch import beyond
+from kempe.kernels.closed_form.arm_part import (
+    FAINT,
+    MOST,
+    REPEATED,
+    VALUE_STRIDE,
+    VOID,
+    WIDE,
+    one_unknown,
+    put,
+    put_angle,
+)
 from kempe.kernels.closed_form.subproblems import TINY
 
 TURNS, ENOUGH = 60, 1e-15
@@ -160,5 +171,63 @@ def coupled_pairs(x_slides, z_slides, tx, tz, work, out_x, out_z):
     return pairs_of(z_slides, x_slides, tz, tx, work, out_z, out_x)
 
 
+UNCOUPLED = 1e-2
+"""What a joint may add to the equation of the other, relative to its part in its own, for these to be solved apart."""
+
+
+@device
+def least_row(t):
+    """The combination (2) of the two rows of factors of one joint that has the least of this joint."""
+    p, q, r = t[1] * t[1] + t[2] * t[2], t[1] * t[4] + t[2] * t[5], t[4] * t[4] + t[5] * t[5]
+    angle = 0.5 * math.atan2(2.0 * q, p - r)
+    return -math.sin(angle), math.cos(angle)
+
+
+@device
+def combined(w, t):
+    """Constant, first and second factor of one joint in a combination of both equations."""
+    return w[0] * t[0] + w[1] * t[3], w[0] * t[1] + w[1] * t[4], w[0] * t[2] + w[1] * t[5]
+
+
+@device
+def amplitude(row):
+    """The size of the factors of a joint in one equation."""
+    return math.hypot(row[1], row[2])
+
+
+@device
+def uncoupled(tx, tz):
+    """Whether a combination of the equations has hardly anything of z, and another one hardly anything of x.
+
+    The polynomial of degree four then nearly is a square: its roots lie in pairs, which rounding moves by its root,
+    and with each root the other joint has two values, between which the pair decides.
+    """
+    without_x, without_z = least_row(tx), least_row(tz)
+    x_alone, z_alone = amplitude(combined(without_z, tx)), amplitude(combined(without_x, tz))
+    z_left, x_left = amplitude(combined(without_z, tz)), amplitude(combined(without_x, tx))
+    return x_left < UNCOUPLED * x_alone and z_left < UNCOUPLED * z_alone and min(x_alone, z_alone) > FAINT
+
+
+@routine
+def uncoupled_pairs(x_slides, z_slides, tx, tz, x_centre, z_centre, work, out_x, out_z):
+    """Number of pairs of values of x and z, up to four, that satisfy both equations where these are `uncoupled`.
+
+    Either has one unknown if the little that the other joint adds is left out of that for x: pairs to be polished.
+    """
+    without_x, without_z = least_row(tx), least_row(tz)
+    x, z = combined(without_z, tx), combined(without_z, tz)
+    own_x, own_z = combined(without_x, tx), combined(without_x, tz)
+    firsts, seconds, found = work, beyond(work, VALUE_STRIDE * MOST), 0
+    for i in range(one_unknown(x_slides, x[1], x[2], z[0] - x[0], WIDE, x_centre, firsts)):
+        first = beyond(firsts, VALUE_STRIDE * i)
+        known = own_x[0] + own_x[1] * first[0] + own_x[2] * first[1]
+        for j in range(one_unknown(z_slides, own_z[1], own_z[2], known - own_z[0], WIDE, z_centre, seconds)):
+            second = beyond(seconds, VALUE_STRIDE * j)
+            put(out_x, found, first[0], first[1], first[2], REPEATED)
+            put(out_z, found, second[0], second[1], second[2], 0.0)
+            found += 1
+    return found
+
+
 WORK = 5
-"""Numbers of `work`."""
+"""Numbers of `work` that the roots of one polynomial take."""

@@ -28,7 +28,7 @@ from kempe.solvers.analytic.plans.choice import plan_holding
 from kempe.solvers.analytic.plans.plan import ChainPlan, kernel_of, side_by_side_of
 from kempe.solvers.analytic.plans.question import Question, held, held_by, near_of, within
 from kempe.solvers.common.problem import Choice, Problem, Solver, TaskOf, choose, chosen_by, takes_all
-from kempe.solvers.common.serial_chain import of_loops
+from kempe.solvers.common.serial_chain import inside, of_loops
 from kempe.solvers.common.targets import (
     Z_AXIS,
     axis_for,
@@ -77,8 +77,9 @@ def ik_all(
     a dict of numbers, or of arrays of one for each target; others that are to spare where `start` has them, and
     elsewhere for targets that have no solution inside the limits there: `Solutions.held` says where. Solutions are
     sorted: inside the limits first, then by nearness to `start` (nq,), which also chooses among turns; with
-    `limits` others are dropped, and with ``limits="turns"`` every turn inside the limits is listed. What violates
-    one-sided constraints of the system is left out, and the status says so.
+    `limits` others are dropped, and with ``limits="turns"`` every turn inside the limits is listed. Joints that do not
+    move `frame` keep their values in `start`, else the neutral ones, brought inside their limits, as in `ik`. What
+    violates one-sided constraints of the system is left out, and the status says so.
 
     Each solution is verified by the forward model to `tolerance` [m, rad] (1e-9, or to rounding, far away). What is not
     reached has no solutions and a `status` that says why; ``answer.expect()`` raises `NoSolutionError` for it. Of the
@@ -186,8 +187,8 @@ class BoundIkAll:
 
     def __init__(self, system: System, frame: str, plan: ChainPlan, kernel: Callable[..., int]):
         self.system, self.frame, self.plan, self.kernel = system, frame, plan, kernel
-        self.base = system.neutral[None]
-        self.near = np.ascontiguousarray(self.base[:, plan.lines.q_index])
+        self.base = inside(system, system.neutral[None].copy())
+        self.near = np.ascontiguousarray(system.neutral[None, plan.lines.q_index])
         self.counts = np.zeros((1, 2), dtype=np.int64)
         self.ints, self.floats = plan.ints, plan.floats
         self.left = np.zeros(1, dtype=np.int64)  # written, never read
@@ -263,6 +264,7 @@ def solve(
     lines, system = plan.lines, question.system
     base = system.neutral[None] if near is None else near
     chain_near = np.ascontiguousarray(base[:, lines.q_index])
+    base = inside(system, base.copy())
     start = np.array([plan.first]) if near is None and plan.first else chain_near
     first = _locked(question, plan, start, values) if plan.locked else chain_near
     out, counts = solve_held(question, plan, chain_near, first, threads)

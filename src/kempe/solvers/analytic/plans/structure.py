@@ -18,6 +18,9 @@ EXACT = 1e-9
 
 Chains that are farther from a structure than this, calibrated ones say, are solved as what they are."""
 
+NO_POINT = 1e-15
+"""Least part across all of some axes, squared, below which rounding leaves open in which point these meet."""
+
 TURNED_OVER = 40
 """Orders of slides among turns along their direction that are looked at."""
 
@@ -78,7 +81,7 @@ def meeting(axes: Axes, places: tuple[int, ...]) -> Array | None:
     """The point (3,) in which these axes meet, None where they do not (or are all parallel)."""
     across = np.eye(3) - axes.h[list(places), :, None] * axes.h[list(places), None, :]
     total: Array = across.sum(axis=0)
-    if np.linalg.svd(total, compute_uv=False)[-1] <= EXACT**2:
+    if np.linalg.svd(total, compute_uv=False)[-1] <= NO_POINT:
         return None
     moments: Array = np.einsum("nij,nj->i", across, axes.o[list(places)])
     centre = np.asarray(np.linalg.solve(total, moments), dtype=float)

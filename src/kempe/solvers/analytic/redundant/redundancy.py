@@ -25,6 +25,7 @@ from kempe.solvers.analytic.redundant.sweep import Sweep
 from kempe.solvers.analytic.redundant.sweep_curves import ChainMotion, CurvePiece
 from kempe.solvers.analytic.redundant.sweep_net import arcs_through
 from kempe.solvers.common.problem import Problem, Solver, choose, chosen_by
+from kempe.solvers.common.serial_chain import inside
 from kempe.solvers.common.targets import Z_AXIS, axis_for, refuse_position, targets_of, task_and_axis, task_of
 from kempe.spatial import Array
 from kempe.words import counted
@@ -81,8 +82,10 @@ def ik_sweep(
     task = task_of(said, is_position, bool(system.structure.table.at[name][2]))
     refuse_position(task, is_position, system.dim)
     given_near = near_of(system, start, None)
-    base = system.neutral if given_near is None else given_near[0]
+    near = system.neutral[None] if given_near is None else given_near
     lines = chain_lines(system, name, Z_AXIS)
+    base = inside(system, near.copy())[0]
+    base[lines.q_index] = near[0, lines.q_index]  # which chooses among turns, also from outside the limits
     if task != "position" and system.dim == 3:
         _refuse_no_rotation(targets[0, :3, :3])
     given = held(name, lines.names, fixed)
