@@ -311,3 +311,82 @@ def test_a_frame_is_held_at_what_the_task_names(task):
     assert (pointed < 1e-8) == (task != "position")
     with pytest.raises(InputError, match="task"):
         s.inverse.self_motion(q, tasks.Pose("tool", X), task=task)
+
+
+# ---- joints that do not move the frame
+
+
+def with_others(n: int, joints: int, loop: bool) -> kempe.System:
+    """A planar arm of n turns with fingers at its end and an arm beside it, or a four-bar whose coupler carries it."""
+    m = kempe.Mechanism("arm and others", dim=2)
+    body = m.ground
+    if loop:
+        crank, coupler, rocker = m.body("crank"), m.body("coupler"), m.body("rocker")
+        m.revolute("A", m.ground, crank)
+        m.revolute("B", crank, coupler, at=(0.5, 0))
+        m.revolute("C", coupler, rocker, at=(0.9, 0), child_at=(0.7, 0))
+        m.revolute("D", m.ground, rocker, at=(1, 0))
+        body = coupler
+    for k in range(n):
+        child = m.body(f"link{k}")
+        m.revolute(f"q{k}", body, child, at=(0.4 if k else 0.2, 0))
+        body = child
+    m.frame("tip", body, at=(0.3, 0))
+    other = m.ground
+    for k in range(joints):
+        child = m.body(f"other{k}")
+        m.revolute(f"o{k}", (body, other)[k % 2], child, at=(0.1, 0.1 * k))
+        other = child
+    return m.build()
+
+
+@pytest.mark.parametrize("others", [1, 4])
+@pytest.mark.parametrize("loop", [False, True])
+def test_freedoms_of_joints_that_do_not_move_the_frame_are_no_redundancy(loop, others):
+    """An arm counts as it does without fingers and without the arm beside it: m, n, rank, and its curve."""
+    alone, system = with_others(3, 0, loop), with_others(3, others, loop)
+    q0 = alone.assemble({"A": 0.9}).q if loop else np.zeros(3)
+    q0[alone.structure.velocity_names.index("q0") :] = 0.3, 0.5, -0.4
+    q = system.q(alone.q_dict(q0))
+    for task in ("position", "pose"):
+        target = alone.fk(q0, "tip")
+        target = target[:2, 3] if task == "position" else target
+        answers = [s.ik(target, "tip", start=x, task=task) for s, x in ((alone, q0), (system, q))]
+        assert all(answers)
+        assert [(a.m, a.n, a.rank, a.redundancy) for a in answers][1:] == [
+            (answers[0].m, 3 + loop, answers[0].m, 3 + loop - answers[0].m)
+        ]
+        basis, names = answers[1].self_motion, system.structure.velocity_names
+        assert basis.shape == (system.nv, 3 + loop - answers[1].m)
+        assert not basis[[names.index(f"o{k}") for k in range(others)]].any()
+        by_tasks = system.ik([tasks.Pose("tip", alone.fk(q0, "tip"))], start=q)
+        assert (by_tasks.n, by_tasks.redundancy) == (3 + loop, loop)
+    if not loop:
+        budget = kempe.Budget(points=30)
+        one, same = (s.inverse.self_motion(x, "tip", task="position", budget=budget)
+                     for s, x in ((alone, q0), (system, q)))  # fmt: skip
+        assert one.freedoms == same.freedoms == 1
+        own = [system.coordinate_names.index(name) for name in alone.coordinate_names]
+        np.testing.assert_allclose(same.q[:, own], one.q, atol=1e-9)
+        assert np.ptp(np.delete(same.q, own, axis=1), axis=0).max() == 0.0
+        with pytest.raises(InputError, match="'o0', which does not move"):
+            system.inverse.self_motion(q, "tip", task="position", direction="o0")
+
+
+def test_a_self_motion_of_the_whole_velocity_moves_what_moves_the_frame():
+    """A direction is a velocity of all coordinates: fingers stay."""
+    system = with_others(4, 2, False)
+    q = system.q({"q0": 0.3, "q1": 0.5, "q2": -0.4, "q3": 0.2})
+    with pytest.raises(InputError, match="2 freedoms"):
+        system.inverse.self_motion(q, "tip", task="position")
+    motion = system.inverse.self_motion(q, "tip", task="position", direction=np.ones(6), budget=kempe.Budget(points=9))
+    names = system.coordinate_names
+    assert motion.freedoms == 2 and len(motion.q) > 9
+    assert np.ptp(motion.q[:, [names.index("o0"), names.index("o1")]], axis=0).max() == 0.0
+    np.testing.assert_allclose(system.fk(motion.q, "tip")[:, :2, 3] - system.fk(q, "tip")[:2, 3], 0.0, atol=1e-9)
+
+
+def test_a_configuration_outside_the_limits_has_no_self_motion():
+    system = with_others(3, 0, False).with_limits({"q1": (-0.2, 0.2)})
+    with pytest.raises(InputError, match="outside the limits of 'q1'"):
+        system.inverse.self_motion(system.q({"q1": 0.5}), "tip", task="position")

@@ -1,5 +1,8 @@
 """Freedoms that tasks leave: how many to first order, and how many of them are motions over a distance.
 
+Counted are the freedoms of the joints that move a frame of the tasks, directly or through loops: fingers and other arms
+are no redundancy of an arm.
+
 Where the equations are independent the two are the same, by the implicit function theorem. Where the Jacobian loses
 rank, steps along its null space are led back to the solutions, at two lengths: what stays away from where it began, in
 proportion to the step, is a motion.
@@ -48,6 +51,7 @@ class Local:
         ties = packed.loops.ties
         equal = np.repeat([not t.bounds for t in ties], [len(t.rows) for t in ties])[packed.rows >= 0]
         self._use = np.isin(packed.rows[packed.rows >= 0], self.hard) & equal
+        self.movers, self._moved = movers(problem, self.hard)
         self.q = self.led(q)
 
     @property
@@ -57,9 +61,9 @@ class Local:
 
     @cached_property
     def n(self) -> int:
-        """Freedoms that loops and relations leave, to first order."""
+        """Freedoms that loops and relations leave to first order, of the joints that move the tasks' frames."""
         closed = self.problem.packed.closed
-        return self.null_space(self.q, tasks=False)[0].shape[1] if closed else self.problem.system.nv
+        return self.null_space(self.q, tasks=False)[0].shape[1] if closed else len(self.movers)
 
     def equations(self, q: Array, tasks: bool = True) -> tuple[Array, Array]:
         """Values (k,) and Jacobian (k, nv) of loops and relations and, with `tasks`, of the hard tasks at q (nq,)."""
@@ -100,20 +104,37 @@ class Local:
         A singular value counts as zero where the nearest configuration at which it vanishes, by the derivative
         of the singular value, holds the equations as well as this one.
         """
-        r, J = self.equations(q, tasks)
+        r, J = self._own(*self.equations(q, tasks))
         if not J.size:
-            return np.eye(J.shape[1]), True
+            return self.spread(np.eye(J.shape[1])), True
         U, s, Vt = np.linalg.svd(J)
         error = max(float(np.linalg.norm(r)), ROUNDING)
         rank = int((s > RANK_TOLERANCE * max(1.0, s[0])).sum())
         while rank and s[rank - 1] ** 2 <= 2.0 * SAME * error * STEEPEST:
-            v, u = Vt[rank - 1], U[:, rank - 1]
-            ahead, behind = (self.equations(self.move(q, h * v), tasks)[1] for h in (CURL, -CURL))
+            v, u = self.spread(Vt[rank - 1]), U[:, rank - 1]
+            ahead, behind = (self._own(*self.equations(self.move(q, h * v), tasks))[1] for h in (CURL, -CURL))
             curve = float(np.linalg.norm(u @ (ahead - behind))) / (2.0 * CURL)
             if s[rank - 1] ** 2 > 2.0 * SAME * error * curve:
                 break
             rank -= 1
-        return Vt[rank:].T, rank == len(r)
+        return self.spread(Vt[rank:].T), rank == len(r)
+
+    def _own(self, r: Array, J: Array) -> tuple[Array, Array]:
+        """Those values and rows of a Jacobian (k, nv) that the `movers` decide, and their columns."""
+        ties = len(self._moved)
+        closures = self._moved if len(r) == ties else np.append(self._moved, np.ones(len(r) - ties, dtype=bool))
+        use = closures if self.problem.packed.closed else np.ones(len(r), dtype=bool)
+        return r[use], J[use][:, self.movers]
+
+    def spread(self, v: Array) -> Array:
+        """Velocities (nv, ...) of the system from those (k, ...) of the `movers`."""
+        out = np.zeros((self.problem.system.nv, *v.shape[1:]))
+        out[self.movers] = v
+        return out
+
+    def tangents(self, q: Array) -> Array:
+        """Orthonormal basis (nv, k) of the velocities that keep the equations at q (nq,), by the rank of rounding."""
+        return self.spread(null(self._own(*self.equations(q))[1]))
 
     @cached_property
     def left(self) -> Array:
@@ -173,6 +194,22 @@ class Local:
         """Whether the equations hold at q (nq,) as well as at the first configuration."""
         there, here = (float(np.linalg.norm(self.equations(x)[0])) for x in (q, self.q))
         return there <= 10.0 * max(here, 100.0 * ROUNDING)
+
+
+def movers(problem: Demands, hard: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Velocities (k,) that move a frame of the hard tasks, or what they read, directly or through loops.
+
+    Also which equations (m,) of loops and relations these velocities are in.
+    """
+    packed = problem.packed
+    columns = [set(packed.loops.columns(k)) for k in range(len(packed.loops.ties))]
+    loops = [k for k in range(len(columns)) if packed.owner[k] < 0 and not packed.loops.ties[k].bounds]
+    found = set[int]().union(*(columns[k] for k in range(len(columns)) if packed.owner[k] in hard))
+    while more := {v for k in loops if columns[k] & found for v in columns[k]} - found:
+        found |= more
+    of_ties = np.array([bool(c & found) for c in columns], dtype=bool)
+    rows = np.repeat(of_ties, [len(t.rows) for t in packed.loops.ties])
+    return np.array(sorted(found), dtype=np.int64), rows[packed.rows == -1]
 
 
 def null(J: Array) -> Array:

@@ -172,7 +172,10 @@ class Solution(Answer):
 
     @property
     def n(self) -> int:
-        """Freedoms of the system at the answer: velocity coordinates, less the rank of loops and relations."""
+        """Freedoms, at the answer, of the joints that move the tasks' frames, directly or through loops.
+
+        Their velocity coordinates, less the rank of the loops and relations that these are in.
+        """
         return self._local[1]
 
     @property
@@ -182,7 +185,7 @@ class Solution(Answer):
 
     @property
     def redundancy(self) -> int:
-        """Freedoms that the hard tasks leave, n - rank."""
+        """Freedoms that the hard tasks leave to the joints that move their frames, n - rank."""
         return self.n - self.rank
 
     @property

@@ -17,11 +17,12 @@ from kempe.constraints.reading import numbers_of
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.kernels.base.search_layout import SOLVED
 from kempe.kinematics.configuration import as_q
+from kempe.kinematics.one_sided import one_sided_rows
 from kempe.reals import is_whole
 from kempe.solvers.common import wording
 from kempe.solvers.common.answer import Configurations
 from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit
-from kempe.solvers.common.freedoms import Local, null
+from kempe.solvers.common.freedoms import Local
 from kempe.solvers.common.problem import NOTHING, Problem, Solver, choose, chosen_by, takes_all
 from kempe.solvers.common.slip import slip_of
 from kempe.solvers.common.targets import axis_of, points_along, task_and_axis, task_of
@@ -29,7 +30,7 @@ from kempe.solvers.common.tracing import NONE, Node, walk
 from kempe.solvers.tasks.ik_tasks import judge, pose_problem
 from kempe.solvers.tasks.reached import demands_of
 from kempe.spatial import Array, ArrayLike
-from kempe.words import counted
+from kempe.words import counted, joined
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -106,12 +107,13 @@ def self_motion(
     """The motion of a system from q (nq,), in both directions, that keeps tasks fulfilled.
 
     `tasks` is a frame, or hard tasks that are fulfilled at q. A frame keeps its pose, or only the part that `task`
-    names, as for `System.ik`: "position", "orientation", "direction", "position_axis". If the tasks leave one freedom,
-    the whole curve is traced until it closes, meets a limit or has the largest number of points in each direction. If
-    they leave more, `direction` chooses a curve: the name of a coordinate, or a velocity (nv,), which is projected onto
-    the velocities that the tasks allow. `budget.step` is the length of a step, in radians and characteristic lengths.
-    The tasks are fulfilled to 1e-9 at all points, by corrections of minimum norm. Where the Jacobian loses rank and no
-    motion is found, the answer is q alone, and says so. Errors: `InputError` where the tasks are not fulfilled at q,
+    names, as for `System.ik`: "position", "orientation", "direction", "position_axis". Only joints that move a frame of
+    the tasks count, and move. If the tasks leave one freedom, the whole curve is traced until it closes, meets a limit
+    or has the largest number of points in each direction. If they leave more, `direction` chooses a curve: the name of
+    a coordinate, or a velocity (nv,), which is projected onto the velocities that the tasks allow. `budget.step` is the
+    length of a step, in radians and characteristic lengths. The tasks are fulfilled to 1e-9 at all points, by
+    corrections of minimum norm. Where the Jacobian loses rank and no motion is found, the answer is q alone, and says
+    so. Errors: `InputError` where the tasks are not fulfilled at q,
     leave no freedom to first order, or more than one without a direction; `UnsupportedError` where velocity constraints
     do not allow the motion.
     """
@@ -185,11 +187,15 @@ def _wanted(system: System, q: Array, tasks: Any, task: str | None, axis: ArrayL
 def _begin(system: System, q: Array, wanted: Any) -> tuple[Demands, Array]:
     """The problem that the tasks hold, and q (nq,) closed to rounding. Errors: `InputError` where they do not hold."""
     problem, start = pose_problem(system, wanted, q, TOLERANCE, 1)
+    rows = one_sided_rows(system)
     if problem.lead:
         raise InputError(f"the goals have the leading shape {problem.lead}; needed are those of one problem")
     problem = replace(problem, tasks=tuple(t.exactly() for t in problem.tasks))
     at = judge(replace(problem, tolerance=(1e-6, 1e-6)), start, np.zeros((1, 3), dtype=np.int64))
     if not at:
+        over = [name for name, far in zip(rows.names, rows.beyond(q), strict=True) if far]
+        if over:
+            raise InputError(f"q is outside the limits of {joined([repr(name) for name in over])}")
         raise InputError(f"the tasks do not hold at q: they are missed by {at.position_error} m, "
                          f"{at.orientation_error} rad")  # fmt: skip
     return problem, problem.run(start)[0][0]
@@ -208,7 +214,11 @@ def _wish(system: System, direction: Any, local: Local, problem: Demands) -> Arr
     if isinstance(direction, str):
         if direction not in system.structure.velocity_names:
             raise UnknownNameError("coordinate", direction, system.structure.velocity_names, system.name)
-        return np.eye(system.nv)[system.structure.velocity_names.index(direction)]
+        at = system.structure.velocity_names.index(direction)
+        if at not in local.movers:
+            own = joined([repr(system.structure.velocity_names[int(v)]) for v in local.movers])
+            raise InputError(f"direction is {direction!r}, which does not move what the tasks hold; {own} do")
+        return np.eye(system.nv)[at]
     wish = numbers_of(direction, "direction")
     if wish.shape != (system.nv,) or not np.isfinite(wish).all() or not wish.any():
         raise InputError(f"direction has shape {wish.shape}; it must be a velocity ({system.nv},), not zero")
@@ -287,7 +297,7 @@ class _Direction:
 
     def _node(self, x: Array, toward: Array) -> Node:
         """The node at x, its tangent what the freedoms have of a direction; `sigma` is how large that part is."""
-        N = null(self.local.equations(x)[1])
+        N = self.local.tangents(x)
         t = N @ (N.T @ toward)
         size = float(np.linalg.norm(t))
         return Node(x, t if size < LEAST_PART else t / size, size, N.shape[1], NONE, NONE)
