@@ -95,6 +95,7 @@ def test_terms_of_the_glossary_are_used(term):
 
 # ---- first lines
 
+
 def first_lines(path: Path) -> Iterator[tuple[Function | ast.ClassDef, str]]:
     for node in sources.nodes(path):
         if isinstance(node, (*Function.__args__, ast.ClassDef)) and (text := ast.get_docstring(node)):
