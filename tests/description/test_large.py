@@ -7,6 +7,7 @@ import gc
 import math
 import sys
 import tomllib
+import weakref
 
 import numpy as np
 import pytest
@@ -133,6 +134,37 @@ def test_garbage_is_collected_again_after_errors():
         with collecting_later(10**6):
             pass
         assert not gc.isenabled()
+    finally:
+        gc.enable()
+
+
+class Circle:
+    """An object that holds itself, which only the garbage collector frees."""
+
+    def __init__(self) -> None:
+        self.own = self
+
+
+@pytest.mark.parametrize("write", [lambda: urdf(3, "chain"), lambda: write_toml(built(3, "chain"))])
+def test_loads_leave_the_garbage_collector_to_its_work(write):
+    """Cycles that are dropped between loads are collected while the loads go on."""
+    text, dropped = write(), []
+    for _ in range(300):
+        system = kempe.load(text)
+        system.fk(system.neutral, "l3")
+        dropped += [weakref.ref(system), weakref.ref(Circle())]
+    assert sum(x() is not None for x in dropped) < len(dropped) / 4
+
+
+@pytest.mark.parametrize("write", [lambda: urdf(20, "tree"), lambda: write_toml(built(20, "tree"))])
+def test_a_dropped_system_and_its_reading_need_no_garbage_collector(write):
+    text = write()
+    kempe.load(text)
+    gc.collect()
+    gc.disable()
+    try:
+        system = weakref.ref(kempe.load(text))
+        assert system() is None and gc.collect() == 0
     finally:
         gc.enable()
 

@@ -170,6 +170,9 @@ class _XmlBuilder:
                 self.source.where_offset(error.start),
                 "remove it",
             ) from None
+        finally:  # the parser holds methods of this object, which holds the parser: without the cycle both go at once
+            self.parser.StartElementHandler = self.parser.EndElementHandler = None
+            self.parser.StartDoctypeDeclHandler = None
         assert self.root is not None, "expat refuses a text without elements"
         return self.root
 
