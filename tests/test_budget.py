@@ -7,6 +7,7 @@ import math
 import pickle
 import warnings
 
+import numpy as np
 import pytest
 
 import kempe
@@ -147,3 +148,82 @@ def test_what_raised_is_expected():
 def test_options_that_never_were_are_refused(option):
     with pytest.raises(CallError, match=f"ik_all has no option '{option}'"):
         ARM.ik_all(X, "tool", **{option: 1})
+
+
+# ---- Ctrl-C
+
+
+class Ends:
+    """Progress that interrupts, as Ctrl-C, at its call number `at`; `came` says that it did."""
+
+    def __init__(self, at: int = 0):
+        self.at, self.came = at, False
+
+    def __call__(self, *done: object) -> None:
+        assert not self.came, "the work goes on after an interrupt"
+        self.at -= 1
+        if self.at < 0:
+            self.came = True
+            raise KeyboardInterrupt
+
+
+def rssr() -> kempe.System:
+    return kempe.load("rssr")
+
+
+INTERRUPTED = {
+    "ik_path": lambda b: ARM.ik_path(ARM.fk(Q + np.linspace(0.0, 0.1, 9)[:, None], "tool"), "tool", Q, budget=b),
+    "assembly_modes": lambda b: rssr().assembly_modes({"A": 0.4}, budget=b),
+    "self_motion": lambda b: SEVEN.inverse.self_motion(FREE, "tool", budget=b),
+    "trace": lambda b: LINKAGE.trace("A", budget=b),
+    "trace of branches": lambda b: kempe.load("parallelogram").trace("A", ways="branches", budget=b),
+    "resample": lambda b: LINKAGE.trace("A").resample(9, budget=b),
+    "drive": lambda b: LINKAGE.drive({"A": np.linspace(0.3, 1.0, 99)}, budget=b),
+    "workspace": lambda b: ARM.workspace("tool", n=1e6, cells=8, budget=b),
+    "sample": lambda b: kempe.load("five_bar").configuration_space.sample(99, budget=b),
+    "singularities": lambda b: ARM.singularities("tool", budget=b),
+    "curves": lambda b: kempe.load("two_link").singularities("e", budget=Budget(starts=8)).curves(budget=b),
+    "plot of singularities": lambda b: (
+        kempe.load("two_link").singularities("e", budget=Budget(starts=8)).plot(budget=b)
+    ),
+    "reach.poses": lambda b: ARM.reach.poses(X[None], "tool", budget=b),
+    "reach.place": lambda b: ARM.reach.place(X[None], "tool", {"x": (0.0, 0.1)}, 3, budget=b),
+    "reach.capability": lambda b: ARM.reach.capability("tool", [[0.0] * 3, [0.5] * 3], 2, 4, budget=b),
+}
+
+
+@pytest.mark.parametrize("verb", INTERRUPTED)
+def test_an_interrupt_goes_on_to_the_caller_with_what_was_done(verb):
+    """One Ctrl-C ends a loop over calls: no verb takes it for an answer."""
+    pytest.importorskip("matplotlib")
+    ends, calls = Ends(), 0
+    with pytest.raises(kempe.Interrupted) as stop:
+        for _ in range(2):
+            INTERRUPTED[verb](Budget(progress=ends))
+            calls += 1
+    answer = stop.value.answer
+    assert ends.came and not calls and answer is not None
+    if not verb.startswith("plot"):
+        assert "interrupted" in str(answer) or answer.code is kempe.Status.INTERRUPTED
+        assert "answer" in str(stop.value) and issubclass(stop.type, KeyboardInterrupt)
+
+
+def test_what_a_verb_inside_another_did_is_no_answer(monkeypatch):
+    """The samples of a linkage are taken along traced curves: an interrupted curve is no sample."""
+    monkeypatch.setattr("kempe.analysis.motion.motion.home", lambda *_: Ends()())
+    with pytest.raises(kempe.Interrupted) as stop:
+        LINKAGE.configuration_space.sample(9)
+    assert stop.value.answer is None
+    with pytest.raises(kempe.Interrupted) as stop:
+        LINKAGE.configuration_space.components()
+    assert stop.value.answer.interrupted and stop.value.answer.count == 2
+    with pytest.raises(kempe.Interrupted) as stop:
+        LINKAGE.configuration_space.path(LINKAGE.assemble({"A": 0.3}).q, LINKAGE.assemble({"A": 0.9}).q)
+    assert stop.value.answer.interrupted
+
+
+def test_interrupts_are_pickled_with_their_answer():
+    with pytest.raises(kempe.Interrupted) as stop:
+        LINKAGE.trace("A", budget=Budget(progress=Ends()))
+    again = pickle.loads(pickle.dumps(stop.value))
+    assert np.array_equal(again.answer.q, stop.value.answer.q)

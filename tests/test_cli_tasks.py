@@ -11,6 +11,7 @@ from command import Result
 
 import kempe
 from kempe import tasks
+from kempe.calls import until_interrupt
 from kempe.views import slices
 from kempe.views.input import task_file
 
@@ -233,6 +234,6 @@ def test_an_interrupted_path():
         if count == 5:
             raise KeyboardInterrupt
 
-    path = panda.ik_path(targets, HAND, budget=kempe.Budget(progress=progress))
+    path = until_interrupt(panda.ik_path, targets, HAND, budget=kempe.Budget(progress=progress))
     assert done == [2, 3, 4, 5] and path.interrupted and "interrupted" in path.status
     assert list(path.success) == [True] * 5 + [False] * 4 and np.isnan(path.q[5:]).all()

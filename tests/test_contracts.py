@@ -17,6 +17,7 @@ from hunts import some
 
 import kempe
 from kempe import Budget, library
+from kempe.calls import until_interrupt
 from kempe.errors import InputError, KempeError
 from kempe.kinematics.common.result import Report, Result
 from kempe.model.namespaces import Inverse, Loops, ReachStudies
@@ -112,7 +113,9 @@ CASES = {
     "at failing": Case("at", lambda: SEVEN.inverse.sweep(FAR, TIP).at(0.2), "NONE_EXISTS"),
     "at of none": Case("at", lambda: SEVEN.inverse.sweep(SEVEN.fk(SEVEN_Q, TIP), TIP).at(NONE), []),
     "ik_path": Case("ik_path", lambda: ARM.ik_path(REACHED, TOOL, Q), "SOLVED"),
-    "ik_path broken off": Case("ik_path", lambda: ARM.ik_path(REACHED, TOOL, Q, budget=BROKEN), "INTERRUPTED"),
+    "ik_path broken off": Case(
+        "ik_path", lambda: until_interrupt(ARM.ik_path, REACHED, TOOL, Q, budget=BROKEN), "INTERRUPTED"
+    ),
     "ik_path failing": Case("ik_path", lambda: ARM.ik_path(np.stack([X, FAR]), TOOL, Q), "PARTLY"),
     "ik_path without a beginning": Case("ik_path", lambda: ARM.ik_path(FAR[None], TOOL, Q), "NOT_FOUND"),
     "ik_step": Case("ik_step", lambda: ARM.ik_step(Q, AHEAD, TOOL, 0.01), "SOLVED"),
@@ -184,11 +187,15 @@ CASES = {
     "classify": Case("classify", lambda: CAR.classify(), "SOLVED"),
     "trace": Case("trace", lambda: LINKAGE.trace(start=CLOSED), "SOLVED"),
     "trace in time": Case("trace", lambda: LINKAGE.trace(start=CLOSED, budget=AT_ONCE), "OUT_OF_TIME"),
-    "trace broken off": Case("trace", lambda: LINKAGE.trace(start=CLOSED, budget=BROKEN), "INTERRUPTED"),
+    "trace broken off": Case(
+        "trace", lambda: until_interrupt(LINKAGE.trace, start=CLOSED, budget=BROKEN), "INTERRUPTED"
+    ),
     "trace failing": Case("trace", lambda: apart().trace(), "NOT_FOUND"),
     "drive": Case("drive", lambda: LINKAGE.drive(held(4), start=CLOSED), "SOLVED"),
     "drive in time": Case("drive", lambda: LINKAGE.drive(held(4), start=CLOSED, budget=AT_ONCE), "OUT_OF_TIME"),
-    "drive broken off": Case("drive", lambda: LINKAGE.drive(held(99), start=CLOSED, budget=BROKEN), "INTERRUPTED"),
+    "drive broken off": Case(
+        "drive", lambda: until_interrupt(LINKAGE.drive, held(99), start=CLOSED, budget=BROKEN), "INTERRUPTED"
+    ),
     "drive failing": Case(
         "drive", lambda: LINKAGE.drive({ROCKER: np.linspace(2.0, 0.0, 9)}), "PARTLY"),
     "drive open": Case("drive", lambda: apart().drive({"A": np.zeros(2)}), "NOT_FOUND"),

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from kempe import errors, spatial
 from kempe.calls import explained
 from kempe.description.mechanism import Mechanism
-from kempe.errors import KempeError
+from kempe.errors import Interrupted, KempeError
 from kempe.model.system import System
 
 if TYPE_CHECKING:
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
-    "Budget", "KempeError", "Mechanism", "Status", "System", "Tolerance", "constraints", "convert", "errors",
-    "from_dh", "from_screws", "load", "map_file", "open_workspace", "read", "spatial", "tasks",
+    "Budget", "Interrupted", "KempeError", "Mechanism", "Status", "System", "Tolerance", "constraints", "convert",
+    "errors", "from_dh", "from_screws", "load", "map_file", "open_workspace", "read", "spatial", "tasks",
 ]  # fmt: skip
 
 

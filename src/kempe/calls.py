@@ -8,16 +8,19 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
 from pathlib import Path
 from types import FunctionType
-from typing import Any, TypeGuard, TypeVar
+from typing import Any, ParamSpec, TypeGuard, TypeVar
 
 import numpy as np
 
-from kempe.errors import CallError, InputError, KempeError, UnknownNameError, shown
+from kempe.errors import CallError, InputError, Interrupted, KempeError, UnknownNameError, shown
 from kempe.reals import is_array, is_whole, reals
+from kempe.status import Status
 from kempe.words import counted
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 Class = TypeVar("Class", bound=type)
+Options = ParamSpec("Options")
+Kept = TypeVar("Kept")
 
 FOREIGN = (TypeError, ValueError, LookupError, AttributeError, ArithmeticError)
 """What Python and numpy raise for an argument of which nothing can be made."""
@@ -50,6 +53,38 @@ def explained(function: Function) -> Function:
             raise
 
     return call  # type: ignore[return-value]
+
+
+def interruptible(verb: Callable[Options, Kept]) -> Callable[Options, Kept]:
+    """A decorator for verbs that keep what is done: after Ctrl-C the kept part is the `answer` of an `Interrupted`.
+
+    The interrupt goes on to the caller, so that it ends a loop over calls. The answer of another verb that this one
+    called, and that was interrupted, is no answer to the question of this one: then `answer` is None.
+    """
+
+    @functools.wraps(verb)
+    def call(*args: Options.args, **options: Options.kwargs) -> Kept:
+        try:
+            answer = verb(*args, **options)
+        except KeyboardInterrupt:
+            raise Interrupted from None
+        broken = getattr(answer, "broken", None)
+        if getattr(answer, "interrupted", False) is True or broken is Status.INTERRUPTED:
+            raise Interrupted(answer)
+        return answer
+
+    return call
+
+
+def until_interrupt(verb: Callable[Options, Kept], *args: Options.args, **options: Options.kwargs) -> Kept:
+    """The answer of a verb; after Ctrl-C the part that was done. Errors: `Interrupted` where there is none."""
+    try:
+        return verb(*args, **options)
+    except Interrupted as stop:
+        if stop.answer is None:
+            raise
+        answer: Any = stop.answer
+        return answer
 
 
 def _renamed(function: Callable[..., Any], args: tuple[Any, ...], options: Mapping[str, Any]) -> Any:

@@ -133,6 +133,20 @@ class NoSolutionError(KempeError, RuntimeError):
         return (type(self), (self.solution,))
 
 
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C came while a verb worked; `answer` is the part that was done by then, None where there is none."""
+
+    def __init__(self, answer: object = None):
+        self.answer = answer
+        super().__init__()
+
+    def __reduce__(self):
+        return (type(self), (self.answer,))
+
+    def __str__(self) -> str:
+        return "interrupted" if self.answer is None else f"interrupted; what was done is in `answer`: {self.answer}"
+
+
 class MissingExtraError(KempeError, ImportError):
     """An optional dependency is not installed; the text says how to install it."""
 

@@ -34,7 +34,7 @@ class Status(IntEnum):
     NONE_EXISTS = 7, "there is no configuration that does what is required, with or without limits", True
     OTHER_BRANCH = 8, "the branch requested cannot be closed; the answer is on another one"
     PARTLY = 9, "only a part of what was requested is had; the rest is not found, or cannot be"
-    INTERRUPTED = 10, "broken off from the keyboard; what was done by then is the answer"
+    INTERRUPTED = 10, "interrupted from the keyboard; this is the part that was done"
     DEAD_POINT = 11, "a dead point: the inputs cannot move independently"
     UNDETERMINED = 12, "what was requested is not determined by what was given"
 

@@ -11,6 +11,7 @@ from motion_linkages import TURN, circles, four_bar, ladder, linkage, same_angle
 
 import kempe
 from kempe.analysis.motion.drive import drive
+from kempe.calls import until_interrupt
 from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.closure_rows import residual
 
@@ -188,7 +189,7 @@ def test_an_interrupt_returns_what_was_done():
         if k > 20:
             raise KeyboardInterrupt
 
-    motion = drive(four_bar(1, 2.5, 2, 3), {"A": np.linspace(0.5, 3, 60)}, start={"A": 0.5},
+    motion = until_interrupt(drive, four_bar(1, 2.5, 2, 3), {"A": np.linspace(0.5, 3, 60)}, start={"A": 0.5},
                    budget=kempe.Budget(progress=stop))  # fmt: skip
     assert motion.interrupted and not motion and 20 < len(motion) < 60 and len(motion.inputs["A"]) == len(motion)
 

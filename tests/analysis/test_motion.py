@@ -31,6 +31,7 @@ from motion_linkages import (
 import kempe
 from kempe import Mechanism
 from kempe.analysis.motion.motion import branches, trace
+from kempe.calls import until_interrupt
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.kinematics.closure_rows import residual
 
@@ -392,7 +393,7 @@ def test_an_interrupt_returns_what_was_done():
         if points > 40:
             raise KeyboardInterrupt
 
-    path = trace(four_bar(1, 2.5, 2, 3), "A", {"A": 0.5}, budget=kempe.Budget(progress=stop))
+    path = until_interrupt(trace, four_bar(1, 2.5, 2, 3), "A", {"A": 0.5}, budget=kempe.Budget(progress=stop))
     assert path.interrupted and not path and 30 < len(path) < 80 and "interrupted" in path.status
     assert np.abs(residual(path.system, path.q)).max() < 1e-13
 

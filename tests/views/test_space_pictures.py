@@ -9,6 +9,7 @@ from two_freedoms_in_space import between, directions, lengths_of_pointer, point
 
 import kempe
 from kempe import Budget
+from kempe.calls import until_interrupt
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 
 pytest.importorskip("matplotlib")
@@ -436,7 +437,8 @@ def test_a_picture_shows_what_was_done_until_an_interrupt_and_says_so():
             raise KeyboardInterrupt
 
     system = spherical_five_bar(*ARCS)
-    left, _ = system.plot_spaces("tip", task="direction", resolution=24, budget=Budget(progress=progress))
+    budget = Budget(progress=progress)
+    left, _ = until_interrupt(system.plot_spaces, "tip", task="direction", resolution=24, budget=budget)
     modes = shades(left)[1]
     assert "interrupted: this is the part that was done" in artists(left)["partial"][0].get_text()
     assert seen[:4] == sorted(seen[:4]) and 0 < (modes > 0).sum()

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from kempe.calls import until_interrupt
 from kempe.cli.app import (
     OPEN,
     Axis,
@@ -79,8 +80,8 @@ def map(
         given["tolerance"] = errors if verb == "ik" else errors[0]
     names = None if columns is None else [name.strip() for name in columns.split(",")]
     with slices.paced(sys.stderr, "rows") as said:
-        answer = kempe.map_file(
-            system, verb, rows, out, frame, columns=names, degrees=deg, client=scheduler,
+        answer = until_interrupt(
+            kempe.map_file, system, verb, rows, out, frame, columns=names, degrees=deg, client=scheduler,
             options={name: value for name, value in given.items() if value is not None},
             budget=Budget(rng=rng, threads=threads, time_limit=time_limit, progress=said),
         )  # fmt: skip

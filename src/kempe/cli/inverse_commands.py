@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from kempe.budget import Budget
+from kempe.calls import until_interrupt
 from kempe.cli.app import (
     OPEN,
     All,
@@ -211,8 +212,8 @@ def path(
     options |= {} if max_step is None else {"max_step": max_step}
     options |= {} if tolerance is None else {"tolerance": rows.tolerance(tolerance)}
     with slices.progress(sys.stderr, count) as said:
-        answer = system.ik_path(wanted, frame, start, **options,
-                                budget=Budget(rng=rng, time_limit=time_limit, progress=said))  # fmt: skip
+        spend = Budget(rng=rng, time_limit=time_limit, progress=said)
+        answer = until_interrupt(system.ik_path, wanted, frame, start, **options, budget=spend)
     if out is not None:
         rows.write_configurations(out, system, answer.q, deg)
     pictures = drawn(system, answer, plot, gif, html, frames=[] if frame is None else [frame])

@@ -12,6 +12,7 @@ import numpy as np
 import typer
 
 from kempe.budget import Budget
+from kempe.calls import until_interrupt
 from kempe.cli.app import (
     CLOSED,
     Base,
@@ -196,7 +197,9 @@ def assemble(
     start = given.start(system, near, deg)
     answer: Any
     if modes:
-        answer = system.assembly_modes(values, start, limits=not no_limits, budget=Budget(time_limit=time_limit))
+        answer = until_interrupt(
+            system.assembly_modes, values, start, limits=not no_limits, budget=Budget(time_limit=time_limit)
+        )
     else:
         if nearest and continuous:
             raise InputError("--nearest and --continuous are two ways to choose; give one of them")
@@ -262,8 +265,10 @@ def trace(
     if closing is not None and not closing:
         _open(closing, deg, json)
     with slices.progress(sys.stderr, None, "points traced") as said:
-        path = system.trace(driver, begin, hold=held, limits=not no_limits, ways="branches" if branches else "both",
-                            budget=Budget(time_limit=time_limit, progress=said))  # fmt: skip
+        path = until_interrupt(
+            system.trace, driver, begin, hold=held, limits=not no_limits, ways="branches" if branches else "both",
+            budget=Budget(time_limit=time_limit, progress=said),
+        )  # fmt: skip
     path = replace(path, frames=names, others=tuple(replace(other, frames=names) for other in path.others))
     shown = path
     if points is not None:
@@ -340,7 +345,7 @@ def _resampled(path: Motion, points: int, budget: Budget) -> Motion:
     """The path and its other branches, with points at equal distances."""
     if len(path) < 2:
         return path
-    found = path.resample(points, budget=budget)
+    found = until_interrupt(path.resample, points, budget=budget)
     if not found and path:  # broken off
         return found
     return replace(found, others=tuple(_resampled(other, points, budget) for other in path.others))

@@ -12,6 +12,7 @@ import numpy as np
 import typer
 
 from kempe.budget import Budget
+from kempe.calls import until_interrupt
 from kempe.cli.app import (
     OPEN,
     Base,
@@ -103,7 +104,7 @@ def singularities(
     if closing is not None and not closing:
         raise InputError(f"--at cannot be closed: {closing.status}")
     with _paced(starts, rng, time_limit, "starts") as budget:
-        answer = system.singularities(frame, task, inputs=driving, limits=not no_limits, budget=budget)
+        answer = until_interrupt(system.singularities, frame, task, inputs=driving, limits=not no_limits, budget=budget)
     nearest = None if q is None else answer.nearest(q)
     if out is not None:
         rows.write_configurations(out, system, np.reshape([q for s in answer.sets for q in s.q], (-1, system.nq)), deg)
@@ -115,7 +116,7 @@ def singularities(
         from kempe.views.singular_plot import curves_shown, plot_singularities
 
         with _paced(None, None, time.left, "configurations of curves") as budget:
-            curves = curves_shown(answer, budget)
+            curves = until_interrupt(curves_shown, answer, budget)
         if curves is not None and curves.broken:
             broken.append(curves.status)
         return plot_singularities(answer, curves)
@@ -151,7 +152,7 @@ def reach(
     results(out)
     drawable(plot, gif, html)
     with _paced(starts, rng, time_limit, "poses") as budget:
-        answer = system.reach.poses(X, frame, task=task, budget=budget)
+        answer = until_interrupt(system.reach.poses, X, frame, task=task, budget=budget)
     if out is not None:
         from kempe.views import rows
 
@@ -182,7 +183,7 @@ def place(
     ranges = _box(box, deg)
     drawable(plot)
     with _paced(starts, rng, time_limit, "poses") as budget:
-        answer = system.reach.place(X, frame, ranges, cells, task=task, budget=budget)
+        answer = until_interrupt(system.reach.place, X, frame, ranges, cells, task=task, budget=budget)
     _say(answer, plot, json, [])
 
 

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from kempe.budget import Budget
+from kempe.calls import until_interrupt
 from kempe.cli.app import (
     CLOSED,
     Base,
@@ -68,18 +69,20 @@ def spaces(
     results(out)
     drawable(plot)
     space, budget = system.configuration_space, Budget(time_limit=time_limit)
-    found: dict[str, Any] = {"configuration_space": space, "components": space.components(budget=budget)}
+    found: dict[str, Any] = {"configuration_space": space}
+    found["components"] = until_interrupt(space.components, budget=budget)
     if frame is not None:
         found["task_space"] = system.task_space(frame, task="position" if position_only else "pose")
     if sample is not None:
-        found["sample"] = space.sample(sample, rng, budget=budget)
+        found["sample"] = until_interrupt(space.sample, sample, rng, budget=budget)
     written: list[Path] = []
     if plot is not None:
         from kempe.views import slices
 
         with slices.paced(sys.stderr, "places") as said:
             spent = Budget(time_limit=time_limit, progress=said)
-            save_picture(system.plot_spaces(frame or "", task=task, budget=spent)[0], plot)
+            axes = until_interrupt(system.plot_spaces, frame or "", task=task, budget=spent)
+            save_picture(axes[0], plot)
         written.append(plot)
     if out is not None:
         from kempe.views import rows

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+from kempe.calls import until_interrupt
 from kempe.cli.app import (
     OPEN,
     Base,
@@ -97,8 +98,9 @@ def workspace(
     if ends is not None and len(ends) % 2:
         raise InputError(f"--box has {counted(len(ends), 'number')}; it needs two for each axis")
     with slices.paced(sys.stderr, "samples") as said:
-        answer = system.workspace(
-            frame, kind=kind, orientation=None if orientation is None else _turned(orientation, "--orientation", deg),
+        answer = until_interrupt(
+            system.workspace, frame, kind=kind,
+            orientation=None if orientation is None else _turned(orientation, "--orientation", deg),
             at=None if at is None else _numbers(at, "--at"), n=n,
             cells=along[0] if along is not None and len(along) == 1 else along,
             box=None if ends is None else np.reshape(ends, (-1, 2)), client=scheduler, path=out,

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 from kempe.analysis.motion.motion import trace
 from kempe.analysis.spaces.configuration.two_freedoms import NEEDED, TwoFreedoms, two_freedoms
 from kempe.budget import Budget, Usual
-from kempe.calls import explained, flag, numbers
+from kempe.calls import explained, flag, numbers, until_interrupt
 from kempe.constraints.flat_tasks import FlatTask, flat_task
-from kempe.errors import InputError, UnsupportedError, shown
+from kempe.errors import InputError, Interrupted, UnsupportedError, shown
 from kempe.kinematics.configuration import has_loops
 from kempe.model.tree.coordinates import units
 from kempe.reals import is_whole
@@ -74,7 +74,8 @@ def plot_spaces(
     moves though both coordinates are held and where modes meet. Limits of other coordinates are lines, too. Numbers are
     those of closed forms where there are such (planar chains and dyads); else each configuration that is found is
     followed from place to place, and more may exist. Of the `budget` are read: time_limit (120 s) and progress(places,
-    all), for each of the two sides; after the limit, or an interrupt, the picture shows what was done, and says so.
+    all), for each of the two sides; after the limit the picture shows what was done, and says so;
+    Ctrl-C raises `Interrupted`, whose `answer` are the axes with what was done.
     Errors: `UnsupportedError` for other numbers of freedoms, and frames that the task sees on a curve only;
     `InputError`; `UnknownNameError`.
 
@@ -111,6 +112,8 @@ def plot_spaces(
     for k, target in enumerate(targets):
         _draw_point(space, left, right, target, k, q[mask], p[mask])
     _finish(space, left, right, curves)
+    if Status.INTERRUPTED in (space.broken, getattr(curves, "broken", None)):
+        raise Interrupted((left, right))
     return left, right
 
 
@@ -158,7 +161,11 @@ def _singular_curves(space: TwoFreedoms) -> Any:
         raise UnsupportedError(on_curve + hint)
     if min((s.dimension for s in found.sets), default=0) > 1:  # where all is singular there are no lines
         return ()
-    return found.curves(budget=Budget(time_limit=space.clock.left))
+    curves = until_interrupt(found.curves, budget=Budget(time_limit=space.clock.left))
+    if curves.broken is Status.INTERRUPTED:
+        space.clock.end = space.clock.soon = -np.inf  # what follows ends at once, with what there is
+        space.clock.limit = space.clock.limit or 0.0
+    return curves
 
 
 def _area(space: TwoFreedoms, q: Array) -> Array:

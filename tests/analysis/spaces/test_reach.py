@@ -8,6 +8,7 @@ import pytest
 import kempe
 from kempe import Budget, spatial
 from kempe.analysis.spaces.reach import map_slices
+from kempe.calls import until_interrupt
 from kempe.errors import InputError, UnknownNameError
 from kempe.status import Status
 
@@ -172,19 +173,21 @@ def interrupted(done: int, total: int) -> None:
 def test_what_was_done_stays_where_a_map_is_broken_off(budget, code, monkeypatch):
     monkeypatch.setattr(map_slices, "SLICE", 8)
     box = [[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]
-    part, whole = (PUMA.reach.capability("tool", box, 2, 4, budget=b) for b in (budget, Budget(starts=4)))
+    part, whole = (
+        until_interrupt(PUMA.reach.capability, "tool", box, 2, 4, budget=b) for b in (budget, Budget(starts=4))
+    )
     assert part.code == code and "this is the part that was done" in part.status and whole.broken is None
     done = np.isfinite(part.fraction).ravel()
     assert done.tolist() == [True] * 2 + [False] * 6
     np.testing.assert_array_equal(part.fraction.ravel()[:2], whole.fraction.ravel()[:2])
     ranges = {"x": (-4.0, 0.0), "y": (-0.1, 0.1)}
-    part, whole = (UR.reach.place(UR.fk(UR.mid, "tool")[None], "tool", ranges, 4, budget=b)
+    part, whole = (until_interrupt(UR.reach.place, UR.fk(UR.mid, "tool")[None], "tool", ranges, 4, budget=b)
                    for b in (budget, Budget(starts=4)))  # fmt: skip
     assert np.isfinite(part.fraction).sum() == 8 and part.broken == code
     np.testing.assert_array_equal(part.fraction.ravel()[:8], whole.fraction.ravel()[:8])
     assert part.place()["x"] in part.axes["x"][:2]
     poses = UR.fk(UR.random(0, 12), "tool")
-    part, whole = (UR.reach.poses(poses, "tool", budget=b) for b in (budget, Budget(starts=4)))
+    part, whole = (until_interrupt(UR.reach.poses, poses, "tool", budget=b) for b in (budget, Budget(starts=4)))
     assert part.code == code and part.tried.tolist() == [True] * 8 + [False] * 4 and whole.tried.all()
     np.testing.assert_array_equal(part.solutions, [*whole.solutions[:8], *[-1] * 4])
     assert "of 8 poses reached (" in part.status and not part.reached[8:].any() and (part.codes[8:] == code).all()
@@ -202,7 +205,9 @@ def test_a_search_can_be_broken_off_before_many_poses_are_tried():
             said.append(done)
             raise KeyboardInterrupt
 
-        study = system.reach.poses(targets, frame, task="position", budget=Budget(starts=1, progress=stop))
+        study = until_interrupt(
+            system.reach.poses, targets, frame, task="position", budget=Budget(starts=1, progress=stop)
+        )
         assert said == [most] and study.code == Status.INTERRUPTED and study.tried.sum() == most
 
 

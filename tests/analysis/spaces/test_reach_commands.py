@@ -10,6 +10,7 @@ from command import Result
 import kempe
 from kempe import Budget
 from kempe.analysis.spaces.reach import base_placement
+from kempe.calls import until_interrupt
 from kempe.views.terminal import leave
 
 
@@ -50,7 +51,7 @@ def interrupted(*_):
 ], ids=["reach", "place", "singularities"])  # fmt: skip
 def test_what_was_interrupted_ends_with_the_code_of_ctrl_c(ask):
     arm = kempe.load("ur5")
-    answer = ask(arm, arm.fk(arm.mid, "tool")[None], Budget(starts=20, progress=interrupted))
+    answer = until_interrupt(ask, arm, arm.fk(arm.mid, "tool")[None], Budget(starts=20, progress=interrupted))
     assert "interrupted" in str(answer) or len(answer.codes) == 1
     with pytest.raises(typer.Exit) as end:
         leave(answer)
@@ -64,7 +65,8 @@ def test_many_starts_and_places_are_not_prepared_at_once(monkeypatch):
     monkeypatch.setattr(base_placement, "base_pose", lambda places: made.append(len(places)) or pose(places))
     arm = kempe.load("ur5")
     X = arm.fk(arm.mid, "tool")[None]
-    arm.reach.place(X, "tool", {"x": (0.0, 0.1)}, 100_000, budget=Budget(starts=1, progress=interrupted))
+    with pytest.raises(kempe.Interrupted):
+        arm.reach.place(X, "tool", {"x": (0.0, 0.1)}, 100_000, budget=Budget(starts=1, progress=interrupted))
     assert made == [2048]
 
 

@@ -7,6 +7,7 @@ import pytest
 
 import kempe
 from kempe import Budget, Status
+from kempe.calls import until_interrupt
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.closure_rows import residual
 
@@ -272,7 +273,7 @@ def interrupted(done: int, total: int) -> None:
     (1e-9, None, Status.OUT_OF_TIME, 0), (None, interrupted, Status.INTERRUPTED, 16),
 ])  # fmt: skip
 def test_what_was_found_stays_where_the_search_is_broken_off(limit, progress, code, done):
-    part = PUMA.singularities("tool", budget=Budget(starts=40, time_limit=limit, progress=progress))
+    part = until_interrupt(PUMA.singularities, "tool", budget=Budget(starts=40, time_limit=limit, progress=progress))
     whole = PUMA.singularities("tool", budget=Budget(starts=40))
     assert part.code is code and part.starts == done and "this is the part that was done" in part.status
     first = np.concatenate([s.q for s in whole.sets]) if done else np.zeros((0, 6))

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from kempe.analysis.continuation.continuation import Closure
 from kempe.budget import Budget, Usual
-from kempe.calls import explained_methods, numbers
+from kempe.calls import explained_methods, interruptible, numbers
 from kempe.errors import InputError, UnknownNameError, shown
 from kempe.kinematics.common.gauss_newton import gauss_newton_of_many
 from kempe.kinematics.common.result import Cells
@@ -212,11 +212,12 @@ class Path(Motion):
         out = self.track.at(np.clip(flat - rounds * length, 0.0, length)) + rounds[:, None] * change
         return out.reshape(*s.shape, self.system.nq)
 
+    @interruptible
     def resample(self, n: int, *, budget: Budget | None = None) -> Path:
         """The same path with `n` points at equal distances of arc length, its ends included.
 
-        Of the `budget` are read: time_limit (120 s), progress(points, length), called now and then; an interrupt from
-        the keyboard, or the time limit, leaves those points that were done, see `late` and `remark`. Errors:
+        Of the `budget` are read: time_limit (120 s), progress(points, length), called now and then; the time limit, or
+        Ctrl-C, leaves those points that were done, see `late`, `remark` and `kempe.Interrupted`. Errors:
         `InputError`.
         """
         spend = USUAL.of(budget)

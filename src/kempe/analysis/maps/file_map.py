@@ -14,7 +14,7 @@ from kempe.analysis.maps.row_store import RowStore
 from kempe.analysis.maps.row_verbs import VERBS, RowJob, job_of
 from kempe.analysis.maps.side_by_side import RETRIES, Pace, ThreadWorkers, finished, thread_count
 from kempe.budget import Budget, Usual
-from kempe.calls import brief, explained, explained_methods, flag, listed
+from kempe.calls import brief, explained, explained_methods, flag, interruptible, listed
 from kempe.description.source import expanded
 from kempe.kinematics.common.result import Cells, Report
 from kempe.solvers.common.arguments import seed_number
@@ -81,6 +81,7 @@ class FileMap(Report):
 
 
 @explained
+@interruptible
 def map_file(
     system: System, verb: str, source: str | Path, path: str | Path, frame: FrameLike | None = None, *,
     columns: Iterable[str] | None = None, options: Mapping[str, Any] | None = None, degrees: bool = False,

@@ -31,7 +31,7 @@ from kempe.analysis.motion.input_segments import SegmentContext, State, Stuck
 from kempe.analysis.motion.motion import Progress
 from kempe.analysis.motion.rolling_drive import RollingSamples, driven
 from kempe.budget import Budget, Usual
-from kempe.calls import explained, explained_methods, flag
+from kempe.calls import explained, explained_methods, flag, interruptible, until_interrupt
 from kempe.constraints.tape import TIME
 from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.common.tabular import write_table
@@ -145,6 +145,7 @@ class Drive(Motion):
 
 
 @explained
+@interruptible
 @tolerant()
 def drive(
     system: System, inputs: Mapping[str, ArrayLike | Callable[[float], float]], times: ArrayLike | None = None,
@@ -160,8 +161,8 @@ def drive(
     through change points. `toward` gives rates by coordinate name that choose the branch if the start
     is a change point; otherwise the branch that moves least. Where the inputs ask for what the mechanism cannot do, or
     for what is beyond a limit, the last pose is held until they come back. Of the `budget` are read: step (0.1 at
-    most), time_limit (600 s for the whole call), progress(sample, total), called now and then; an interrupt from the
-    keyboard, or the time limit, leaves the samples that were done.
+    most), time_limit (600 s for the whole call), progress(sample, total), called now and then; the time limit
+    leaves the samples that were done, Ctrl-C as the `answer` of an `Interrupted`.
 
     With velocity constraints, what is not driven rolls along (from the first values of the inputs on), and the motion
     ends before it slips: `status` says where; `toward` and the step do not count. Equations in time follow `times`.
@@ -216,8 +217,8 @@ def _in_time(
         raise UnsupportedError(f"constraint {timed(system)[0]!r} depends on time, which motions of what rolls do not "
                                "follow yet: give its coordinate as an input")  # fmt: skip
     clock, _ = _samples({**inputs, TIME: 0.0}, times)
-    found = drive(clocked(system), {**inputs, TIME: clock}, clock, _with_time(system, start, clock), hold=hold,
-                  toward=toward, limits=limits, budget=budget)  # fmt: skip
+    found = until_interrupt(drive, clocked(system), {**inputs, TIME: clock}, clock, _with_time(system, start, clock),
+                            hold=hold, toward=toward, limits=limits, budget=budget)  # fmt: skip
     return _without_time(found, system)
 
 

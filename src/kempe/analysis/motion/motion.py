@@ -31,7 +31,7 @@ from kempe.analysis.continuation.path import Event, Path, Track
 from kempe.analysis.continuation.spins import spins_held
 from kempe.analysis.motion.endless import NO_RETURN, Endless
 from kempe.budget import Budget, Usual
-from kempe.calls import explained, flag
+from kempe.calls import explained, flag, interruptible
 from kempe.errors import InputError
 from kempe.reals import is_whole
 from kempe.solvers.assembly.ideal import tolerant
@@ -74,6 +74,7 @@ class _Options:
 
 
 @explained
+@interruptible
 @tolerant()
 def trace(
     system: System, driver: str | None = None, start: ArrayLike | Mapping[str, float] | str | None = None, *,
@@ -90,8 +91,8 @@ def trace(
     too, see `Path.others`. The path ends where it closes on itself, at a limit (unless `limits=False`), where it is
     found to have no end (a slide that runs away, gears whose ratio lets it never close), or where the budget ends. Of
     the `budget` are read: points (100 000 at most), step (of arc length, 0.1 at most), time_limit (120 s for the whole
-    call), progress(points, length), called now and then. An interrupt from the keyboard or the time limit returns what
-    was done, and says so by `Path.interrupted`, `Path.late`.
+    call), progress(points, length), called now and then. The time limit returns what was done, and says so
+    by `Path.late`; Ctrl-C raises `Interrupted`, whose `answer` is what was done.
 
     Errors: `UnsupportedError` where more than one freedom remains, naming it; `UnknownNameError`; `InputError`.
 
@@ -312,8 +313,9 @@ def _with_others(equations: Closure, path: Path, options: _Options) -> Path:
     if broken is None and all(found):
         return replace(path, others=tuple(found[1:]))
     late = isinstance(broken, TimeUp) or any(p.late for p in found)
+    interrupted = isinstance(broken, KeyboardInterrupt) or any(p.interrupted for p in found)
     more = "; ".join(filter(None, [path.remark, "other branches were not all followed"]))
-    return replace(path, others=tuple(found[1:]), success=False, interrupted=not late, late=late, remark=more)
+    return replace(path, others=tuple(found[1:]), success=False, interrupted=interrupted, late=late, remark=more)
 
 
 def _covers(equations: Closure, path: Path, q: Array, line: Array, period: Array) -> bool:

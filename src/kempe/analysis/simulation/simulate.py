@@ -17,7 +17,7 @@ from kempe.analysis.continuation.rolling import roll, slip
 from kempe.analysis.simulation.bounces import MOST, Flight
 from kempe.analysis.simulation.falling import falling, start_of_flight
 from kempe.budget import Budget, Usual
-from kempe.calls import explained, explained_methods, numbers
+from kempe.calls import explained, explained_methods, interruptible, numbers
 from kempe.errors import InputError, UnknownNameError
 from kempe.reals import is_mapping, is_real, is_whole, named, reals
 from kempe.solvers.common.clock import LONG, TimeLimit, TimeUp
@@ -138,6 +138,7 @@ class Simulation(Motion):
 
 
 @explained
+@interruptible
 def simulate(
     system: System, duration: float, start: ArrayLike | Mapping[str, float] | str | None = None, *,
     inputs: Mapping[str, Any] | None = None, velocity: ArrayLike | Mapping[str, float] | None = None,

@@ -215,7 +215,8 @@ class ConfigurationList:
 class Configurations(ConfigurationList, Answer):
     """Configurations `q` (n, nq) that answer one question together: all that there are, or a way. Base of such answers.
 
-    Where the work was `interrupted` from the keyboard, or the time limit came (`late`), these are those found by then.
+    Where the time limit came (`late`), these are those found by then. After Ctrl-C (`interrupted`) they are in the
+    `answer` of the `Interrupted` that the verb raises.
     """
 
     interrupted: bool

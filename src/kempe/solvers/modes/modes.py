@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.budget import Budget, Usual
-from kempe.calls import brief, explained, explained_methods, flag, generator
+from kempe.calls import brief, explained, explained_methods, flag, generator, interruptible
 from kempe.errors import InputError
 from kempe.kinematics.common.result import Cells
 from kempe.kinematics.configuration import as_start, home_of
@@ -113,6 +113,7 @@ class Modes(Configurations):
 
 
 @explained
+@interruptible
 @tolerant()
 def assembly_modes(
     system: System, known: Mapping[str, Any] | None = None, start: Any = None, *, limits: bool = True,
@@ -127,8 +128,8 @@ def assembly_modes(
     else it is flagged by `inside`. With `frame`, configurations that put this frame at one pose count as one: legs that
     can be turned over would multiply the modes of a platform. Without it, those that differ only by idle spins (see
     `mobility`) are one. Of the `budget` are read: starts (4096, at most), rng (0), time_limit (120 s), progress(starts,
-    modes), called after each round of starts; an interrupt from the keyboard, or the time limit, leaves what was found
-    by then. Errors: `UnknownNameError`, `InputError` for values that are not single numbers.
+    modes), called after each round of starts; the time limit leaves what was found by then, Ctrl-C as the `answer` of an
+    `Interrupted`. Errors: `UnknownNameError`, `InputError` for values that are not single numbers.
     """
     given: Mapping[str, Any] = {} if known is None else known
     if not isinstance(given, Mapping):

@@ -174,11 +174,12 @@ def search(
             if budget is not None:
                 budget.check()
             done = _one_round(s, starts)
+            before = s  # the round is done
+            if progress is not None:
+                progress(s.tried, len(s.free))
         except BROKEN_OFF as error:
             s, s.broken = before, error
             break
-        if progress is not None:
-            progress(s.tried, len(s.free))
         if done:
             break
     else:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.budget import Budget, Usual
-from kempe.calls import brief, explained, explained_methods
+from kempe.calls import brief, explained, explained_methods, interruptible
 from kempe.constraints.base import Constraint
 from kempe.constraints.frame_targets import of_target
 from kempe.errors import InputError, UnsupportedError
@@ -96,6 +96,7 @@ class IkPath(Configurations):
 
 
 @explained
+@interruptible
 def ik_path(
     system: System, targets: Any, frame: FrameLike | None = None, start: Any = None, *, max_step: float = 0.5,
     restart: bool = False, branches: bool = False, tolerance: float | tuple[float, float] | None = None,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe.budget import Budget, Usual
-from kempe.calls import brief, explained, explained_methods
+from kempe.calls import brief, explained, explained_methods, interruptible
 from kempe.constraints.base import Constraint
 from kempe.constraints.frame_targets import of_target
 from kempe.constraints.reading import numbers_of
@@ -100,6 +100,7 @@ class SelfMotion(Configurations):
 
 
 @explained
+@interruptible
 def self_motion(
     system: System, q: Any, tasks: FrameLike | Constraint | Sequence[Constraint], *,
     task: str | tuple[str, ArrayLike] | None = None, direction: Any = None, budget: Budget | None = None,

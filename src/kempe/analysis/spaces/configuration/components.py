@@ -15,7 +15,7 @@ from kempe.analysis.spaces.configuration.manifold import Manifold
 from kempe.analysis.spaces.configuration.polygons import polygon_of
 from kempe.analysis.spaces.curves.swept import CurveSweep, sweep_of
 from kempe.budget import Budget, Usual
-from kempe.calls import brief, explained, explained_methods
+from kempe.calls import brief, explained, explained_methods, interruptible, until_interrupt
 from kempe.kinematics.closure_rows import RANK_TOLERANCE
 from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import has_loops, random, winding_angles
@@ -184,12 +184,15 @@ class Components(Report):
     parts: tuple[Component, ...] = ()
     singular: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
     late: bool = False
+    interrupted: bool = False
 
     @cached_property
     def code(self) -> Status:  # type: ignore[override]
         """The outcome: `PARTLY` where the count is a lower bound, `NONE_EXISTS` where it is proven to be 0."""
         if self.complete:
             return Status.SOLVED if self.count else Status.NONE_EXISTS
+        if self.interrupted:
+            return Status.INTERRUPTED
         return Status.OUT_OF_TIME if self.late else Status.PARTLY if self.count else Status.NOT_FOUND
 
     @property
@@ -212,11 +215,12 @@ class Components(Report):
         parts = [{"dimension": p.dimension, "length": p.length, "curves": len(p.paths),
                   "closed": all(x.closed for x in p.paths), "ranges": p.ranges} for p in self.parts]  # fmt: skip
         singular = [dict(zip(names, q.tolist(), strict=True)) for q in self.singular]
-        own = {n: getattr(self, n) for n in ("count", "complete", "reason", "dimension", "idle", "late")}
+        own = {n: getattr(self, n) for n in ("count", "complete", "reason", "dimension", "idle", "late", "interrupted")}
         return {"system": self.system.name} | own | {"parts": parts, "singular": singular}
 
 
 @explained
+@interruptible
 def components(system: System, *, budget: Budget | None = None) -> Components:
     """The connected components of the configuration space, with the proof, or as a lower bound with the reason.
 
@@ -261,7 +265,7 @@ def components(system: System, *, budget: Budget | None = None) -> Components:
     singular = singular[_first(system, singular)]
     count, why = _lower_bound(system, found, sweep) if known is None else (known[0], known[1] + found.said(known[0]))
     return Components(system, count, known is not None, why, mobility.dof, mobility.idle, found.parts, singular,
-                      late or found.late)  # fmt: skip
+                      late or found.late, found.interrupted)  # fmt: skip
 
 
 def _inside(system: System, home: Array, spend: Budget) -> bool:
@@ -289,11 +293,12 @@ def _proven(system: System, time: TimeLimit) -> tuple[tuple[int, str] | None, Cu
 
 @dataclass(frozen=True)
 class Traced:
-    """Curves that were traced, `several` freedoms that were found at starts, and whether the time was up."""
+    """Curves that were traced, `several` freedoms found at starts, and whether the time limit or Ctrl-C ended it."""
 
     parts: tuple[Component, ...]
     several: frozenset[int]
     late: bool
+    interrupted: bool = False
 
     def said(self, known: int | None) -> str:
         """What is to be said of them beside a number."""
@@ -330,11 +335,13 @@ def _traced(
         left = None if time.limit is None else time.end - monotonic()
         if left is not None and left <= 0.0:
             return Traced(tuple(parts), several, True)
-        path = trace(system, start=q[0], ways="branches", budget=Budget(time_limit=left))
+        path = until_interrupt(trace, system, start=q[0], ways="branches", budget=Budget(time_limit=left))
         late |= path.late
         part = Component((path, *path.others), still)
         if part.dimension or (path.success and not system.mobility(q[0]).dof):
             parts.append(part)
+        if path.interrupted:
+            return Traced(tuple(parts), several, late, True)
         q = q[1:]
         q = q[~part.contains(q)] if len(q) else q
     return Traced(tuple(parts), several, late)

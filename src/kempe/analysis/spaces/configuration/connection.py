@@ -15,7 +15,7 @@ from kempe.analysis.spaces.configuration.polygons import polygon_of
 from kempe.analysis.spaces.configuration.random_trees import joined
 from kempe.analysis.spaces.curves.swept import sweep_of
 from kempe.budget import Budget, Usual
-from kempe.calls import brief, explained, explained_methods, generator
+from kempe.calls import brief, explained, explained_methods, generator, interruptible
 from kempe.errors import InputError
 from kempe.kinematics.configuration import as_q, has_loops
 from kempe.kinematics.measure import judge
@@ -74,6 +74,7 @@ class Connection(Configurations):
 
 
 @explained
+@interruptible
 def path(system: System, q0: Any, q1: Any, *, budget: Budget | None = None) -> Connection:
     """A continuous motion from q0 to q1 (nq,) within limits and on all constraints, or why there is none.
 

@@ -12,7 +12,7 @@ from kempe.analysis.spaces.configuration.components import components
 from kempe.analysis.spaces.configuration.manifold import Manifold
 from kempe.analysis.spaces.configuration.random_walk import Walkers
 from kempe.budget import Budget, Usual
-from kempe.calls import brief, explained, explained_methods, generator
+from kempe.calls import brief, explained, explained_methods, generator, interruptible
 from kempe.errors import InputError, UnsupportedError, shown
 from kempe.kinematics.configuration import circles, has_loops, random
 from kempe.kinematics.one_sided import one_sided_rows
@@ -73,6 +73,7 @@ def _made(system: System, n: int, q: Array, measure: str, exact: bool, how: str,
 
 
 @explained
+@interruptible
 def sample(
     system: System, n: float, rng: np.random.Generator | int | None = None, *, budget: Budget | None = None
 ) -> Sample:  # fmt: skip

@@ -14,7 +14,7 @@ from kempe import spatial
 from kempe.analysis.spaces.reach.map_slices import sliced
 from kempe.analysis.spaces.reach.reached_poses import checked_poses, reached
 from kempe.budget import Budget, Usual
-from kempe.calls import brief, explained, explained_methods, known, numbers
+from kempe.calls import brief, explained, explained_methods, interruptible, known, numbers
 from kempe.errors import InputError
 from kempe.kinematics.common.result import Report
 from kempe.reals import is_mapping, is_whole
@@ -122,6 +122,7 @@ def base_pose(places: Array) -> Array:
 
 
 @explained
+@interruptible
 def place_base(
     system: System, targets: ArrayLike, frame: FrameLike, box: Mapping[str, Any], cells: int | Mapping[str, int] = 11,
     *, task: str | tuple[str, ArrayLike] | None = None, budget: Budget | None = None,
@@ -131,8 +132,8 @@ def place_base(
     The `box` names coordinates of the base, "x", "y", "z" in metres and "yaw" in radians, with a pair (low, high) that
     is tried at so many `cells` values (one number, or a dict by name), or with one number; those not named are 0. Of
     the `budget` are read: starts (64), rng (0), threads, time_limit, and progress, which is called with the number of
-    poses tried and that of all. After the time limit, or an interrupt, the map has what was done. Errors: `InputError`,
-    `UnknownNameError`.
+    poses tried and that of all. After the time limit the map has what was done, after Ctrl-C the `answer` of the
+    `Interrupted`. Errors: `InputError`, `UnknownNameError`.
     """
     spend, name = USUAL.of(budget), system.structure.frame_name(frame)
     X = numbers(targets, "targets")

@@ -17,7 +17,7 @@ from kempe.analysis.spaces.reach.base_placement import MOST
 from kempe.analysis.spaces.reach.map_slices import sliced
 from kempe.analysis.spaces.reach.reached_poses import UNKNOWN, reached
 from kempe.budget import Budget, Usual
-from kempe.calls import brief, explained, explained_methods, numbers
+from kempe.calls import brief, explained, explained_methods, interruptible, numbers
 from kempe.constraints.frame_targets import of_target
 from kempe.errors import InputError
 from kempe.kinematics.common.result import Report
@@ -117,6 +117,7 @@ def spread_directions(n: int) -> Array:
 
 
 @explained
+@interruptible
 def capability_map(
     system: System, frame: FrameLike, box: ArrayLike, cells: int | tuple[int, ...] = 10,
     directions: int | ArrayLike = 32, rolls: int | None = None, *, budget: Budget | None = None,
@@ -126,8 +127,8 @@ def capability_map(
     `box` is the pair of its corners (2, 3), in the plane (2, 2), in metres, cut into so many `cells` along each axis.
     `directions` are that many, spread evenly, or vectors (d, 3), in the plane (d, 2). With `rolls` each is tried at
     that many angles about it, as a pose, and solutions are counted where the chain has finitely many. Of the `budget`
-    are read: starts (32), rng (0), threads, progress, time_limit; after that, or an interrupt, the map has what was
-    done. Errors: `InputError`, `UnknownNameError`.
+    are read: starts (32), rng (0), threads, progress, time_limit; after that the map has what was done, after Ctrl-C
+    the `answer` of the `Interrupted`. Errors: `InputError`, `UnknownNameError`.
     """
     spend, name, dim = USUAL.of(budget), system.structure.frame_name(frame), system.dim
     axes, d = _cells(box, cells, dim), _directions(directions, dim)

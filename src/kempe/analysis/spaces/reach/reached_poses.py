@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from kempe.analysis.spaces.reach.map_slices import sliced
 from kempe.budget import Budget, Usual
-from kempe.calls import brief, explained, explained_methods, numbers
+from kempe.calls import brief, explained, explained_methods, interruptible, numbers
 from kempe.errors import InputError
 from kempe.kinematics.closure_rows import characteristic_length
 from kempe.kinematics.common.result import Report
@@ -209,6 +209,7 @@ class ReachStudy(Report):
 
 
 @explained
+@interruptible
 def reach_poses(
     system: System, targets: ArrayLike, frame: FrameLike, *, task: str | tuple[str, ArrayLike] | None = None,
     budget: Budget | None = None,
@@ -218,7 +219,8 @@ def reach_poses(
     `targets` (n, 4, 4) are poses, or (n, 3) positions, in the ground frame, with `task` as `System.ik` takes them. A
     pose counts as reached where `ik` or, of chains with finitely many solutions, `ik_all` finds one inside the limits.
     Of the `budget` are read: starts (1000), rng (0), threads, time_limit, and progress, which is called with the number
-    of poses tried and that of all. After the time limit, or an interrupt, the study has what was done.
+    of poses tried and that of all. After the time limit the study has what was done, after Ctrl-C the
+    `answer` of the `Interrupted`.
     Errors: `InputError`, `UnknownNameError`.
     """
     spend, name = USUAL.of(budget), system.structure.frame_name(frame)

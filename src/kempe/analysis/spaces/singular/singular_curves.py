@@ -17,7 +17,7 @@ import numpy as np
 from kempe.analysis.spaces.singular.rank_loss import Equations, RankLoss
 from kempe.analysis.spaces.singular.singular_sets import inside_limits
 from kempe.budget import Budget, Usual
-from kempe.calls import brief, explained_methods, numbers
+from kempe.calls import brief, explained_methods, interruptible, numbers
 from kempe.errors import InputError, shown
 from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import by_short_turns, circles
@@ -134,6 +134,7 @@ Start = tuple[tuple[str, ...], str, Array]
 """The kinds, the name, and the singular configuration (nq,) from which a curve is followed."""
 
 
+@interruptible
 def singular_curves(
     found: Singularities, problems: dict[str, RankLoss], starts: list[Start], held: tuple[str, ...],
     budget: Budget | None,

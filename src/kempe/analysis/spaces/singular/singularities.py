@@ -15,8 +15,8 @@ from kempe.analysis.spaces.singular.rank_questions import CONSTRAINT, OF_FRAMES,
 from kempe.analysis.spaces.singular.singular_curves import SingularCurves, held_equations, singular_curves
 from kempe.analysis.spaces.singular.singular_sets import SAME, NearestSingular, SingularSet, changes, inside_limits
 from kempe.budget import Budget, Usual
-from kempe.calls import brief, explained, explained_methods, flag, generator, known
-from kempe.errors import InputError
+from kempe.calls import brief, explained, explained_methods, flag, generator, interruptible, known, until_interrupt
+from kempe.errors import InputError, Interrupted
 from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import as_q, by_short_turns, circles, has_loops
 from kempe.solvers.common.arguments import start_count
@@ -116,12 +116,17 @@ class Singularities(Report):
 
         Arrows show directions of the frame: of turns in the plane there is the centre with an arc, in space the axis
         (dotted). Of a planar system whose sets are curves the last axes have these. At most four configurations are
-        drawn. `ax` are as many axes to draw on, the `budget` is that of `curves`, of which what was done is drawn and
-        the rest said; `options` are those of `System.plot`. Errors: `InputError` where no set was found.
+        drawn. `ax` are as many axes to draw on, the `budget` is that of `curves`, of which what was done is drawn
+        (after Ctrl-C in the `answer` of an `Interrupted`); `options` are those of `System.plot`.
+        Errors: `InputError` where no set was found.
         """
         from kempe.views.singular_plot import curves_shown, plot_singularities
 
-        return plot_singularities(self, curves_shown(self, budget), ax=ax, **options)
+        curves = until_interrupt(curves_shown, self, budget)
+        axes = plot_singularities(self, curves, ax=ax, **options)
+        if curves is not None and curves.broken is Status.INTERRUPTED:
+            raise Interrupted(axes)
+        return axes
 
     def curves(
         self, *, hold: Mapping[str, float] | None = None, orientation: Any = None, budget: Budget | None = None
@@ -174,6 +179,7 @@ Found = dict[Key, list[Row]]
 
 
 @explained
+@interruptible
 def singularities(
     system: System, frame: FrameLike | None = None, task: str | None = None, *,
     inputs: Iterable[str] | None = None, limits: bool = True, budget: Budget | None = None,

@@ -26,7 +26,7 @@ from kempe.analysis.spaces.workspace.recipe import Recipe, recipe_of
 from kempe.analysis.spaces.workspace.sample_parts import SampleParts
 from kempe.analysis.spaces.workspace.workspace import Workspace, of_stored
 from kempe.budget import Budget, Usual
-from kempe.calls import explained
+from kempe.calls import explained, interruptible
 from kempe.errors import DamagedError, InputError, shown
 from kempe.reals import is_real
 from kempe.solvers.common.arguments import seed_number
@@ -43,6 +43,7 @@ LARGEST_PART = 2**31
 
 
 @explained
+@interruptible
 def workspace(
     system: System, frame: FrameLike, *, kind: str | None = None, orientation: Any = None, at: ArrayLike | None = None,
     n: float | None = None, cells: Any = None, box: Any = None, client: Any = None, path: str | Path | None = None,
@@ -69,8 +70,8 @@ def workspace(
     of a Dask cluster do the work. With a `path`, what is done is written beside it as it goes, and the map to it at the
     end: the same call goes on after any interruption, and with a larger `n` adds to a map that is there.
 
-    Of the `budget` are read: rng, threads, time_limit (none), progress(samples, n). An interrupt from the keyboard or
-    the time limit returns what was done. Errors: `InputError` for a frame that does not move, slides without limits
+    Of the `budget` are read: rng, threads, time_limit (none), progress(samples, n). The time limit returns
+    what was done, Ctrl-C raises it as the `answer` of an `Interrupted`. Errors: `InputError` for a frame that does not move, slides without limits
     where no box is given, and what belongs to another map; `KernelsError` for a map of other kernels; `DiskError`;
     `UnknownNameError`; `MissingExtraError` without the extra [scale], for `client` and `path`.
     """
