@@ -128,8 +128,8 @@ def assembly_modes(
     else it is flagged by `inside`. With `frame`, configurations that put this frame at one pose count as one: legs that
     can be turned over would multiply the modes of a platform. Without it, those that differ only by idle spins (see
     `mobility`) are one. Of the `budget` are read: starts (4096, at most), rng (0), time_limit (120 s), progress(starts,
-    modes), called after each round of starts; the time limit leaves what was found by then, Ctrl-C as the `answer` of an
-    `Interrupted`. Errors: `UnknownNameError`, `InputError` for values that are not single numbers.
+    modes), called after each round of starts; the time limit leaves what was found by then, Ctrl-C as the
+    `answer` of an `Interrupted`. Errors: `UnknownNameError`, `InputError` for values that are not single numbers.
     """
     given: Mapping[str, Any] = {} if known is None else known
     if not isinstance(given, Mapping):

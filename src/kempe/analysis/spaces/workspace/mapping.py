@@ -71,7 +71,9 @@ def workspace(
     end: the same call goes on after any interruption, and with a larger `n` adds to a map that is there.
 
     Of the `budget` are read: rng, threads, time_limit (none), progress(samples, n). The time limit returns
-    what was done, Ctrl-C raises it as the `answer` of an `Interrupted`. Errors: `InputError` for a frame that does not move, slides without limits
+    what was done, Ctrl-C raises it as the `answer` of an `Interrupted`.
+
+    Errors: `InputError` for a frame that does not move, slides without limits
     where no box is given, and what belongs to another map; `KernelsError` for a map of other kernels; `DiskError`;
     `UnknownNameError`; `MissingExtraError` without the extra [scale], for `client` and `path`.
     """
