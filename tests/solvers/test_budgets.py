@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 from robots import urdf_files
@@ -10,6 +12,8 @@ from test_tasks import inside, two_arms
 import kempe
 from kempe import Mechanism, spatial, tasks
 from kempe.errors import InputError, NoSolutionError
+from kempe.solvers.analytic import ik_all, start_search, through_loops
+from kempe.solvers.analytic.plans import question
 from kempe.solvers.one_frame import multi_start
 from kempe.status import Status
 
@@ -251,3 +255,103 @@ def test_numbers_of_threads_are_checked_with_a_time_limit_too(limit, threads):
     X = robot.fk(robot.random(3, 600), "tool")
     with pytest.raises(InputError, match="threads is"):
         robot.ik(X, "tool", budget=kempe.Budget(threads=threads, time_limit=limit))
+
+
+# ---- the time of ik_all
+
+
+def count_looks(monkeypatch, most: int) -> list[int]:
+    """Let the time be up from the look at the clock of this number on; the list counts them."""
+    looks = [0]
+
+    def over(self) -> bool:
+        looks[0] += 1
+        return looks[0] > most
+
+    monkeypatch.setattr(question.Watch, "over", property(over))
+    return looks
+
+
+def test_the_time_limit_leaves_what_is_known_of_a_batch(monkeypatch):
+    """The first targets have all their solutions; the others have none, are not complete, and say why."""
+    s = kempe.load("gen3_lite")
+    X = s.fk(s.random(3, 200), "tool")
+    whole = s.ik_all(X, "tool")
+    assert not whole.late.any() and whole.late.shape == (200,)
+    monkeypatch.setattr(ik_all, "ELIMINATED", 64)
+    count_looks(monkeypatch, 2)
+    part = s.ik_all(X, "tool", budget=kempe.Budget(time_limit=100.0))
+    assert part.plan.method == "elimination"
+    assert part.late.sum() == 72 and part.late[128:].all()
+    np.testing.assert_array_equal(part.q[:128][part.mask[:128]], whole.q[:128][whole.mask[:128]])
+    np.testing.assert_array_equal(part.complete[:128], whole.complete[:128])
+    assert not part.complete[128:].any() and not part.mask[128:].any()
+    assert (part.code[128:] == Status.OUT_OF_TIME).all() and not part.success[128:].any()
+    assert part.status[150] == "no solution found within the time limit of 100 s: there may be some"
+    assert pickle.loads(pickle.dumps(part)).late.sum() == 72
+
+
+def test_the_time_limit_of_one_target():
+    assert ik_all.USUAL.of(None).time_limit == 30.0 and ik_all.BATCH.of(None).time_limit is None
+
+
+@pytest.mark.parametrize("most", range(6))
+def test_a_redundant_arm_whose_time_is_up_says_so_at_every_look(most, monkeypatch):
+    """At whichever look at the clock the time is up: what is said to be a solution is one, and nothing is complete."""
+    s = kempe.load("panda")
+    q = s.lower + 0.02 * (s.upper - s.lower)
+    X = s.fk(q, "panda_hand_tcp")
+    count_looks(monkeypatch, most)
+    answer = s.ik_all(X, "panda_hand_tcp", budget=kempe.Budget(time_limit=1.0))
+    assert not answer.complete
+    if answer.late:
+        assert "time limit of 1 s" in answer.status
+        assert answer.code in (Status.SOLVED, Status.OUT_OF_TIME)
+    for x in answer.q:
+        np.testing.assert_allclose(s.fk(x, "panda_hand_tcp"), X, atol=1e-8)
+    if most == 0:
+        assert answer.late and not len(answer) and answer.code is Status.OUT_OF_TIME
+
+
+def test_chains_that_are_singular_everywhere_take_no_numerical_search_at_each_value_of_a_spare_joint(monkeypatch):
+    """Two turns and a slide along one direction but for 1e-7: a search at each of 64 values took seconds."""
+    searches = []
+    before = start_search._solutions
+    monkeypatch.setattr(start_search, "_solutions", lambda *args: searches.append(1) or before(*args))
+    h = np.pi / 2
+    rows = [(0.35, -h, 0.1, h, "prismatic"), (0.5, h, 0.0, 0.0, "prismatic"), (0.5, -h, -0.2, h, "revolute"),
+            (-0.2, 0.0, 0.5, -h, "revolute"), (0.0, 0.0, 0.5, 0.0, "prismatic"), (-0.2, 0.0, 0.5, 0.0, "revolute")]  # fmt: skip
+    for seed in (0, 4):
+        rng, most = np.random.default_rng(seed), 0
+        table = [{"a": a + 1e-7 * rng.normal(), "alpha": t + 1e-7 * rng.normal(), "d": d + 1e-7 * rng.normal(),
+                  "theta": x, "type": kind} for a, t, d, x, kind in rows]  # fmt: skip
+        s = kempe.from_dh(table).build()
+        for q in rng.uniform(-3.0, 3.0, (5, 6)):
+            X = s.fk(q, "tool")
+            searches.clear()
+            answer = s.ik_all(X, "tool")
+            most = max(most, len(searches))
+            assert len(answer) and not answer.complete
+            for x in answer.q:
+                np.testing.assert_allclose(s.fk(x, "tool"), X, atol=1e-8)
+        assert most == 1
+
+
+def test_the_time_limit_of_a_frame_that_moves_with_loops(monkeypatch):
+    """It is that of the assembly modes that answer."""
+    given = []
+    before = through_loops.assembly_modes
+
+    def modes(*args, budget):
+        given.append(budget.time_limit)
+        return before(*args, limits=False, budget=budget)
+
+    monkeypatch.setattr(through_loops, "assembly_modes", lambda *a, limits, budget: modes(*a, budget=budget))
+    s = kempe.load("four_bar")
+    q = s.assemble({"A": 0.9}).q
+    X = s.fk(q, "coupler")
+    assert len(s.ik_all(X, "coupler", budget=kempe.Budget(time_limit=7.0)))
+    s.ik_all(X, "coupler")
+    assert given == [7.0, 30.0]
+    with pytest.raises(InputError, match="starts, which ik_all does not read"):
+        s.ik_all(X, "coupler", budget=kempe.Budget(starts=3))

@@ -20,9 +20,9 @@ from kempe.solvers.analytic.answers.nearest import Aim, descend, limits_of
 from kempe.solvers.analytic.plans.choice import within_domains
 from kempe.solvers.analytic.plans.plan import TASKS, ChainPlan
 from kempe.solvers.analytic.plans.question import Question
-from kempe.solvers.common.serial_chain import chain_of
+from kempe.solvers.analytic.start_search import frame_problem, places_in
 from kempe.solvers.common.targets import Z_AXIS, frame_of
-from kempe.solvers.one_frame.multi_start import FEW, ITERATIONS, MOST, FrameProblem, answered, outside, rows_of
+from kempe.solvers.one_frame.multi_start import FEW, ITERATIONS, MOST, answered, outside, rows_of
 from kempe.spatial import Array
 
 VALUES = 64
@@ -40,7 +40,8 @@ SAME = 1e-4
 ROOM = 512
 """Targets times values that are solved at a time, unless there are more targets."""
 
-CHUNK, SERIAL_BELOW = 256, 1024
+CHUNK, SERIAL_BELOW, PIECE = 256, 1024, 16
+"""Targets of a chunk, from how many on there are threads, and targets between two looks at the clock."""
 
 SIGN = -(2**63)
 """The bit that codes of rows in use do not have."""
@@ -77,7 +78,7 @@ def look_further(
     )  # fmt: skip
     left = many.searched(left, FEW, question.tolerance, True)
     if len(left):
-        left = left[outside(_task(question), question.targets[left]) == 0.0]
+        left = left[outside(frame_problem(question), question.targets[left]) == 0.0]
     if not len(left):
         return SpareJoints(many.locked, tried)
     if plan.method != "search" and many.spare:
@@ -86,14 +87,6 @@ def look_further(
     left = many.searched(left, MOST, max(question.tolerance, LOOSE), True)
     many.searched(left[~_used(rows[left])], MOST, max(question.tolerance, LOOSE), False)
     return SpareJoints(many.locked, tried)
-
-
-def _task(question: Question) -> FrameProblem:
-    """The problem, as numerical solvers read it."""
-    chain = chain_of(question.system, question.frame, question.axis)
-    tolerance = (question.tolerance, question.angular)
-    return FrameProblem(question.system, question.frame, question.targets, question.task, question.axis, tolerance,
-                        MOST, 0, chain)  # fmt: skip
 
 
 def _used(rows: Array) -> np.ndarray:
@@ -132,7 +125,7 @@ class _Targets:
         Returns rows (m, K, n + 2), each a configuration with its error and flag, and their counts (m, 2).
         """
         lead = None if self.question.lead is None and len(which) == 1 else (len(which),)
-        some = replace(self.question, targets=self.question.targets[which], lead=lead)
+        some = self.question.of(which, lead)
         near = self.near if len(self.near) == 1 else self.near[which]
         return self.solve(some, near, locked)
 
@@ -147,7 +140,7 @@ class _Targets:
         """The targets of `left` that have no solution inside the limits at any of VALUES values."""
         values = spare_values(self.plan, self.spare)
         k = 0
-        while k < len(values) and len(left):
+        while k < len(values) and len(left) and not self.question.stopped(left):
             some = values[k : k + max(1, ROOM // len(left))]
             which = np.repeat(left, len(some))
             locked = self.locked[which]
@@ -166,7 +159,7 @@ class _Targets:
 
         The others have all solutions with the spare joints where their configuration has them, itself among them.
         """
-        if not len(left):
+        if not len(left) or self.question.stopped(left):
             return left
         q, error, found = self._configurations(left, starts, tolerance, limited)
         which, q, error = left[found], q[found], error[found]
@@ -184,9 +177,9 @@ class _Targets:
         self, which: np.ndarray, starts: int, tolerance: float, limited: bool
     ) -> tuple[Array, Array, np.ndarray]:
         """Coordinates (m, n) of the chain, errors (m,), and which were found (m,), to the tolerance of the question."""
-        lines, task, m = self.plan.lines, _task(self.question), len(which)
+        lines, task, m = self.plan.lines, frame_problem(self.question), len(which)
         chain = task.chain
-        at = np.argsort(chain.q_index)[np.argsort(np.argsort(lines.q_index))]  # coordinate of the chain of each line
+        at = places_in(chain, lines)
         goals, pins = self.question.targets[which], list(self.plan.fixed)
         if self.question.axis != Z_AXIS:
             goals = goals.copy()
@@ -205,6 +198,15 @@ class _Targets:
         if starts > FEW and limited:  # the few began at `near`: other starts, then
             seeds = chain.no_seed
 
+        def pieces(i: int, j: int) -> int:
+            for k in range(i, j, PIECE):
+                last = min(k + PIECE, j)
+                if self.question.stopped(which[k:last]):
+                    out[k:last] = np.nan
+                else:
+                    work(k, last)
+            return 0
+
         def work(i: int, j: int) -> int:
             if len(pins):
                 limits[:, at[pins]] = pinned[i]
@@ -216,9 +218,9 @@ class _Targets:
 
         if len(pins) and np.ptp(pinned, axis=0).any():
             for i in range(m):
-                work(i, i + 1)
+                pieces(i, i + 1)
         else:
-            over_chunks(work, m, CHUNK, self.threads, SERIAL_BELOW)
+            over_chunks(pieces, m, CHUNK, self.threads, SERIAL_BELOW)
         n = len(lines)
         q, error, found = out[:, at], np.hypot(out[:, n + LINEAR], out[:, n + ANGULAR]), out[:, n + STATUS] == SOLVED
         for i in np.flatnonzero(found & (error > self.question.tolerance)):

@@ -26,7 +26,7 @@ from kempe.solvers.analytic.obeying import obeying
 from kempe.solvers.analytic.plans.chain_lines import Lines, lines_of
 from kempe.solvers.analytic.plans.choice import plan_holding
 from kempe.solvers.analytic.plans.plan import ChainPlan, kernel_of, side_by_side_of
-from kempe.solvers.analytic.plans.question import Question, held, held_by, near_of, within
+from kempe.solvers.analytic.plans.question import Question, Watch, held, held_by, near_of, within
 from kempe.solvers.common.problem import Choice, Problem, Solver, TaskOf, choose, chosen_by, takes_all
 from kempe.solvers.common.serial_chain import inside, of_loops
 from kempe.solvers.common.targets import (
@@ -52,6 +52,12 @@ TOLERANCE = 1e-9
 
 EPSILON = float(np.finfo(float).eps)
 CHUNK, SERIAL_BELOW = 256, 4096
+PIECE, ELIMINATED = 512, 64
+"""Targets of a chunk between two looks at the clock: in closed form, and by elimination, which takes ten times as long.
+Both are multiples of the targets that are solved side by side."""
+
+SINGLE = 30.0
+"""Seconds that the answer for one target may take, unless the caller says otherwise."""
 FAR = 300.0
 """Lengths of a chain with slides beyond which these are so long that its equations may say nothing of the rest."""
 
@@ -59,7 +65,8 @@ NONE = np.zeros(0, dtype=np.int64)
 """No targets."""
 
 LIMITS = (False, True, "turns")
-USUAL = Usual("ik_all", threads=None)
+USUAL = Usual("ik_all", threads=None, time_limit=SINGLE)
+BATCH = Usual("ik_all", threads=None, time_limit=None)
 
 
 @explained
@@ -83,8 +90,9 @@ def ik_all(
 
     Each solution is verified by the forward model to `tolerance` [m, rad] (1e-9, or to rounding, far away). What is not
     reached has no solutions and a `status` that says why; ``answer.expect()`` raises `NoSolutionError` for it. Of the
-    `budget` are read: threads. Errors: `UnsupportedError` for chains with quaternions or shared coordinates,
-    `InputError`, `UnknownNameError`.
+    `budget` are read: threads, and time_limit (30 s for one target, none for a batch). Targets whose work it ended have
+    the solutions that are known by then, are not `complete`, and say so (`late`). Errors: `UnsupportedError` for chains
+    with quaternions or shared coordinates, `InputError`, `UnknownNameError`.
     For one pose or position of a frame that moves with loops the answer is that of `assembly_modes` with it known.
     Method: see `System.inverse.plan`, and `kernels.outer`, `kernels.inner`, `kernels.elimination`.
     """
@@ -119,13 +127,15 @@ def _of_loops(problem: Problem) -> Modes:
 def _of_chain(problem: Problem) -> Solutions:
     """The answer for a frame that its own chain moves."""
     system, name, (task, direction), targets = problem.system, str(problem.frame), problem.task, problem.targets
-    lines, threads = chain_lines(system, name, direction), USUAL.of(problem.budget).threads
-    values = held(name, lines.names, problem.known)
-    plan = plan_for(system, name, lines, task, direction, tuple(values))
     single = problem.lead == ()
+    lines, spend = chain_lines(system, name, direction), (USUAL if single else BATCH).of(problem.budget)
+    values, threads = held(name, lines.names, problem.known), spend.threads
+    watch = Watch(spend.time_limit, len(targets))
+    plan = plan_for(system, name, lines, task, direction, tuple(values))
     wanted = TOLERANCE if problem.tolerance is None else within(problem.tolerance)
     sure = max(wanted, attainable(targets, lines))
-    question = Question(system, name, task, direction, targets, None if single else problem.lead, sure, wanted)
+    question = Question(system, name, task, direction, targets, None if single else problem.lead, sure, wanted,
+                        watch)  # fmt: skip
     plain = not one_sided_rows(system).declared
     if plain and single and system.dim == 3 and task == "pose" and plan.side_by_side and (name,) not in system._queries:
         bind(system, name)
@@ -274,16 +284,26 @@ def solve(
         decided = code >= 0.0 and code % 2.0 == 1.0  # the first of rows in order is inside the limits
     if decided:
         _outside(plan, out)
-        return Solutions(question, plan, base, out, counts, question.lead, locked=first, first=first)
+        return Solutions(question, plan, base, out, counts, question.lead, locked=first, first=first,
+                         late=_late(question, counts))  # fmt: skip
     from kempe.solvers.analytic.further import look_further
 
     def at(some: Question, near: Array, locked: Array) -> tuple[Array, np.ndarray]:
-        return solve_held(some, plan, near, locked, threads)
+        return solve_held(some, plan, near, locked, threads, starts=False)  # of which there are many for all values
 
     held_at = look_further(question, plan, chain_near, first, out, counts, at, threads)
     _outside(plan, out)
     return Solutions(question, plan, base, out, counts, question.lead, locked=held_at.locked, first=first,
-                     tried=held_at.tried)  # fmt: skip
+                     tried=held_at.tried, late=_late(question, counts))  # fmt: skip
+
+
+def _late(question: Question, counts: np.ndarray) -> tuple[float, np.ndarray] | None:
+    """The time limit [s] and the targets (N,) whose work it ended, which are in doubt; None where it ended none."""
+    if question.watch is None or not question.watch.late.any():
+        return None
+    late = question.watch.late & (counts[:, 0] >= 0)
+    counts[late, 1] = 1
+    return question.watch.limit.limit or 0.0, late
 
 
 def _outside(plan: ChainPlan, rows: Array) -> None:
@@ -297,11 +317,12 @@ def _outside(plan: ChainPlan, rows: Array) -> None:
 
 
 def solve_held(
-    question: Question, plan: ChainPlan, chain_near: Array, locked: Array, threads: int | None
+    question: Question, plan: ChainPlan, chain_near: Array, locked: Array, threads: int | None, starts: bool = True
 ) -> tuple[Array, np.ndarray]:
     """Rows (N, K, n + 2) and counts (N, 2) of the kernels with joints locked at their values in `locked` (1 or N, n).
 
-    chain_near: (1 or N, n) coordinates of the chain, near which angles are given.
+    chain_near: (1 or N, n) coordinates of the chain, near which angles are given. With `starts` a search looks for
+    solutions where the equations say nothing.
     """
     targets, lines = question.targets, plan.lines
     n, single = len(targets), question.lead is None
@@ -316,8 +337,18 @@ def solve_held(
         search(question, plan, chain_near, locked, out, counts, np.arange(n))
         return out, counts
     side_by_side = side_by_side_of(plan)
+    piece = ELIMINATED if plan.method == "elimination" else PIECE if side_by_side is None else max(n, 1)
     if not plan.locked:
         locked = locked[:1]
+
+    def pieces(i: int, j: int) -> int:
+        for k in range(i, j, piece):
+            last = min(k + piece, j)
+            if question.stopped(slice(k, last)):
+                out[k:last, :, -A.INFO + A.CODE], counts[k:last, 1] = A.UNUSED, 1
+            else:
+                work(k, last)
+        return 0
 
     def work(i: int, j: int) -> int:
         some = chain_near[i:j] if len(chain_near) > 1 else chain_near
@@ -334,17 +365,22 @@ def solve_held(
                int(single), which, out[i:j], counts[i:j])  # fmt: skip
         return 0
 
-    over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
+    over_chunks(pieces, n, CHUNK, threads, SERIAL_BELOW)
     maybe_none = n != 1 or counts.item(0) == 0
     if (lines.kinds == SLIDE).any():
         counts[np.linalg.norm(targets[:, :3, 3] - lines.origin, axis=1) > FAR * lines.length, 1] = 1
     none = np.flatnonzero(counts[:, 0] == 0) if maybe_none and plan.rests else NONE
     if len(none) and (other := plan.other) is not None:  # two completions have to agree
-        kernel_of(other)(
-            other.ints, other.floats, targets, chain_near, locked, question.tolerance, question.angular,
-            int(single), none, out, counts,
-        )  # fmt: skip
-    lost = np.flatnonzero((counts[:, 1] == 1) & (counts[:, 0] == 0)) if maybe_none else NONE
+        for k in range(0, len(none), ELIMINATED):
+            some = none[k : k + ELIMINATED]
+            if question.stopped(some):
+                counts[some, 1] = 1
+                continue
+            kernel_of(other)(
+                other.ints, other.floats, targets, chain_near, locked, question.tolerance, question.angular,
+                int(single), some, out, counts,
+            )  # fmt: skip
+    lost = np.flatnonzero((counts[:, 1] == 1) & (counts[:, 0] == 0)) if maybe_none and starts else NONE
     if len(lost):  # the equations said nothing: starts may
         from kempe.solvers.analytic.start_search import search
 

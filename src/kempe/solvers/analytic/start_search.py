@@ -1,22 +1,39 @@
-"""Solutions by many starts, for chains with neither a closed form nor an elimination: never known to be complete."""
+"""Solutions by many starts, for chains with neither a closed form nor an elimination: never known to be complete.
+
+The search of `ik`, without limits, leads each start to the target or gives it up; what is reached is made exact.
+"""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe.kernels.base.search_layout import ANSWER, SOLVED, STATUS
 from kempe.kernels.closed_form import analytic_layout as A
+from kempe.kernels.compiled import schedule
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.kinematics.common.gauss_newton import gauss_newton_of_many
 from kempe.solvers.analytic.answers.nearest import Aim
 from kempe.solvers.analytic.plans.plan import TASKS, ChainPlan
 from kempe.solvers.analytic.plans.question import Question
+from kempe.solvers.common.serial_chain import chain_of
 from kempe.solvers.common.targets import Z_AXIS, frame_of
+from kempe.solvers.one_frame.multi_start import ITERATIONS, MOST, FrameProblem, rows_of
 from kempe.spatial import Array
 
+if TYPE_CHECKING:
+    from kempe.solvers.analytic.plans.chain_lines import Lines
+    from kempe.solvers.common.serial_chain import Chain
+
 STARTS, STEPS, LONGEST = 400, 80, 0.7
-"""Starts, damped Newton steps of each, and the longest change of a joint in one."""
+"""Starts, damped Newton steps that make each exact, and the longest change of a joint in one."""
+
+REACHED, MANY, ALIKE = 1e-6, 64, 1e-4
+"""Errors [m, rad] up to which a start is led; how many of those that are reached are made exact, at most; and how far
+these are apart."""
 
 FLOOR = 1e-14
 """Damping that is always there, and as a part of the trace."""
@@ -32,6 +49,9 @@ def search(
     out[which, :, -A.INFO + A.CODE] = A.UNUSED
     counts[which, 1] = 1
     for i in which:
+        if question.stopped(i):
+            counts[i, 0] = 0
+            continue
         target = question.targets[i]
         if not np.isfinite(target).all():
             counts[i, 0] = -1
@@ -54,6 +74,10 @@ def _solutions(question: Question, plan: ChainPlan, target: Array, locked: Array
     theta = np.where(lines.kinds == SLIDE, rng.uniform(-2.0, 2.0, (STARTS, len(lines))),
                      rng.uniform(-np.pi, np.pi, (STARTS, len(lines))))  # fmt: skip
     theta[:, list(plan.locked)] = lines.theta(locked)[list(plan.locked)]
+    if not lines.span.wide:
+        theta = _reached(question, plan, target, theta)
+    if not len(theta):
+        return theta, np.zeros(0)
 
     def damped(e: Array, J: Array) -> Array:
         damping = np.minimum(0.05 * (e * e).sum(axis=1), 0.1) + FLOOR
@@ -70,13 +94,55 @@ def _solutions(question: Question, plan: ChainPlan, target: Array, locked: Array
     found: list[Array] = []
     error: list[float] = []
     for k in np.flatnonzero(size <= question.tolerance / max(lines.length, 1.0)):
-        gaps = [np.where(lines.kinds == SLIDE, theta[k] - x, _wrapped(theta[k] - x)) for x in found]
-        if all(np.abs(g).max() > APART for g in gaps):
+        if all(_gap(lines, theta[k], x) > APART for x in found):
             found.append(theta[k])
             error.append(size[k] * max(lines.length, 1.0))
         if len(found) == plan.slots:
             break
     return np.array(found, dtype=float).reshape(-1, len(lines)), np.array(error)
+
+
+def frame_problem(question: Question) -> FrameProblem:
+    """The problem, as numerical solvers read it."""
+    chain = chain_of(question.system, question.frame, question.axis)
+    tolerance = (question.tolerance, question.angular)
+    return FrameProblem(question.system, question.frame, question.targets, question.task, question.axis, tolerance,
+                        MOST, 0, chain)  # fmt: skip
+
+
+def places_in(chain: Chain, lines: Lines) -> np.ndarray:
+    """Of each line (n,) the coordinate of the packed chain."""
+    return np.argsort(chain.q_index)[np.argsort(np.argsort(lines.q_index))]
+
+
+def _reached(question: Question, plan: ChainPlan, target: Array, theta: Array) -> Array:
+    """Variables (k, n) from which the target is a few steps, and which differ, of searches from theta (m, n)."""
+    lines, task = plan.lines, frame_problem(question)
+    chain, n = task.chain, len(lines)
+    at, pins = places_in(chain, lines), list(plan.locked)
+    goal = target[None].copy()
+    if question.axis != Z_AXIS:
+        goal[:, :3, :3] = goal[:, :3, :3] @ frame_of(np.array(question.axis))
+    seeds, limits, circular = np.empty((len(theta), 1, n)), np.tile([[-np.inf], [np.inf]], n), chain.circular.copy()
+    seeds[:, 0, at] = (theta - lines.offset) / lines.multiplier
+    limits[:, at[pins]], circular[at[pins]] = seeds[0, 0, at[pins]], 0
+    wanted, goals = rows_of(replace(task, chain=replace(chain, circular=circular))), np.repeat(goal, len(theta), axis=0)
+    out = np.empty((len(theta), n + ANSWER))
+    schedule.reach(chain.ints, chain.floats, limits, wanted, goals, seeds, 0, 0, 1, ITERATIONS, REACHED, REACHED, 0.0,
+                   out)  # fmt: skip
+    found = lines.theta(out[out[:, n + STATUS] == SOLVED][:, at])
+    kept: list[Array] = []
+    for x in found:
+        if all(_gap(lines, x, y) > ALIKE for y in kept):
+            kept.append(x)
+        if len(kept) == MANY:
+            break
+    return np.array(kept).reshape(-1, n)
+
+
+def _gap(lines: Lines, x: Array, y: Array) -> float:
+    """The largest difference of a joint between two configurations."""
+    return float(np.abs(np.where(lines.kinds == SLIDE, x - y, _wrapped(x - y))).max())
 
 
 def _wrapped(x: Array) -> Array:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
+from kempe.budget import Budget, Usual
 from kempe.errors import UnsupportedError
 from kempe.solvers.common.problem import Problem
 from kempe.solvers.modes.modes import Modes, assembly_modes
+
+LOOPS = Usual("ik_all", threads=None, time_limit=30.0)
+"""What is spent on one target."""
 
 TASKS = ("pose", "position")
 """What of a target can be known of a frame."""
@@ -23,7 +28,10 @@ def all_modes(problem: Problem) -> Modes:
             f"frame {frame!r} moves with loops: `ik_all` takes one pose or position there, not {what}; `ik` can"
         )
     X = targets[0] if task == "pose" else targets[0, : system.dim, 3]
-    found = assembly_modes(system, {**problem.known, str(frame): X}, problem.start, limits=bool(problem.limits))
+    limit = LOOPS.of(problem.budget).time_limit
+    spend = Budget(time_limit=math.inf if limit is None else limit)
+    known = {**problem.known, str(frame): X}
+    found = assembly_modes(system, known, problem.start, limits=bool(problem.limits), budget=spend)
     order = np.argsort(~found.inside, kind="stable")
     return replace(
         found, q=found.q[order], branches=tuple(found.branches[int(i)] for i in order),

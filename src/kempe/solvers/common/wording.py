@@ -111,6 +111,16 @@ def late(limit: float | None, starts: int, most: int) -> str:
     return f"not reached within the time limit of {limit or 0.0:g} s, after {starts} of {counted(most, 'start')}"
 
 
+def ended(limit: float) -> str:
+    """That the time was up before all solutions were looked for."""
+    return f"; the time limit of {limit:g} s ended the work: there may be others"
+
+
+def none_in_time(limit: float) -> str:
+    """That no solution was found before the time was up."""
+    return f"no solution found within the time limit of {limit:g} s: there may be some"
+
+
 def nearest(place: float | None, turn: float | None) -> str:
     """By how much the best of one frame misses."""
     return f"the nearest configuration found misses it by {errors(place, turn)}"

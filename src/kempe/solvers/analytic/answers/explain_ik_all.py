@@ -60,8 +60,11 @@ def status(solutions: Solutions, index: int) -> str:
     """The sentence for target number `index`: how many solutions and why these are all, or why there are none."""
     if solutions._counts[index, 0] < 0:
         return not_a_pose(solutions.question.targets[index])
+    limit, late = (0.0, False) if solutions._ended is None else (solutions._ended[0], solutions._ended[1][index])
     if solutions._used[index].any():
-        return _reached(solutions, index)
+        return _reached(solutions, index) + (wording.ended(limit) if late else "")
+    if late:
+        return wording.none_in_time(limit)
     size = float(np.abs(solutions.question.targets[index]).max())
     if size >= LARGEST:
         return f"no solution: the target has an entry of {size:.3g}; allowed are numbers below {LARGEST:g}"

@@ -47,11 +47,11 @@ class Solutions(ConfigurationList, Answer):
     def __init__(
         self, question: Question | tuple[BoundIkAll, Array], plan: ChainPlan, base: Array, rows: Array,
         counts: np.ndarray, lead: tuple[int, ...] | None, used: int | None = None, locked: Array | None = None,
-        first: Array | None = None, tried: np.ndarray | None = None,
+        first: Array | None = None, tried: np.ndarray | None = None, late: tuple[float, np.ndarray] | None = None,
     ):  # fmt: skip
         self._question, self.plan = question, plan
         self._base, self._rows, self._counts, self._lead, self._count = base, rows, counts, lead, used
-        self._locked, self._first, self._tried = locked, first, tried
+        self._locked, self._first, self._tried, self._ended = locked, first, tried, late
         self._whole: Solutions | None = None  # the answer before some of it was chosen: what is said is about that
         self._left_out: np.ndarray | None = None  # and what is said besides (N,) of those that were left out
 
@@ -276,6 +276,13 @@ class Solutions(ConfigurationList, Answer):
         sure = (self._counts[:, 1] == 0) & proven & (self._counts[:, 0] >= 0)
         return bool(sure[0]) if self._lead is None else sure.reshape(self._lead)
 
+    @property
+    def late(self) -> Any:
+        """Whether the time limit ended the work, so that there may be other solutions: bool, or (...) of a batch."""
+        if self._ended is None:
+            return False if self._lead is None else np.zeros(self._lead, dtype=bool)
+        return bool(self._ended[1][0]) if self._lead is None else self._ended[1].reshape(self._lead)
+
     @cached_property
     def _families(self) -> list[tuple[list[Family], np.ndarray]]:
         """Families of each target, and the family of each row (-1: none)."""
@@ -365,7 +372,8 @@ class Solutions(ConfigurationList, Answer):
 
     def _with(self, rows: Array, whole: Solutions | None, left_out: np.ndarray | None = None) -> Solutions:
         """The same answer with other rows; what is said is about the `whole`, and what was left out."""
-        out = Solutions(self._question, self.plan, self._base, rows, self._counts, self._lead, None, *self._where)
+        out = Solutions(self._question, self.plan, self._base, rows, self._counts, self._lead, None, *self._where,
+                        late=self._ended)  # fmt: skip
         out._whole, out._left_out = whole, left_out
         return out
 
@@ -375,7 +383,7 @@ class Solutions(ConfigurationList, Answer):
         return f"Solutions({self.system.name!r}, {self.question.frame!r}, {what}{of})"
 
     what = "targets reached"
-    also = ("complete", "inside", "multiplicity", "branch", "names", "held", "spare", "tried")
+    also = ("complete", "late", "inside", "multiplicity", "branch", "names", "held", "spare", "tried")
 
     def _headline(self) -> str:
         from kempe.solvers.analytic.answers.explain_ik_all import held_sentence

@@ -27,6 +27,7 @@ def codes(solutions: Solutions) -> np.ndarray:
     none = np.where(used.any(axis=1), Status.OUTSIDE_LIMITS, Status.NONE_EXISTS)
     complete = np.ravel(whole.complete) & np.ravel(solutions.complete)  # of the whole, and of what is left
     none = np.where(complete & ~curves, none, Status.NOT_FOUND)
+    none = np.where(np.ravel(whole.late), Status.OUT_OF_TIME, none)
     none = np.where(whole._counts[:, 0] < 0, Status.BAD_INPUT, none)
     return np.where((solutions._code % 2 == 1).any(axis=1), Status.SOLVED, none)
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_start
 from kempe.reals import reals
+from kempe.solvers.common.clock import TimeLimit
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -22,6 +24,18 @@ FARTHEST = 1e5
 
 ANGULAR = 1e-6
 """Largest tolerance of angles that rounding of positions makes."""
+
+
+class Watch:
+    """The time limit of a call [s], and the targets whose work it ended, `late` (N,). Errors: `InputError`."""
+
+    def __init__(self, limit: float | None, count: int):
+        self.limit, self.late = TimeLimit(limit), np.zeros(count, dtype=bool)
+
+    @property
+    def over(self) -> bool:
+        """Whether the time is up."""
+        return time.monotonic() >= self.limit.end
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +51,22 @@ class Question:
     tolerance: float
     requested: float = 0.0
     """The tolerance that was requested, which far away is below rounding."""
+    watch: Watch | None = field(default=None, repr=False, compare=False)
+    """What ends the work early; None where nothing does."""
+    numbers: np.ndarray | None = field(default=None, repr=False, compare=False)
+    """Numbers of the targets in the question that these were taken from; None where it is this one."""
+
+    def stopped(self, which: Any) -> bool:
+        """Whether the time is up, which is noted of the targets `which`: a number, a slice, or an array of numbers."""
+        if self.watch is None or not self.watch.over:
+            return False
+        self.watch.late[which if self.numbers is None else self.numbers[which]] = True
+        return True
+
+    def of(self, which: np.ndarray, lead: tuple[int, ...] | None) -> Question:
+        """The same question for the targets `which` (m,) alone."""
+        numbers = which if self.numbers is None else self.numbers[which]
+        return replace(self, targets=self.targets[which], lead=lead, numbers=numbers)
 
     @property
     def angular(self) -> float:
