@@ -15,6 +15,7 @@ from kempe.errors import InputError, NoSolutionError
 from kempe.solvers.analytic import ik_all, start_search, through_loops
 from kempe.solvers.analytic.plans import question
 from kempe.solvers.one_frame import multi_start
+from kempe.solvers.tasks import effort, ik_tasks
 from kempe.status import Status
 
 ROUNDING = 1e-12
@@ -320,7 +321,8 @@ def test_chains_that_are_singular_everywhere_take_no_numerical_search_at_each_va
     monkeypatch.setattr(start_search, "_solutions", lambda *args: searches.append(1) or before(*args))
     h = np.pi / 2
     rows = [(0.35, -h, 0.1, h, "prismatic"), (0.5, h, 0.0, 0.0, "prismatic"), (0.5, -h, -0.2, h, "revolute"),
-            (-0.2, 0.0, 0.5, -h, "revolute"), (0.0, 0.0, 0.5, 0.0, "prismatic"), (-0.2, 0.0, 0.5, 0.0, "revolute")]  # fmt: skip
+            (-0.2, 0.0, 0.5, -h, "revolute"), (0.0, 0.0, 0.5, 0.0, "prismatic"),
+            (-0.2, 0.0, 0.5, 0.0, "revolute")]  # fmt: skip
     for seed in (0, 4):
         rng, most = np.random.default_rng(seed), 0
         table = [{"a": a + 1e-7 * rng.normal(), "alpha": t + 1e-7 * rng.normal(), "d": d + 1e-7 * rng.normal(),
@@ -355,3 +357,54 @@ def test_the_time_limit_of_a_frame_that_moves_with_loops(monkeypatch):
     assert given == [7.0, 30.0]
     with pytest.raises(InputError, match="starts, which ik_all does not read"):
         s.ik_all(X, "coupler", budget=kempe.Budget(starts=3))
+
+
+# ---- the time of tasks
+
+
+def counted_calls(calls: list[int], function):
+    """The function, and how often it is called."""
+
+    def called(q):
+        calls[0] += 1
+        return function(q)
+
+    return called
+
+
+def test_a_function_that_cannot_hold_ends_the_search(monkeypatch):
+    """The clock of the first search runs out, and neither without limits nor alone is there an answer."""
+    s = two_arms()
+    L = s.fk(s.mid, "left")
+    monkeypatch.setattr(effort, "GLIMPSE", 1e-9)
+    for low, never in ((0.5, True), (0.0, False)):
+        calls = [0]
+        wanted = [tasks.Pose("left", L), tasks.Function(counted_calls(calls, lambda q, a=low: q[8] ** 2 + a))]
+        answer = s.ik(wanted)
+        assert bool(answer) is not never
+        if never:
+            assert answer.code is Status.OUT_OF_TIME and answer.late
+            assert "time limit of 1e-09 s" in answer.status and calls[0] < 60_000
+    beyond = tasks.Function(
+        lambda q: q[8] - 50.0
+    )  # there is an answer without limits, not for the function inside them
+    answer = s.ik([tasks.Pose("left", L), beyond])
+    assert answer.code is Status.OUT_OF_TIME and "time limit of 1e-09 s" in answer.status
+
+
+def test_a_search_that_is_asked_for_its_starts_has_them():
+    """Starts, or a time limit, that the caller names are what is spent."""
+    s = two_arms()
+    wanted = [tasks.Pose("left", s.fk(s.mid, "left")), tasks.Function(lambda q: q[8] ** 2 + 0.5)]
+    assert s.ik(wanted, budget=kempe.Budget(starts=7)).starts == 7
+    assert ik_tasks.USUAL.of(None).time_limit == 30.0 and ik_tasks.BATCH.of(None).time_limit is None
+    plain = s.ik(tasks.Pose("left", s.fk(s.mid, "left")))
+    assert plain.problem.time_limit == 30.0
+
+
+def test_turns_that_a_function_tells_apart_are_limits_not_a_matter_of_starts():
+    s = kempe.load("panda")
+    hand = "panda_hand_tcp"
+    wanted = [tasks.Position(hand, s.fk(s.mid, hand)[:3, 3]), tasks.Function(lambda q: q[0] - 5.0)]
+    answer = s.ik(wanted, budget=kempe.Budget(starts=20))
+    assert not answer and "more starts" not in answer.status and "the limits of 'panda_joint1'" in answer.status

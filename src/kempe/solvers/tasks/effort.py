@@ -6,6 +6,8 @@ more are hardly worth their time; where they do not, an answer within the limits
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -25,6 +27,43 @@ FIRST = 60
 EACH, MOST, HOPELESS = 30, 15_000, 10
 """Starts by the square of the number of limited coordinates that the tasks move, their largest number, and the part of
 them that is tried where no answer without limits is found either. With 30, 1470 are for an arm with seven joints."""
+
+
+GLIMPSE, SHARE = 1.0, 0.25
+"""Seconds that a search with Python functions takes before it is checked whether it may ever end well, and seconds of
+each of the searches by which this is checked."""
+
+Found = tuple[Array, np.ndarray]
+"""Configurations (N, nq) and (status, steps, starts) (N, 3)."""
+
+
+def of_functions(problem: Demands) -> bool:
+    """Whether Python functions decide what holds: how long a start takes is not known beforehand."""
+    return any(t.function is not None for t in problem.packed.loops.ties)
+
+
+def patiently(problem: Demands, solve: Callable[[Demands], Found], base: Array) -> tuple[Demands, Found]:
+    """The problem with the time limit that it got, and what `solve` finds: at first within GLIMPSE, of one problem.
+
+    It goes on only where a search without limits finds an answer, and each function alone holds inside the limits.
+    """
+    quick = replace(problem, time_limit=GLIMPSE, end=min(problem.end, time.monotonic() + GLIMPSE))
+    found = solve(quick)
+    if found[1][0, 0] < S.LATE or not _hopeful(problem, base):
+        return quick, found
+    return problem, solve(problem)
+
+
+def _hopeful(problem: Demands, base: Array) -> bool:
+    """Whether there is an answer without limits, and one for each hard task that is a function, inside them."""
+    hard = [i for i, t in enumerate(problem.tasks) if t.weight is None]
+    called = {int(i) for i, t in zip(problem.packed.owner, problem.packed.loops.ties, strict=True) if t.function}
+    trials = [problem.only(hard, False), *(problem.only([i]) for i in hard if i in called)]
+    for trial in trials:
+        _, info = replace(trial, end=time.monotonic() + SHARE).run(base[:1], tries=FIRST)
+        if info[0, 0] != S.SOLVED:
+            return False
+    return True
 
 
 def most_starts(system: System, packed: Packed) -> int:

@@ -55,7 +55,10 @@ SLACK = 1.0 + 1e-6
 """By which part of a tolerance the check by the forward model may differ from the solver's own: rounding."""
 PREFERRED = ("nearest", "mid", "manipulability")
 """What can be preferred by name, besides a function of q."""
-USUAL = Usual("ik", starts=None, iterations=STEPS, time_limit=None, rng=0, threads=None)
+SINGLE = 30.0
+"""Seconds that the answer for one problem may take, unless the caller says otherwise."""
+USUAL = Usual("ik", starts=None, iterations=STEPS, time_limit=SINGLE, rng=0, threads=None)
+BATCH = Usual("ik", starts=None, iterations=STEPS, time_limit=None, rng=0, threads=None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +211,8 @@ def reach(problem: Problem) -> Reached:
     the number of limited coordinates that the tasks move (at least 300, at most 15 000); else a tenth of these.
     Iterations are the steps of one start, at most, and four times as many those of a lower level from one start. The
     time limit is looked at before each start: an answer that it ended says so, and is the only one that depends on the
-    machine.
+    machine. By default it is 30 s for one problem, and 1 s where tasks or constraints are Python functions and a search
+    without limits, or for these alone, finds nothing either. A batch has none.
 
     A success is checked by the forward model: hard tasks, limits and loops. Else the answer says what fails and why,
     and ``answer.expect()`` raises `NoSolutionError`; its `q` is the nearest found, by the sum of squares of what tasks
@@ -216,7 +220,7 @@ def reach(problem: Problem) -> Reached:
     restarts (Levenberg, 1944; Sugihara, 2011), then the lower levels in the null space of the higher ones (Siciliano
     and Slotine, 1991). Errors: `InputError`, `UnknownNameError`.
     """
-    system, prefer, spend = problem.system, problem.prefer, USUAL.of(problem.budget)
+    system, prefer, spend = problem.system, problem.prefer, BATCH.of(problem.budget)
     if not (prefer is None or callable(prefer) or (isinstance(prefer, str) and prefer in PREFERRED)):
         raise InputError(f"prefer is {shown(prefer)}; it must be {', '.join(map(repr, PREFERRED))} or a function of q")
     tolerance = TOLERANCE if problem.tolerance is None else problem.tolerance
@@ -224,8 +228,8 @@ def reach(problem: Problem) -> Reached:
     turns = prefer is None or prefer == "nearest"
     demands, base = pose_problem(system, problem.wanted, problem.start, tolerance, starts, spend.rng, turns)
     search = Demands.run if starts is not None else effort.search
-    if spend.iterations != STEPS or spend.time_limit is not None:
-        limit = spend.time_limit
+    limit = spend.time_limit if demands.lead else USUAL.of(problem.budget).time_limit
+    if spend.iterations != STEPS or limit is not None:
         demands = replace(demands, iterations=step_count(spend.iterations), time_limit=limit, end=deadline(limit))
     if prefer == "manipulability" and demands.lead:  # it depends on the goal, of which each row has its own
         rows = [_preferring(demands.of(i), prefer, base) for i in range(math.prod(demands.lead))]
@@ -233,7 +237,11 @@ def reach(problem: Problem) -> Reached:
         q, info = (np.concatenate([x[k] for x in each] or [np.empty((0, n))]) for k, n in ((0, system.nq), (1, 3)))
     else:
         demands = demands if prefer is None else _preferring(demands, prefer, base)
-        q, info = solve(demands, base, search, threads)
+        unasked = problem.budget is None or problem.budget.time_limit is None
+        if unasked and starts is None and not demands.lead and effort.of_functions(demands):
+            demands, (q, info) = effort.patiently(demands, lambda part: solve(part, base, search, threads), base)
+        else:
+            q, info = solve(demands, base, search, threads)
     answer = judge(demands, q, info)
     if not demands.lead and answer.code == Status.BAD_INPUT:
         for each, goals in zip(demands.tasks, demands.goals, strict=True):
