@@ -95,6 +95,42 @@ print(json.dumps({
 }))
 """
 
+WARM = """
+import json, statistics, time
+import numpy as np, kempe
+panda, bar, jansen, bennett, arm = (kempe.load(n) for n in ("panda", "four_bar", "jansen", "bennett", "two_link"))
+hand = panda.frame_names[-1]
+q = panda.mid
+X = np.repeat(panda.fk(q, hand)[None], 50, axis=0)
+X[:, 0, 3] += np.linspace(0.0, 0.1, 50)
+tasks = [kempe.tasks.Position(hand, X[-1, :3, 3]), kempe.tasks.Pointing(hand, (0, 0, -1)).soft(weight=0.1)]
+angles = np.linspace(0.3, 1.3, 200)
+closed = bar.assemble({"A": 0.3}).q
+def warm(call, number, repeat=5, count=1):
+    call()
+    times = []
+    for _ in range(repeat):
+        begun = time.perf_counter()
+        for _ in range(number):
+            call()
+        times.append((time.perf_counter() - begun) / number)
+    return statistics.median(times) / count * 1e6
+print(json.dumps({
+    "trace of a four-bar": warm(lambda: bar.trace("A"), 3),
+    "trace of Jansen's leg": warm(lambda: jansen.trace("O"), 3),
+    "drive of a four-bar, a sample": warm(lambda: bar.drive({"A": angles}, start=closed), 3, count=200),
+    "ik_path of Panda, a target": warm(lambda: panda.ik_path(X, hand, q), 10, count=50),
+    "ik_step of Panda, a twist": warm(lambda: panda.ik_step(q, [0.1, 0, 0, 0, 0, 0], hand, 0.01), 300),
+    "ik_step of Panda, a pose": warm(lambda: panda.ik_step(q, X[-1], hand, 0.01), 300),
+    "ik_step of Panda, tasks": warm(lambda: panda.ik_step(q, tasks, dt=0.01), 100),
+    "ik of tasks of Panda": warm(lambda: panda.ik(tasks, start=q), 30),
+    "mobility of Bennett's linkage": warm(lambda: bennett.mobility(), 5),
+    "mobility of Jansen's leg": warm(lambda: jansen.mobility(), 5),
+    "workspace of Panda, a sample": warm(lambda: panda.workspace(hand, n=1e6), 1, 3, 1e6),
+    "workspace of a planar arm, exact": warm(lambda: arm.workspace("e", n=1e4), 3),
+}))
+"""
+
 IMPORT = """
 import time
 {first}
@@ -170,7 +206,7 @@ def rows(pythons: list[str]) -> Iterator[Row]:
     yield f"`kempe {' '.join(COMMAND[:2])} ...`, whole process", "s", before.seconds, after.seconds
     before, after = in_turn(pythons, FIRST)
     yield "memory of a process that did fk, ik, ik_all", "MB", before.memory, after.memory
-    for code, what in ((SINGLE, "one call"), (BATCH, "batch, one thread, per item")):
+    for code, what in ((SINGLE, "one call"), (WARM, "later calls"), (BATCH, "batch, one thread, per item")):
         answers: tuple[list[dict[str, float]], ...] = [], []
         for _ in range(ROUNDS):
             for found, python in zip(answers, pythons, strict=True):

@@ -201,6 +201,12 @@ def test_written_pages_are_up_to_date(name):
     assert shown == written_by(f"{name}_page").page(), f"run  python docs/{name}_page.py"
 
 
+def test_the_list_of_public_names_is_up_to_date():
+    """A change of a public name or signature shows in the list: rename with care."""
+    shown = (DOCS / "public_api.txt").read_text(encoding="utf-8")
+    assert written_by("public_api_page").page() == shown, "run  python docs/public_api_page.py"
+
+
 def test_each_model_has_its_row_in_the_gallery():
     page = (DOCS / "gallery.md").read_text(encoding="utf-8")
     rows = re.findall(

@@ -99,3 +99,10 @@ def test_keys_differ_by_no_more_than_configurations(size, name, hunt):
     to = np.array([images(system, rng, x, metric.period) for x in to])
     apart = np.abs(metric.keys(to) - metric.keys(q))
     assert (apart <= metric.steepest * metric.distances(to, q) + 1e-12).all()
+
+
+def test_no_configurations_are_sorted_into_no_clusters():
+    """With frames and without."""
+    system = balls()
+    for frames in ((), (system.body_names[-1],)):
+        assert len(Clusters(system, frames).add(np.empty((0, system.nq)), np.empty(0))) == 0

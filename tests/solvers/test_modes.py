@@ -351,3 +351,8 @@ def test_a_search_among_thousands_of_modes_ends():
         before = rocker
     modes = m.build().assembly_modes({"A0": 0.4})
     assert len(modes) > 500 and not modes.complete and modes.coverage < 0.9
+
+
+def test_a_system_without_coordinates_has_one_mode():
+    modes = kempe.load("joint_fixed").assembly_modes({})
+    assert modes.q.shape == (1, 0)

@@ -112,7 +112,10 @@ def coordinates_at(system: System, poses: Array, near: Array) -> Array:
     values: dict[str, Array] = {}
     for name, (own, *_) in read_joints(system, poses, near).items():
         values |= _by_name(system, name, own)
-    return np.stack([values[n] for n in system.coordinate_names], axis=-1)
+    out = np.empty((*np.broadcast_shapes(poses.shape[:-3], near.shape[:-1]), system.nq))
+    for k, name in enumerate(system.coordinate_names):
+        out[..., k] = values[name]
+    return out
 
 
 def _by_name(system: System, joint: str, own: Array) -> dict[str, Array]:

@@ -175,7 +175,7 @@ class Clusters:
             return self.metric.keys(q)
         X = X.copy()
         X[..., 3] /= self.metric.length
-        return X.reshape(len(q), -1).mean(axis=1) * np.sqrt(12.0)
+        return X.reshape(len(q), int(np.prod(X.shape[1:]))).mean(axis=1) * np.sqrt(12.0)
 
     def _nearest(self, q: Array, X: Array, keys: Array, tolerance: Array) -> np.ndarray:
         """Numbers (n,) of the nearest clusters that configurations are the same as; -1: none."""
