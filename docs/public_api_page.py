@@ -37,10 +37,9 @@ def signature(name: str, thing: Any) -> str:
 def members(cls: type) -> Iterator[tuple[str, Any]]:
     """Public members of a class with what they are; fields without a default by their annotation."""
     fields = {n: a for base in reversed(cls.__mro__) for n, a in base.__dict__.get("__annotations__", {}).items()}
-    for name in sorted({*dir(cls), *fields}):
-        if not name.startswith("_") and not (
-            issubclass(cls, (tuple, dict, Exception, int)) and hasattr(cls.__base__, name)
-        ):
+    foreign = {n for base in cls.__mro__ if not base.__module__.startswith("kempe") for n in dir(base)}
+    for name in sorted({*dir(cls), *fields} - foreign):
+        if not name.startswith("_"):
             yield name, inspect.getattr_static(cls, name, fields.get(name))
 
 
