@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.integrate import quad, solve_ivp
 
 import kempe
 from kempe import constraints as C
 from kempe.errors import UnsupportedError
+from kempe.kinematics.measure import judge
 
 
 def chain(n: int, loop: bool = False) -> kempe.Mechanism:
@@ -209,8 +211,90 @@ def test_many_times_are_for_drive():
         cam().build().assemble({"t": np.array([0.0, 1.0])})
 
 
-def test_time_and_rolling_are_refused_by_name():
-    m = cam()
-    m.velocity_equation("blade", [[1, 0]], of=("A", "y"))
-    with pytest.raises(UnsupportedError, match="'motor' depends on time"):
-        m.build().drive({"y": [0.0, 0.1]})
+def blade() -> kempe.System:
+    """A blade on ice whose heading is a law of time: rz = sin(2 t) / 2."""
+    m = kempe.Mechanism("blade", dim=2)
+    m.planar("p", m.ground, m.body("body"))
+    m.no_sideslip("edge", "body")
+    m.equation("turn", lambda x, t: x["p.rz"] - 0.5 * np.sin(2 * t), of=("p.rz",), time=True)
+    return m.build()
+
+
+def test_time_and_rolling_together():
+    """Against quadrature of the heading: x' = cos(rz), y' = sin(rz) at a forward speed of 1."""
+    s = blade()
+    r = s.simulate(3.0, inputs={"body.vx": 1.0})
+    place = [quad(lambda t, f=f: f(0.5 * np.sin(2 * t)), 0.0, 3.0)[0] for f in (np.cos, np.sin)]
+    np.testing.assert_allclose(r.q[-1], [*place, 0.5 * np.sin(6.0)], atol=1e-10)
+    np.testing.assert_allclose(r.v[:, 2], np.cos(2 * r.t), atol=1e-9)
+    assert r and r.judged and r.slip < 1e-12
+    driven = s.drive({"p.x": r.q[:, 0]}, r.t, start=r.q[0])
+    assert driven and driven.judged
+    np.testing.assert_allclose(driven.q, r.q, atol=1e-5)
+    with pytest.raises(UnsupportedError, match="inputs .none. leave 1 freedom"):
+        s.simulate(1.0, inputs={})
+    with pytest.raises(UnsupportedError, match="do not allow the input 'body.wz'.*: 1 would do in place of 3"):
+        s.simulate(1.0, inputs={"body.vx": 1.0, "body.wz": 3.0})
+
+
+def swaying(rng: np.random.Generator) -> tuple[kempe.System, tuple[float, ...]]:
+    """Three hinges, one law in time that ties two of them: A + c sin(B) = a sin(w t + p)."""
+    a, c, w, p = rng.uniform(0.1, 0.5), rng.uniform(-0.6, 0.6), rng.uniform(0.5, 4.0), rng.uniform(-3, 3)
+    m = chain(3)
+    m.equation("sway", f"J1 + {c!r}*sin(J2) = {a!r}*sin({w!r}*t + {p!r})", time=True)
+    return m.build(), (float(a), float(c), float(w), float(p))
+
+
+def test_motions_follow_laws_in_time_and_the_judge_knows_the_time(hunt):
+    """Against an integration of its own: J1' from the derivative of the law in time."""
+    rng = hunt.rng()
+    for _ in range(hunt.cases(12)):
+        s, (a, c, w, p) = swaying(rng)
+        u, rate = rng.uniform(-1, 1, 2)
+        q0 = np.array([a * np.sin(p), 0.0, 0.3])
+        r = s.simulate(
+            2.0, q0, inputs={"J2": u, "J3": lambda t, rate=rate: rate * np.cos(t)}, budget=kempe.Budget(points=20)
+        )
+        dense = solve_ivp(lambda t, x, a=a, c=c, w=w, p=p, u=u: [a * w * np.cos(w * t + p) - c * np.cos(u * t) * u],
+                          (0, 2), q0[:1], rtol=1e-12, atol=1e-12, t_eval=r.t)  # fmt: skip
+        np.testing.assert_allclose(r.q[:, 0], dense.y[0], atol=1e-9)
+        np.testing.assert_allclose(r.q[:, 1:], np.stack([u * r.t, 0.3 + rate * np.sin(r.t)], axis=1), atol=1e-9)
+        np.testing.assert_allclose(r.v[:, 0], a * w * np.cos(w * r.t + p) - c * np.cos(u * r.t) * u, atol=1e-8)
+        assert r and r.judged, r.judged
+        driven = s.drive({"J2": r.q[:, 1], "J3": r.q[:, 2]}, r.t, start=q0)
+        assert driven and driven.judged
+        np.testing.assert_allclose(driven.q, r.q, atol=1e-7)
+        frozen = np.repeat(q0[None], len(r.t), axis=0)
+        assert not judge(s, frozen, t=r.t), "a motion that stands still misses the law"
+        t = rng.uniform(0.1, 2.0)
+        there = s.assemble({"t": t}, start=q0)
+        assert there and there.judged and judge(s, there.q, t=t) and not judge(s, there.q + 0.1, t=t)
+
+
+def test_a_driven_motion_that_is_held_is_judged_at_the_time_of_its_pose():
+    """The slide is bounded: it follows sin(t) up to 0.5, and waits there."""
+    m = kempe.Mechanism("stop", dim=2)
+    m.prismatic("x", m.ground, m.body("b"), axis="x", limits=(-1.0, 0.5))
+    m.equation("law", "x = sin(t)", time=True)
+    motion = m.build().drive({}, np.linspace(0.0, 1.0, 11))
+    assert motion.held[-1] and not motion.held[0]
+    assert motion.judged, motion.judged
+
+
+def test_functions_that_branch_are_judged_in_time():
+    s = cam(branching=True).build()
+    motion = s.drive({}, times=np.linspace(0.0, 1.0, 5), start=[0.0, 0.0])
+    assert motion and motion.judged
+
+
+def test_an_inequality_in_time_ends_a_motion_where_it_is_met():
+    """A slide at a speed of 1 meets a wall at 2 + sin(8 t) / 2, which comes and goes within a step."""
+    m = kempe.Mechanism("wall", dim=2)
+    m.prismatic("x", m.ground, m.body("b"), axis="x")
+    m.inequality("wall", "2 + sin(8*t)/2 - x", time=True)
+    r = m.build().simulate(3.0, {"x": 0.0}, inputs={"x": 1.0})
+    t = np.linspace(0, 3, 3_000_001)
+    meets = t[np.argmax(2 + np.sin(8 * t) / 2 - t < 0)]
+    assert not r and r.t[-1] == pytest.approx(meets, abs=2e-6) and "'wall' meets its bound" in r.status
+    gap = 2 + np.sin(8 * r.t) / 2 - r.q[:, 0]
+    assert gap.min() > -1e-9

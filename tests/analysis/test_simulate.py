@@ -317,3 +317,116 @@ def test_time_is_up(looks):
     r = wheels.car().simulate(1.0, np.zeros(4), inputs={"body.vx": 1.0, "steer": 0.0},
                               budget=kempe.Budget(time_limit=1.0))  # fmt: skip
     assert r.late and not r and "time limit" in r.status and len(r.q) == len(r.t) == len(r.v)
+
+
+# ---- planes that move
+
+
+def above(law: str, dim: int = 2, **more: str) -> kempe.System:
+    """A particle above a floor that is a law of time, and beside further walls."""
+    m = Mechanism("moving floor", dim=dim)
+    m.free("at", m.ground, m.particle("p"))
+    m.inequality("floor", f"at.y - ({law})", time=True)
+    for name, wall in more.items():
+        m.inequality(name, wall, time=True)
+    return m.build()
+
+
+def test_a_floor_that_rises_evenly_is_a_floor_at_rest_seen_from_itself(hunt):
+    """Times, rates of gaps and the end of all bounces by Galilei's change of the frame of reference."""
+    rng = hunt.rng()
+    for _ in range(hunt.cases(8)):
+        u, h, v, e = rng.uniform(-2, 2), rng.uniform(0.1, 1), rng.uniform(-1, 1), rng.uniform(0.1, 0.6)
+        r = above(f"{u!r}*t").simulate(3.0, {"at.y": h}, velocity=[0.7, v], restitution=e)
+        still = above("0").simulate(3.0, {"at.y": h}, velocity=[0.7, v - u], restitution=e)
+        count = min(12, len(still.events) - 1)
+        for a, b in zip(r.events[:count], still.events, strict=False):
+            assert (a.kind, a.contacts) == (b.kind, b.contacts)
+            assert (a.time, a.before, a.after) == pytest.approx((b.time, b.before, b.after), abs=1e-7)
+        assert r.events[-1].kind == "settles" and r.events[-1].time == pytest.approx(still.events[-1].time, abs=1e-6)
+        assert r.q[-1] == pytest.approx([2.1, 3 * u], abs=1e-9) and r.v[-1] == pytest.approx([0.7, u], abs=1e-9)
+        assert r and r.judged and (r.q[:, 1] - u * r.t).min() > -1e-9
+
+
+def flown_over(law, rate, h, e, duration):
+    """Impacts (time, rate of the gap) of a particle that falls from h onto a floor, by steps of 10 microseconds."""
+    y, v, t, out = h, 0.0, 0.0, []
+    while True:
+        s = t + np.concatenate([np.geomspace(1e-8, 1e-5, 200), np.arange(1e-5, duration - t + 1e-5, 1e-5)])
+        gap = y + v * (s - t) - 0.5 * G * (s - t) ** 2 - law(s)
+        k = int(np.argmax(gap < 0.0))
+        if not k:
+            return out
+        a, b = s[k - 1], s[k]
+        for _ in range(60):
+            c = 0.5 * (a + b)
+            a, b = (a, c) if y + v * (c - t) - 0.5 * G * (c - t) ** 2 - law(c) < 0.0 else (c, b)
+        y, v, t = law(a), v - G * (a - t), a
+        if t > duration:
+            return out
+        out.append((t, v - rate(t)))
+        v = rate(t) - e * (v - rate(t))
+
+
+def test_a_ball_on_a_table_that_vibrates(hunt):
+    """Against a search of impacts in small steps; the first ones, before chaos has made rounding large."""
+    rng = hunt.rng()
+    for _ in range(hunt.cases(12)):
+        A, w, p = rng.uniform(0.02, 0.2), rng.uniform(2, 12), rng.uniform(-3, 3)
+        h, e = A + rng.uniform(0.05, 0.5), rng.uniform(0.5, 1.0)
+        system = above(f"{A!r}*sin({w!r}*t + {p!r})")
+        r = system.simulate(1.5, {"at.y": h}, restitution=e)
+        law, rate = lambda t, A=A, w=w, p=p: A * np.sin(w * t + p), lambda t, A=A, w=w, p=p: A * w * np.cos(w * t + p)
+        wanted = [x for x in flown_over(law, rate, h, e, 1.5) if abs(x[1]) > 1e-2][:8]
+        found = [(x.time, x.before) for x in r.events if x.kind == "bounce"][: len(wanted)]
+        assert np.abs(np.array(found) - wanted).max(initial=0.0) < 1e-7
+        assert all(x.after == pytest.approx(-e * x.before, abs=1e-9) for x in r.events if x.kind == "bounce")
+        assert r.judged and (r.q[:, 1] - law(r.t)).min() > -1e-9
+
+
+def test_a_body_stays_on_a_table_until_that_falls_faster():
+    """Without rebound: it leaves where the table's acceleration is -g, and lands after a parabola."""
+    r = above("sin(10*t)/10").simulate(0.82, {"at.y": 0.0}, velocity=[0.0, 1.0], restitution=0.0)
+    leaves = math.asin(G / 10) / 10
+    place, speed = math.sin(10 * leaves) / 10, math.cos(10 * leaves)
+    assert [e.kind for e in r.events] == ["leaves", "lands", "leaves"]
+    assert r.events[0].time == pytest.approx(leaves, abs=1e-8)
+    s = r.events[1].time - leaves
+    lands = place + speed * s - 0.5 * G * s**2
+    assert lands == pytest.approx(math.sin(10 * r.events[1].time) / 10, abs=1e-9)
+    assert r.events[2].time == pytest.approx(leaves + 2 * math.pi / 10, abs=1e-8)
+    on = (r.t < leaves) | ((r.t > r.events[1].time) & (r.t < r.events[2].time))
+    assert np.abs(r.q[on, 1] - np.sin(10 * r.t[on]) / 10).max() < 1e-10
+    assert np.abs(r.v[on, 1] - np.cos(10 * r.t[on])).max() < 1e-8
+    assert "it stays on" not in r.status and "leaves 'floor'" in str(r)
+
+
+def test_a_particle_on_a_plane_that_turns():
+    """A smooth tray that turns about z: its motion along the tray, u'' = w^2 u - g sin(w t), in closed form."""
+    m = Mechanism("tray", dim=2)
+    m.free("at", m.ground, m.particle("p"))
+    m.inequality("tray", "cos(t/2)*at.y - sin(t/2)*at.x", time=True)
+    r = m.build().simulate(1.0, {"at.x": 0.2}, velocity=[0.0, 0.1], restitution=0.0)
+    w = 0.5
+    u = (G / (2 * w * w)) * np.sin(w * r.t) + 0.2 * np.cosh(w * r.t) - (G / (2 * w * w)) * np.sinh(w * r.t)
+    along = np.cos(w * r.t) * r.q[:, 0] + np.sin(w * r.t) * r.q[:, 1]
+    assert np.abs(along - u).max() < 1e-9 and r and r.judged
+
+
+def test_walls_that_leave_no_room_end_the_motion():
+    system = above("t", lid="1.5 - t - at.y")
+    r = system.simulate(2.0, {"at.y": 0.4}, restitution=0.5)
+    assert not r and r.t[-1] == pytest.approx(0.75, abs=1e-3) and ("no room" in r.status or "at once" in r.status)
+
+
+def test_planes_that_move_are_refused_where_they_bend():
+    m = Mechanism("bowl", dim=2)
+    m.free("at", m.ground, m.particle("p"))
+    m.inequality("bowl", "at.y - at.x^2*sin(t)", time=True)
+    with pytest.raises(UnsupportedError, match="'bowl' is no plane"):
+        m.build().simulate(1.0, {"at.y": 1.0})
+    m = Mechanism("held", dim=2)
+    m.free("at", m.ground, m.particle("p"))
+    m.equation("rail", "t*at.y = 0", time=True)
+    with pytest.raises(UnsupportedError, match="'rail'.*would push"):
+        m.build().simulate(1.0)

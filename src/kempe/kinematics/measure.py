@@ -129,15 +129,16 @@ def pose_inputs(X: Array) -> dict[str, Array]:
 
 def missed(
     system: System, made: Constraint, rows: Iterable[Row], q: Array, A: Array | None = None, B: Array | None = None,
-    given: Mapping[str, Array] | None = None,
+    given: Mapping[str, Array] | None = None, t: Array | float = 0.0,
 ) -> tuple[Array, Array]:  # fmt: skip
     """How far (...) rows of position are missed at q (..., nq), in metres, and in radians or plain numbers.
 
-    `made` has its numbers, but for those `given`; A and B (..., 4, 4) are its frames, where it has any.
+    `made` has its numbers, but for those `given`; A and B (..., 4, 4) are its frames, where it has any; t (...) are the
+    times of equations in time.
     """
     total, dim = [np.zeros(q.shape[:-1]), np.zeros(q.shape[:-1])], system.dim
     X = None if A is None or B is None else spatial.inverse(A) @ B
-    known: dict[str, Any] = {TIME: 0.0} | numbers_of(made) | dict(given or {}) | ({} if X is None else pose_inputs(X))
+    known: dict[str, Any] = {TIME: t} | numbers_of(made) | dict(given or {}) | ({} if X is None else pose_inputs(X))
     for row in rows:
         if row.op in TURNS:
             assert A is not None and B is not None
@@ -162,6 +163,8 @@ def _value(system: System, made: Constraint, row: Row, q: Array, X: Array | None
         return what.evaluate({**known, **own})[..., k]
     whole = getattr(what, "at", None)  # a function of the whole configuration
     own, out = {n: coordinate_value(system, q, n) for n in made.reads}, np.empty(q.shape[:-1])
+    if TIME in known:
+        own = {TIME: np.broadcast_to(known[TIME], out.shape)} | own
     for index in np.ndindex(out.shape):
         out[index] = (whole(q[index]) if whole else what({**known, **{n: x[index] for n, x in own.items()}}))[k]
     return out
@@ -188,10 +191,14 @@ def motion(primitives: Sequence[Primitive], values: Array) -> Array:
 
 
 class Poses:
-    """Poses of bodies and frames of a system at q (..., nq), as products of joint transforms along the tree."""
+    """Poses of bodies and frames of a system at q (..., nq), as products of joint transforms along the tree.
 
-    def __init__(self, system: System, q: Array):
+    Equations in time are read at the times t (...).
+    """
+
+    def __init__(self, system: System, q: Array, t: Array | float = 0.0):
         self.system, self.q, self.mechanism, tree = system, q, system.mechanism, system.structure.topology
+        self.t = t
         self.bodies = {tree.bodies[0]: np.broadcast_to(np.eye(4), (*q.shape[:-1], 4, 4))}
         for body, parent, name, back in zip(
             tree.bodies[1:], tree.parent, tree.parent_joints, tree.reversed_, strict=True
@@ -234,7 +241,7 @@ class Poses:
         if declared.parent:
             F, M = declared.frames(m.parameters, dim)
             A, B = self.bodies[declared.parent] @ F, self.bodies[declared.child] @ M
-        return missed(self.system, made, [r for r in made.rows(dim) if not r.velocity], self.q, A, B)
+        return missed(self.system, made, [r for r in made.rows(dim) if not r.velocity], self.q, A, B, t=self.t)
 
     def relation(self, of: str, sources: dict[str, float], offset: float) -> tuple[Array, Array]:
         """Error (...) of a relation of several coordinates, relative to its largest factor."""
@@ -313,16 +320,17 @@ class Judgement(InWords):
 
 
 def judge(
-    system: System, q: Any, requested: Sequence[tuple[MeasuredTask, Any, Any]] = (), more: Array | float = 0.0
+    system: System, q: Any, requested: Sequence[tuple[MeasuredTask, Any, Any]] = (), more: Array | float = 0.0,
+    t: Array | float = 0.0,
 ) -> Judgement:  # fmt: skip
-    """The judgement of all that a system declares, and of what is required, at q (..., nq).
+    """The judgement of all that a system declares, and of what is required, at q (..., nq) and times t (...).
 
     That is: joints that the tree left out, rows of position of constraints, couplings with several sources. `requested`
     has tasks with their goals (or None) and what (2,) each may be missed by; `more` (...) is what solvers left of
     others, in radians and characteristic lengths. Rows of velocity are about motions, not about a configuration.
     """
     q = as_q(system, q)
-    at = Poses(system, q)
+    at = Poses(system, q, t)
     m = at.mechanism
     found = [(name, at.joint(m.joints[name])) for name in system.structure.closures]
     found += [(c.name, at.declared(c)) for c in m.constraints.values() if c.positions(system.dim)]

@@ -15,11 +15,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import numpy as np
 
 from kempe.analysis.continuation.continuation import Closure
-from kempe.constraints.tape import TWIST
+from kempe.constraints.tape import TIME, TWIST
 from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
 from kempe.kinematics.common.gauss_newton import gauss_newton
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.velocity.velocity import rates
+from kempe.model.clocked import clocked, timed
 from kempe.reals import is_array, is_real
 from kempe.solvers.common.clock import BROKEN_OFF, TimeLimit
 from kempe.spatial import Array, quat_wxyz_multiply, unit
@@ -35,6 +36,8 @@ OPEN = 1e-8
 """Residual, in radians and characteristic lengths, above which a start is not closed."""
 PARTS = 64
 """Steps at least."""
+LOOKS = 8
+"""Places within a step at which one-sided constraints are looked at."""
 CORRECTIONS = 6
 
 Input = float | Callable[[float], Any]
@@ -55,13 +58,21 @@ class Rolled(NamedTuple):
 
 
 class Velocities:
-    """The velocities that constraints and inputs leave, at any configuration and time."""
+    """The velocities that constraints and inputs leave, at any configuration and time.
+
+    Where position constraints depend on time, `system` is the clocked one: the time is a coordinate, whose velocity is
+    1 and which closing the loops does not change.
+    """
 
     def __init__(self, system: System, inputs: Mapping[str, Any]):
-        self.system, self.closure = system, Closure(system)
         self.inputs = {name: _checked(name, u) for name, u in inputs.items()}
         self.rows = [_row(system, name) for name in inputs]
+        self.times = bool(timed(system))
+        self.system = clocked(system) if self.times else system
+        clock = [list(self.system.structure.velocity_names).index(TIME)] if self.times else []
+        self.closure = Closure(self.system, clock, np.zeros(self.system.nq))
         self.loops = len(self.closure.weight)
+        self.clock = np.eye(self.system.nv)[clock]
 
     def value(self, name: str, t: float) -> float:
         """The value of an input at a time. Errors: `InputError`."""
@@ -80,10 +91,13 @@ class Velocities:
         scale = self.closure.unit
         A, b = rates(self.system, q, t)
         J = self.closure.matrix(q)[: self.loops] if self.loops else np.zeros((0, len(scale)))
-        S = np.array([row(q) for row in self.rows]).reshape(-1, len(scale)) * scale
+        own = q[: len(q) - len(self.clock)]
+        S = np.zeros((len(self.rows), len(scale)))
+        for k, row in enumerate(self.rows):
+            S[k, : len(scale) - len(self.clock)] = row(own)
         u = np.array([self.value(name, t) for name in self.inputs])
-        M = np.concatenate([A * scale, J, S])
-        wanted = np.concatenate([b, np.zeros(len(J)), u])
+        M = np.concatenate([A * scale, J, self.clock * scale, S * scale])
+        wanted = np.concatenate([b, np.zeros(len(J)), np.ones(len(self.clock)), u])
         size = np.linalg.norm(M, axis=1)
         size = np.where(size > 1e-12, size, 1.0)
         M, wanted = M / size[:, None], wanted / size
@@ -138,9 +152,11 @@ class Velocities:
             out[i : i + 4] = 0.5 * quat_wxyz_multiply(q[i : i + 4], turn)
         return out
 
-    def closed(self, q: Array) -> Array:
-        """The configuration (nq,) nearest to q that meets the position constraints, quaternions of length 1."""
+    def closed(self, q: Array, t: float) -> Array:
+        """The configuration (nq,) nearest to q that meets the position constraints at time t."""
         layout, q = self.system.structure.layout, q.copy()
+        if self.times:
+            q[-1], self.closure.targets = t, np.array([t])
         for i in layout.quaternion_q.tolist():
             q[i : i + 4] = unit(q[i : i + 4])
         if not self.loops:
@@ -178,23 +194,26 @@ def roll(
     from scipy import integrate
 
     motion = Velocities(system, inputs)
+    begin, system = float(times[0]), motion.system
+    if motion.times:
+        q = np.append(q, begin)
     F = motion.closure.values(q)
     gap = float(np.abs(F).max(initial=0.0))
     if not gap < OPEN:
         raise InputError(f"the position constraints are off by {gap:.3g} at the start (radians or characteristic "
                          "lengths); assemble it first")  # fmt: skip
-    rows, q = one_sided_rows(system), motion.closed(q)
+    rows, q = one_sided_rows(system), motion.closed(q, begin)
     if (over := rows.beyond(q)).any():
         k = int(np.argmax(over))
         raise InputError(f"the start violates {rows.names[k]!r} by {over[k]:.6g}")
     try:
-        first = motion.at(q, float(times[0]))
+        first = motion.at(q, begin)
     except RollingStop as stop:
         raise UnsupportedError(f"{system.name}: {stop}") from None
     out_q, out_v, reason, broken = [q], [first], "", None
     k, end = 1, float(times[-1])
-    most = max((end - float(times[0])) / PARTS, 1e-300)
-    solver: Any = cast(Any, integrate).DOP853(motion.slope, float(times[0]), q, end, rtol=max(tolerance, 3e-14),
+    most = max((end - begin) / PARTS, 1e-300)
+    solver: Any = cast(Any, integrate).DOP853(motion.slope, begin, q, end, rtol=max(tolerance, 3e-14),
                                               atol=tolerance, max_step=most)  # fmt: skip
     try:
         while solver.status == "running":
@@ -205,37 +224,50 @@ def roll(
             dense, last = solver.dense_output(), solver.t
             stop = _limit(system, dense, float(solver.t_old or 0.0), last)
             while k < len(times) and times[k] <= (last if stop is None else stop[0]):
-                x = motion.closed(dense(times[k]))
+                x = motion.closed(dense(times[k]), float(times[k]))
                 out_v.append(motion.at(x, float(times[k])))
                 out_q.append(x)
                 k += 1
             if stop is not None:
-                x = motion.closed(dense(stop[0]))
+                x = motion.closed(dense(stop[0]), stop[0])
                 out_v.append(motion.at(x, stop[0]))
                 out_q.append(x)
                 times = np.append(times[:k], stop[0])
                 raise RollingStop(stop[1])
-            solver.y = motion.closed(solver.y)
+            solver.y = motion.closed(solver.y, float(last))
             solver.f = motion.slope(last, solver.y)
     except RollingStop as stop:
         reason = str(stop)
     except BROKEN_OFF as error:
         broken = error
-    n = len(out_v)
-    return Rolled(times[:n], np.array(out_q[:n]), np.array(out_v), reason, broken)
+    n, more = len(out_v), int(motion.times)  # without the clock
+    q, v = np.array(out_q[:n]), np.array(out_v)
+    return Rolled(times[:n], q[:, : q.shape[1] - more], v[:, : v.shape[1] - more], reason, broken)
 
 
-def _limit(system: System, dense: Callable[[float], Array], t0: float, t1: float) -> tuple[float, str] | None:
+def _limit(system: System, dense: Callable[[Any], Array], t0: float, t1: float) -> tuple[float, str] | None:
     """The time at which a limit or another one-sided constraint is met between two times, and the words for it."""
     rows = one_sided_rows(system)
-    over = rows.beyond(dense(t1))
-    if not over.any():
+    looks = np.linspace(t0, t1, LOOKS + 1)
+    violated = rows.beyond(dense(looks[1:]).T).any(axis=1)
+    if not violated.any():
         return None
-    k, a, b = int(np.argmax(over)), t0, t1
+    first = int(np.argmax(violated))
+    a, b = float(looks[first]), float(looks[first + 1])
+
+    def over(t: float) -> Array:
+        """By how many times what is allowed each row is outside, above 1 where it is violated."""
+        x = rows.values(dense(t))
+        return np.maximum(rows.low - x, x - rows.high) / (1e-3 * rows.slack)
+
+    k = int(np.argmax(over(b)))
     for _ in range(60):
         m = 0.5 * (a + b)
-        x = rows.values(dense(m))[k]
-        a, b = (a, m) if max(rows.low[k] - x, x - rows.high[k]) > 1e-3 * rows.slack[k] else (m, b)
+        beyond = over(m)
+        if beyond.max() > 1.0:
+            b, k = m, int(np.argmax(beyond))
+        else:
+            a = m
     what = "its limit" if k >= rows.declared else "its bound"
     return a, f"it stops at time {a:.9g}, where {rows.names[k]!r} meets {what}"
 

@@ -33,7 +33,7 @@ from kempe.analysis.motion.rolling_drive import RollingSamples, driven
 from kempe.budget import Budget, Usual
 from kempe.calls import explained, explained_methods, flag, interruptible, until_interrupt
 from kempe.constraints.tape import TIME
-from kempe.errors import InputError, UnsupportedError
+from kempe.errors import InputError
 from kempe.kinematics.common.tabular import write_table
 from kempe.model.clocked import clocked, timed
 from kempe.reals import is_mapping, reals
@@ -103,6 +103,8 @@ class Drive(Motion):
     interrupted: bool
     reason: str = field(default="", repr=False)
     late: bool = False
+    _clock: Array | None = field(default=None, repr=False)
+    """Time (n,) at which each configuration holds, where equations depend on time: of those `held` an earlier one."""
 
     def __repr__(self) -> str:
         return f"Drive({self.system.name!r}, {counted(len(self.q), 'sample')}, held={int(self.held.sum())})"
@@ -121,6 +123,9 @@ class Drive(Motion):
         """The outcome: `PARTLY` where inputs cannot be reached, or it jumps."""
         return Status.SOLVED if self.success else self._broken_off() or (
             Status.NOT_FOUND if self.reason and len(self) < 2 else Status.PARTLY)  # fmt: skip
+
+    def _when(self) -> Any:
+        return 0.0 if self._clock is None else self._clock
 
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
         """The inputs, of samples that are not held, where they belong to coordinates."""
@@ -213,9 +218,6 @@ def _in_time(
     budget: Budget | None,
 ) -> Drive:  # fmt: skip
     """The motion where equations depend on time, which is driven as a coordinate of its own."""
-    if rolls(system):
-        raise UnsupportedError(f"constraint {timed(system)[0]!r} depends on time, which motions of what rolls do not "
-                               "follow yet: give its coordinate as an input")  # fmt: skip
     clock, _ = _samples({**inputs, TIME: 0.0}, times)
     found = until_interrupt(drive, clocked(system), {**inputs, TIME: clock}, clock, _with_time(system, start, clock),
                             hold=hold, toward=toward, limits=limits, budget=budget)  # fmt: skip
@@ -234,7 +236,8 @@ def _without_time(found: Drive, system: System) -> Drive:
     inputs = {n: x for n, x in found.inputs.items() if n != TIME}
     toggles = tuple(replace(toggle, q=toggle.q[:-1]) for toggle in found.toggles)
     events = tuple(replace(event, q=event.q[:-1]) for event in found.singular_points)
-    return replace(found, system=system, q=found.q[:, :-1], inputs=inputs, toggles=toggles, singular_points=events)
+    return replace(found, system=system, q=found.q[:, :-1], inputs=inputs, toggles=toggles, singular_points=events,
+                   _clock=found.q[:, -1])  # fmt: skip
 
 
 def _rolled(

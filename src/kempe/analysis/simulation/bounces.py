@@ -12,11 +12,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 
+from kempe.solvers.common.clock import TimeLimit
 from kempe.spatial import Array
 
 FADED = 1e-9
@@ -31,6 +33,14 @@ SAME_TIME = 1e-13
 """Part of the time to an impact within which others happen at the same time."""
 AGAIN = 64
 """Impacts at one instant after which the rest of them is taken as without rebound."""
+FADED_MOVING = 1e-6
+"""As `FADED`, on planes that move: the place of such a plane is known to rounding only, and so are low hops."""
+WINDOWS = 64
+"""Parts of the duration, at least, in which impacts on moving planes are looked for."""
+LOOKS = 16
+"""Places in such a part at which gaps and their rates are evaluated."""
+INTEGRATION = 1e-12
+"""Local error of the motion along moving planes."""
 MOST = 100_000
 """Events after which it is broken off."""
 
@@ -44,7 +54,9 @@ class Plane(NamedTuple):
 
 
 class Impact(NamedTuple):
-    """What happened: "bounce", "lands" (and stays) or "settles" (after infinitely many bounces), on which planes.
+    """What happened: "bounce", "lands" (and stays), "settles" (after infinitely many bounces) or "leaves".
+
+    `planes` says which.
 
     `before` and `after` are rates of the gap [m/s], of the plane that was hit hardest.
     """
@@ -65,6 +77,24 @@ class Parabola(NamedTuple):
     y: Array
     v: Array
     a: Array
+
+
+class MovingPlanes(Protocol):
+    """Planes that move and turn by a law of time: gap = `normals` . y + `offsets`."""
+
+    names: tuple[str, ...]
+
+    def at(self, t: Array | float) -> tuple[Array, Array]:
+        """Normals (..., m, k) and offsets (..., m) at times (...)."""
+        ...
+
+    def rates(self, t: Array | float) -> tuple[Array, Array]:
+        """Rates of normals (..., m, k) and offsets (..., m) at times (...)."""
+        ...
+
+    def accelerations(self, t: float) -> tuple[Array, Array]:
+        """Second derivatives of normals (m, k) and offsets (m,) at a time."""
+        ...
 
 
 class Flight:
@@ -212,19 +242,328 @@ def first_zero(gap: float, rate: float, acceleration: float) -> float:
 
 
 def nearest_in_cone(v: Array, N: Array) -> Array:
-    """The vector nearest to v (k,) of those with N x >= 0, N (m, k): by the sets of planes that may hold it back."""
-    size = float(np.linalg.norm(v))
+    """The vector nearest to v (k,) of those with N x >= 0, N (m, k)."""
+    found = nearest_inside(v, N, np.zeros(len(N)))
+    return np.zeros(len(v)) if found is None else found
+
+
+def nearest_inside(v: Array, N: Array, w: Array) -> Array | None:
+    """The vector nearest to v (k,) of those with N x + w >= 0, N (m, k): by the sets of planes that may hold it back.
+
+    None where there is no such vector.
+    """
     lengths = np.linalg.norm(N, axis=1)
-    if not size or not (N @ v < 0.0).any():
+    if not (N @ v + w < 0.0).any():
         return v
-    unit = N / lengths[:, None]
+    if not lengths.all():
+        return None
+    unit, w = N / lengths[:, None], w / lengths
+    size = float(np.linalg.norm(v)) + float(np.abs(w).max())
     for count in range(1, len(v) + 1):
         for some in itertools.combinations(range(len(N)), count):
             A: Array = unit[list(some)]
             if np.linalg.svd(A, compute_uv=False)[-1] < 1e-9:
                 continue
-            push = np.linalg.solve(A @ A.T, -A @ v)
+            push = np.linalg.solve(A @ A.T, -A @ v - w[list(some)])
             x = v + A.T @ push
-            if (push >= -1e-15 * size).all() and (unit @ x >= -1e-13 * size).all():
+            if (push >= -1e-15 * size).all() and (unit @ x + w >= -1e-13 * size).all():
                 return x
-    return np.zeros(len(v))
+    return None
+
+
+class Stretch(NamedTuple):
+    """A part of a motion from `time` on: `at` gives places and velocities (n, k) at times (n,); `held` are planes."""
+
+    time: float
+    at: Callable[[Array], tuple[Array, Array]]
+    held: tuple[int, ...]
+
+
+class MovingFlight:
+    """The motion of the centre in coordinates (k,) that have the metric of space, above planes that move.
+
+    Between impacts it is a parabola, along planes that are touched a motion that they push along their normals
+    (integrated). An impact reverses the rate of the gap, times the restitution: v' = -e v + (1 + e) x, with x the
+    velocity nearest to v that closes no touched gap. The times of impacts are zeros of gaps, looked for at `LOOKS`
+    places of `WINDOWS` parts of the duration and between the extremes there: a gap that closes and opens again twice
+    within one such step is not seen.
+    """
+
+    def __init__(self, planes: MovingPlanes, gravity: Array, restitution: float, time: TimeLimit):
+        self.planes, self.gravity, self.restitution, self.budget = planes, gravity, restitution, time
+        self.stretches: list[Stretch] = []
+        self.impacts: list[Impact] = []
+        self.reason, self.known, self._largest = "", 0.0, 0.0
+
+    def run(self, y: Array, v: Array, duration: float) -> None:
+        """Compute stretches and impacts from a place and a velocity (k,) on, for a duration [s]."""
+        t, again, leaving = 0.0, 0, set[int]()
+        touching = set(np.flatnonzero(self._gaps(0.0, y) <= TOUCH).tolist())
+        while t < duration:
+            self.budget.check()
+            self.known = t
+            after = self._impact(t, y, v, touching, again > AGAIN)
+            if after is None or len(self.impacts) >= MOST:
+                closing = " and ".join(repr(self.planes.names[i]) for i in sorted(touching))
+                self.reason = (f"at {t:.10g} s {closing} leave it no room" if after is None
+                               else f"broken off after {MOST} events")  # fmt: skip
+                return
+            v, held = self._pressed(t, y, after, touching - leaving)
+            rest = self._settling(t, y, v, touching - held - leaving, held)
+            if rest is not None and t + rest[0] < duration:
+                touching = held | {rest[1]}
+                self.stretches.append(Stretch(t, partial(_parabola, t, y, v, 0.0 * v), tuple(sorted(touching))))
+                t = t + rest[0]
+                y, v = self._onto(t, y + rest[0] * v, v, touching)
+                self.impacts.append(Impact("settles", t, (rest[1],), 0.0, 0.0, y, v))
+                continue
+            before = t
+            t, y, v, hit, leaving = self._go(t, y, v, touching, held, duration)
+            again = again + 1 if t - before <= SAME_TIME * duration else 0
+            if again > 2 * AGAIN:
+                self.reason = f"from {t:.10g} s on one impact follows the other at once"
+                return
+            y, v = self._onto(t, y, v, hit | held, places_only=True)
+            touching = self._touched(t, y, hit | held)
+        self.known = duration
+
+    def at(self, t: Array) -> tuple[Array, Array]:
+        """Places and velocities (n, k) at times (n,) up to `known`."""
+        starts = np.array([s.time for s in self.stretches])
+        which = np.clip(np.searchsorted(starts, t, side="right") - 1, 0, len(starts) - 1)
+        y, v = np.empty((len(t), len(self.gravity))), np.empty((len(t), len(self.gravity)))
+        for k, stretch in enumerate(self.stretches):
+            some = which == k
+            if not some.any():
+                continue
+            y[some], v[some] = stretch.at(t[some])
+            for i in np.flatnonzero(some) if stretch.held else ():
+                y[i], v[i] = self._onto(float(t[i]), y[i], v[i], set(stretch.held))
+        return y, v
+
+    # ---- gaps
+
+    def _gaps(self, t: Array | float, y: Array) -> Array:
+        """Gaps (..., m) at times (...) and places (..., k)."""
+        N, o = self.planes.at(t)
+        return (N @ y[..., None])[..., 0] + o
+
+    def _rates(self, t: Array | float, y: Array, v: Array) -> tuple[Array, Array]:
+        """Normals (..., m, k) and the rates (..., m) of the gaps, at times (...), places and velocities (..., k)."""
+        N, _ = self.planes.at(t)
+        turn, shift = self.planes.rates(t)
+        return N, (N @ v[..., None] + turn @ y[..., None])[..., 0] + shift
+
+    def _bending(self, t: float, y: Array, v: Array) -> Array:
+        """Second derivatives (m,) of the gaps where the centre does not accelerate."""
+        turn, _ = self.planes.rates(t)
+        more, shift = self.planes.accelerations(t)
+        return 2.0 * turn @ v + more @ y + shift
+
+    def _onto(self, t: float, y: Array, v: Array, planes: set[int], places_only: bool = False) -> tuple[Array, Array]:
+        """Place and velocity (k,) put onto planes that are touched, but for rounding."""
+        index = sorted(planes)
+        if not index:
+            return y, v
+        N, o = self.planes.at(t)
+        back = np.linalg.pinv(N[index])
+        y = y - back @ (N[index] @ y + o[index])
+        return y, v if places_only else v - back @ self._rates(t, y, v)[1][index]
+
+    def _touched(self, t: float, y: Array, known: set[int]) -> set[int]:
+        """The planes that a place touches, or is above only by rounding."""
+        N, o = self.planes.at(t)
+        rounding = ROUNDING * (np.abs(N) @ np.abs(y) + np.abs(o))
+        return known | set(np.flatnonzero(N @ y + o <= rounding).tolist())
+
+    # ---- what happens at an instant
+
+    def _impact(self, t: float, y: Array, v: Array, touching: set[int], soft: bool) -> Array | None:
+        """The velocity after what it makes hit, None where no velocity opens all gaps; `soft`: without rebound."""
+        index = sorted(touching)
+        for k in range(AGAIN + 1):
+            N, rates = (x[index] for x in self._rates(t, y, v))
+            self._largest = max(self._largest, float(np.linalg.norm(v)), float(np.abs(rates).max(initial=0.0)))
+            size = GONE * self._largest * np.linalg.norm(N, axis=1)
+            if not (rates < -size).any():
+                return v
+            nearest = nearest_inside(v, N, rates - N @ v)
+            if nearest is None:
+                return None
+            e = 0.0 if soft or k == AGAIN else self.restitution
+            after = -e * v + (1.0 + e) * nearest
+            worst = int(np.argmin(rates))
+            rebound = float((rates + N @ (after - v))[worst])
+            rebound = rebound if rebound > size[worst] else 0.0
+            planes = tuple(index[i] for i in np.flatnonzero(rates < -size))
+            kind = "bounce" if rebound else "lands"
+            self.impacts.append(Impact(kind, t, planes, float(rates[worst]), rebound, y, after))
+            v = after
+        return v
+
+    def _pressed(self, t: float, y: Array, v: Array, touching: set[int]) -> tuple[Array, set[int]]:
+        """The velocity without rounding, and the planes that stay touched."""
+        N, rates = self._rates(t, y, v)
+        lengths = np.linalg.norm(N, axis=1)
+        still = [i for i in sorted(touching) if rates[i] <= 1e2 * GONE * self._largest * lengths[i]]
+        _, held = self._pushed(t, y, v, still)
+        return self._onto(t, y, v, held)[1], held
+
+    def _pushed(self, t: float, y: Array, v: Array, still: list[int]) -> tuple[Array, set[int]]:
+        """The acceleration (k,) with these planes touched at no rate, and those of them that stay touched."""
+        N, c = self.planes.at(t)[0][still], self._bending(t, y, v)[still]
+        a = nearest_inside(self.gravity, N, c)
+        if a is None:
+            a = self.gravity - np.linalg.pinv(N) @ (N @ self.gravity + c)
+        strength = 1e-9 * (float(np.linalg.norm(self.gravity)) + np.abs(c))
+        return a, {i for i, x in zip(still, N @ a + c - strength * np.linalg.norm(N, axis=1), strict=True) if x <= 0.0}
+
+    def _settling(self, t: float, y: Array, v: Array, leaving: set[int], held: set[int]) -> tuple[float, int] | None:
+        """Where bounces on one plane get small: the time in which they end, and the plane."""
+        if self.restitution >= 1.0 or not leaving:
+            return None
+        N, rates = self._rates(t, y, v)
+        a = self._pushed(t, y, v, sorted(held))[0]
+        pull = -(N @ a + self._bending(t, y, v))
+        slow = 1e2 * GONE * self._largest * np.linalg.norm(N, axis=1)
+        hops = [i for i in leaving if pull[i] > 0.0 and rates[i] > slow[i]]
+        if len(hops) != 1:
+            return None
+        i = hops[0]
+        n = N[i]
+        small = rates[i] < FADED_MOVING * self._largest * np.linalg.norm(n)
+        if not small or any(abs(N[j] @ n) > 1e-12 * np.linalg.norm(N[j]) * np.linalg.norm(n) for j in held):
+            return None
+        return 2.0 * float(rates[i]) / (float(pull[i]) * (1.0 - self.restitution)), i
+
+    # ---- what happens in between
+
+    def _go(
+        self, t: float, y: Array, v: Array, touching: set[int], held: set[int], duration: float
+    ) -> tuple[float, Array, Array, set[int], set[int]]:  # fmt: skip
+        """To the next impact, or to where a held plane is left: time, place, velocity, planes that are hit, or left."""
+        window = duration / WINDOWS
+        fresh = touching - held
+        if fresh:  # low hops: the window fits the first of them
+            N, rates = self._rates(t, y, v)
+            pull = -(N @ self._pushed(t, y, v, sorted(held))[0] + self._bending(t, y, v))
+            hops = [2.0 * float(rates[i] / pull[i]) for i in fresh if pull[i] > 0.0 and rates[i] > 0.0]
+            window = min([window, *(4.0 * h for h in hops)])
+        begin = t
+        solver: Any = self._solver(t, y, v, held, duration) if held else None
+        while True:
+            self.budget.check()
+            end = min(begin + window, duration)
+            at = self._step(solver, held) if held else partial(_parabola, t, y, v, self.gravity)
+            end = float(solver.t) if held else end
+            hit = self._first(at, begin, end, set(range(len(self.planes.names))) - held, fresh)
+            left = self._left(at, begin, end, sorted(held)) if held else None
+            stop = min(x for x in (hit and hit[0], left and left[0], end) if x is not None)
+            self.stretches.append(Stretch(begin, at, tuple(sorted(held))))
+            z, w = (x[0] for x in at(np.array([stop])))
+            if held:
+                z, w = self._onto(stop, z, w, held)
+            if hit is not None and hit[0] <= stop:
+                return stop, z, w, hit[1], set()
+            if left is not None and left[0] <= stop:
+                self.impacts.append(Impact("leaves", stop, (left[1],), 0.0, 0.0, z, w))
+                return stop, z, w, set(), {left[1]}
+            if stop >= duration:
+                return stop, z, w, set(), set()
+            if held:
+                solver.y, solver.f = np.concatenate([z, w]), solver.fun(stop, np.concatenate([z, w]))
+            begin, window = end, duration / WINDOWS
+            gaps = self._gaps(begin, z)
+            fresh = {i for i in fresh if gaps[i] <= 0.0}
+
+    def _solver(self, t: float, y: Array, v: Array, held: set[int], duration: float) -> Any:
+        from scipy import integrate
+
+        index, k = sorted(held), len(y)
+
+        def slope(s: float, x: Array) -> Array:
+            """Velocity and acceleration, all held planes pushing or pulling."""
+            N, c = self.planes.at(s)[0][index], self._bending(s, x[:k], x[k:])[index]
+            return np.concatenate([x[k:], self.gravity - np.linalg.pinv(N) @ (N @ self.gravity + c)])
+
+        return cast(Any, integrate).DOP853(slope, t, np.concatenate([y, v]), duration, rtol=INTEGRATION,
+                                           atol=INTEGRATION, max_step=duration / WINDOWS)  # fmt: skip
+
+    def _step(self, solver: Any, held: set[int]) -> Callable[[Array], tuple[Array, Array]]:
+        said = solver.step()
+        if solver.status == "failed":
+            raise ArithmeticError(f"at {solver.t:.6g} s the planes move too fast: {said}")
+        dense, k = solver.dense_output(), len(self.gravity)
+        return lambda s: (dense(s)[:k].T, dense(s)[k:].T)
+
+    def _first(
+        self, at: Callable[[Array], tuple[Array, Array]], begin: float, end: float, planes: set[int], fresh: set[int]
+    ) -> tuple[float, set[int]] | None:  # fmt: skip
+        """The first zero of a gap that closes within a step, and its planes; gaps of `fresh` planes open first."""
+        s = np.linspace(begin, end, LOOKS + 1)
+        y, v = at(s)
+        gaps = self._gaps(s, y)
+        rates = self._rates(s, y, v)[1]
+
+        def gap(i: int, x: float) -> float:
+            return float(self._gaps(x, at(np.array([x]))[0][0])[i])
+
+        def rate(i: int, x: float) -> float:
+            p, w = (z[0] for z in at(np.array([x])))
+            return float(self._rates(x, p, w)[1][i])
+
+        found: dict[int, float] = {}
+        for i in sorted(planes):
+            for k in range(LOOKS):
+                a, b = float(s[k]), float(s[k + 1])
+                opens = i in fresh and k == 0  # it touches at a, and may close again at once
+                if opens and rates[0, i] > 0.0 and rates[1, i] < 0.0:
+                    a = zero_of(partial(rate, i), a, b)
+                    if gap(i, a) <= 0.0:  # a hop lower than rounding
+                        found[i] = a
+                        break
+                elif rates[k, i] < 0.0 < rates[k + 1, i] and gaps[k + 1, i] > 0.0 and (gaps[k, i] > 0.0 or opens):
+                    b = zero_of(partial(rate, i), a, b)
+                if gap(i, b) <= 0.0 and (gap(i, a) > 0.0 or (not opens and k == 0 and rates[0, i] < 0.0)):
+                    found[i] = zero_of(partial(gap, i), a, b) if gap(i, a) > 0.0 else a
+                    break
+        if not found:
+            return None
+        first = min(found.values())
+        return first, {i for i, x in found.items() if x <= first + SAME_TIME * (end - begin)}
+
+    def _left(
+        self, at: Callable[[Array], tuple[Array, Array]], begin: float, end: float, held: list[int]
+    ) -> tuple[float, int] | None:
+        """The time within a step from which on a held plane would have to pull, and the plane."""
+
+        def pushes(x: float) -> Array:
+            p, w = (z[0] for z in at(np.array([x])))
+            N, c = self.planes.at(x)[0][held], self._bending(x, p, w)[held]
+            return np.linalg.lstsq(N @ N.T, -(N @ self.gravity + c), rcond=1e-9)[0] * np.linalg.norm(N, axis=1)
+
+        def least(x: float) -> float:
+            return float(pushes(x).min())
+
+        s = np.linspace(begin, end, LOOKS // 4 + 1).tolist()
+        weak = [k for k in range(len(s) - 1) if least(s[k + 1]) < -1e-9 * float(np.linalg.norm(self.gravity))]
+        if not weak:
+            return None
+        a, b = s[weak[0]], s[weak[0] + 1]
+        return zero_of(least, a, b) if least(a) > 0.0 else a, held[int(np.argmin(pushes(b)))]
+
+
+def _parabola(t: float, y: Array, v: Array, a: Array, s: Array) -> tuple[Array, Array]:
+    """Places and velocities (n, k) at times s (n,) of a parabola that begins at t."""
+    u = (s - t)[:, None]
+    return y + u * (v + 0.5 * u * a), v + u * a
+
+
+def zero_of(f: Callable[[float], float], a: float, b: float) -> float:
+    """A zero between a and b, at which the signs of f differ; the end that is a zero."""
+    fa, fb = f(a), f(b)
+    if fa == 0.0 or fb == 0.0 or (fa > 0.0) == (fb > 0.0):
+        return a if fa == 0.0 else b
+    from scipy import optimize
+
+    return float(cast(Any, optimize).brentq(f, a, b, xtol=1e-16, rtol=1e-15))

@@ -13,11 +13,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.analysis.manoeuvre.wheeled import binding
-from kempe.analysis.simulation.bounces import TOUCH, Flight, Plane
+from kempe.analysis.simulation.bounces import TOUCH, Flight, MovingFlight, Plane
 from kempe.errors import InputError, UnsupportedError
+from kempe.kinematics import closure_rows
 from kempe.kinematics.configuration import random
-from kempe.kinematics.one_sided import one_sided_rows
+from kempe.kinematics.one_sided import OneSided, one_sided_rows
 from kempe.kinematics.velocity.velocity import rates
+from kempe.model.clocked import clocked, timed
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -43,12 +45,15 @@ class Falling:
     basis: Array
     shape: Array
     planes: tuple[Plane, ...]
+    """The planes, those that move as they are at time 0."""
+    moving: MovingRows | None = None
+    """The planes where some of them move."""
 
     def y(self, q: Array) -> Array:
         """Coordinates (..., k) of the centre."""
         return q[..., self.slides_q] @ self.shape.T
 
-    def motion(self, q: Array, v: Array, flight: Flight, t: Array) -> tuple[Array, Array]:
+    def motion(self, q: Array, v: Array, flight: Flight | MovingFlight, t: Array) -> tuple[Array, Array]:
         """Configurations (n, nq) and velocities (n, nv) at times (n,), of a flight from q with velocities v (nv,)."""
         y, dy = flight.at(t)
         turning = v.copy()
@@ -86,9 +91,92 @@ def falling(system: System, q: Array, v: Array, duration: float) -> Falling:
     slides_v = np.flatnonzero(slides)
     place = dict(zip(system.structure.layout.vector_v.tolist(), system.structure.layout.vector_q.tolist(), strict=True))
     slides_q = np.array([place[int(i)] for i in slides_v], dtype=int)
-    planes = _planes(system, body, q, slides_q, shape, samples)
+    moving = MovingRows(system, q, slides_q, slides_v, shape, duration) if timed(system) else None
+    planes = _planes(system, body, q, slides_q, shape, samples) if moving is None else _moving_planes(
+        system, body, moving, samples, duration)  # fmt: skip
     _turns(system, body, q, v, turning, duration)
-    return Falling(system, body, slides_q, slides_v, basis, shape, planes)
+    return Falling(system, body, slides_q, slides_v, basis, shape, planes, moving)
+
+
+class MovingRows:
+    """One-sided rows that are planes in the space of the slides, as laws of time.
+
+    Row k of `rows` is the lower bound, or with a sign of -1 the upper bound, of a one-sided row of the clocked system.
+    """
+
+    def __init__(
+        self, system: System, q: Array, slides_q: np.ndarray, slides_v: np.ndarray, shape: Array, duration: float
+    ):
+        self.rows: OneSided = one_sided_rows(clocked(system))
+        self.slides_q, self.slides_v, self.back, self.duration = slides_q, slides_v, np.linalg.inv(shape), duration
+        self.base = np.append(q, 0.0)
+        self.base[slides_q] = 0.0
+        sides = [(k, sign) for k in range(len(self.rows)) for sign in (1.0, -1.0)
+                 if (k < self.rows.declared or self.rows.at[k - self.rows.declared] in slides_q)
+                 and math.isfinite(self.rows.low[k] if sign > 0.0 else self.rows.high[k])]  # fmt: skip
+        self.at_row, self.sign = np.array([k for k, _ in sides], dtype=int), np.array([s for _, s in sides])
+        self.bound = np.where(self.sign > 0.0, self.rows.low[self.at_row], self.rows.high[self.at_row])
+        self.names = tuple(self.rows.side(k, sign < 0.0) for k, sign in sides)
+        units = closure_rows.scales(self.rows.system)
+        self._unscale = 1.0 / (self.rows.scale[self.at_row, None] * units)
+
+    def only(self, which: np.ndarray) -> None:
+        """Keep only some of the planes."""
+        self.at_row, self.sign, self.bound = self.at_row[which], self.sign[which], self.bound[which]
+        self._unscale = self._unscale[which]
+        self.names = tuple(n for n, keep in zip(self.names, which, strict=True) if keep)
+
+    def _read(self, slides: Array, t: Array | float) -> tuple[Array, Array]:
+        """Values (..., m), less their bounds, and gradients (..., m, nv) at slides (k,) and times (...)."""
+        x = np.repeat(self.base[None], np.size(t), axis=0)
+        x[:, self.slides_q], x[:, -1] = slides, np.ravel(t)
+        values, J = self.rows.rates(x)
+        values = self.sign * (values[:, self.at_row] - self.bound)
+        J = self.sign[:, None] * J[:, self.at_row] * self._unscale
+        lead = np.shape(t)
+        return values.reshape(*lead, len(self.sign)), J.reshape(*lead, *J.shape[1:])
+
+    def at(self, t: Array | float) -> tuple[Array, Array]:
+        """Normals (..., m, k) and offsets (..., m) at times (...)."""
+        values, J = self._read(np.zeros(len(self.slides_q)), t)
+        return J[..., self.slides_v] @ self.back, values
+
+    def rates(self, t: Array | float) -> tuple[Array, Array]:
+        """Rates of normals (..., m, k) and offsets (..., m) at times (...)."""
+        k = len(self.slides_q)
+        shift = self._read(np.zeros(k), t)[1][..., -1]
+        turn = np.stack([self._read(row, t)[1][..., -1] - shift for row in np.eye(k)], axis=-1)
+        return turn @ self.back, shift
+
+    def accelerations(self, t: float) -> tuple[Array, Array]:
+        """Second derivatives of normals (m, k) and offsets (m,), by seven differences within the duration."""
+        h = min(1e-3, self.duration / 8192.0)
+        first = min(max(t - 3.0 * h, 0.0), self.duration - 6.0 * h)
+        nodes = np.arange(7.0) + (first - t) / h
+        powers = np.array([nodes**i for i in range(7)])
+        weights: Array = np.asarray(np.linalg.solve(powers, np.eye(7)[1]), dtype=float) / h
+        turn, shift = self.rates(first + h * np.arange(7.0))
+        return (weights[:, None, None] * turn).sum(axis=0), weights @ shift
+
+
+def _moving_planes(
+    system: System, body: str, moving: MovingRows, samples: Array, duration: float
+) -> tuple[Plane, ...]:  # fmt: skip
+    """The planes at time 0, once they are planes at all times. Errors: `UnsupportedError`."""
+    rows, clocks = moving.rows, np.linspace(0.0, duration, 4 * len(samples))
+    x = np.column_stack([np.repeat(samples, 4, axis=0), clocks])
+    values = moving.sign * (rows.values(x)[:, moving.at_row] - moving.bound)
+    N, o = moving.at(clocks)
+    predicted = (N @ np.linalg.solve(moving.back, x[:, moving.slides_q].T).T[..., None])[..., 0] + o
+    off = np.abs(values - predicted).max(axis=0, initial=0.0)
+    size = 1.0 + np.abs(predicted).max(axis=0, initial=0.0)
+    for name, miss, large in zip(moving.names, off, size, strict=True):
+        if not miss <= SAME * large:
+            raise UnsupportedError(f"{system.name}: {name!r} is no plane for the centre of {body!r} at every time; "
+                                   "simulate knows bounces on planes, which may move")  # fmt: skip
+    moving.only(np.linalg.norm(N, axis=-1).max(axis=0, initial=0.0) >= SAME)
+    N, o = moving.at(0.0)
+    return tuple(Plane(*each) for each in zip(moving.names, N, o.tolist(), strict=True))
 
 
 def start_of_flight(fall: Falling, q: Array) -> None:
@@ -101,6 +189,8 @@ def start_of_flight(fall: Falling, q: Array) -> None:
 
 def _no_others(system: System, q: Array) -> None:
     """Refuse systems on which loops or rolling act. Errors: `UnsupportedError`."""
+    if timed(system):
+        system, q = clocked(system), np.append(q, 0.0)
     if rates(system, q)[0].shape[-2]:
         raise UnsupportedError(f"{system.name} rolls (it has velocity constraints): how it would roll by itself needs "
                                "masses and moments of inertia; inputs={...} gives velocities instead")  # fmt: skip

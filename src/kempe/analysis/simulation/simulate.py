@@ -14,13 +14,13 @@ from numpy.typing import ArrayLike
 from kempe.analysis.continuation.beginning import start_of
 from kempe.analysis.continuation.path import Motion
 from kempe.analysis.continuation.rolling import roll, slip
-from kempe.analysis.simulation.bounces import MOST, Flight
+from kempe.analysis.simulation.bounces import MOST, Flight, MovingFlight
 from kempe.analysis.simulation.falling import falling, start_of_flight
 from kempe.budget import Budget, Usual
 from kempe.calls import explained, explained_methods, interruptible, numbers
 from kempe.errors import InputError, UnknownNameError
 from kempe.reals import is_mapping, is_real, is_whole, named, reals
-from kempe.solvers.common.clock import LONG, TimeLimit, TimeUp
+from kempe.solvers.common.clock import BROKEN_OFF, LONG, TimeLimit, TimeUp
 from kempe.spatial import Array
 from kempe.words import InWords, counted
 
@@ -39,8 +39,8 @@ USUAL = Usual("simulate", points=200, time_limit=LONG)
 class Bounce(InWords):
     """What happened to a ball at a `time` [s], at `q` (nq,): with the gap's rate `before` and `after` [m/s].
 
-    `kind` is "bounce", "lands" (it stays on the plane), or "settles" (infinitely many bounces have ended). `contacts`
-    are the names of the planes or limits.
+    `kind` is "bounce", "lands" (it stays on the plane), "settles" (infinitely many bounces have ended), or "leaves" (a
+    plane that moves would have to pull from then on). `contacts` are the names of the planes or limits.
     """
 
     kind: str
@@ -54,6 +54,8 @@ class Bounce(InWords):
         where = " and ".join(map(repr, self.contacts))
         if self.kind == "settles":
             return f"{self.time:.10g} s: settles on {where}, after infinitely many bounces"
+        if self.kind == "leaves":
+            return f"{self.time:.10g} s: leaves {where}"
         rebound = f", {self.after:.6g} m/s after it" if self.kind == "bounce" else ", and stays"
         return f"{self.time:.10g} s: {self.kind} on {where} with {-self.before:.6g} m/s{rebound}"
 
@@ -99,6 +101,9 @@ class Simulation(Motion):
         """Velocities (..., nv) at times `t` (...), at a bounce those after it; as `at`."""
         return self._sampled(t)[1]
 
+    def _when(self) -> Any:
+        return self.t
+
     def _sampled(self, t: ArrayLike) -> tuple[Array, Array]:
         t = numbers(t, "t")
         if not ((t >= self.t[0]) & (t <= self.t[-1])).all():
@@ -127,7 +132,7 @@ class Simulation(Motion):
             text += f", {counted(bounces, 'bounce')}"
             ends = [e for e in self.events if e.kind != "bounce"]
             text += f"; from {ends[-1].time:.10g} s on it stays on {' and '.join(map(repr, ends[-1].contacts))}" if (
-                ends and ends[-1] is self.events[-1]) else ""  # fmt: skip
+                ends and ends[-1] is self.events[-1] and ends[-1].kind != "leaves") else ""  # fmt: skip
         return text + self._partial() + (f"; {self.reason}" if self.reason else "")
 
     def _notes(self) -> Sequence[str]:
@@ -158,6 +163,10 @@ def simulate(
     times `restitution`, from 0 to 1. The answer is exact (times in closed form), and goes on after the infinitely many
     bounces that end at t1 + 2 v / (a (1 - e)), v the speed after the impact at t1. What would need masses is refused.
 
+    The time is 0 at the start. Equations and inequalities in time hold at every time. Planes may move: an impact
+    reverses the rate of the gap, and a body that rests on a plane moves with it as long as the plane pushes. With
+    planes that move, times of impacts are found numerically, from the gaps at 1024 places of the duration.
+
     Of the `budget` are read: points (200) and time_limit (600 s, with `inputs`). `t` are so many evenly spread times,
     and those of all events. Errors: `UnsupportedError` with the reason;
     `InputError`, also for a start inside a plane, with the distance; `UnknownNameError`.
@@ -179,19 +188,30 @@ def simulate(
     fall = falling(system, q, v, float(duration))
     start_of_flight(fall, q)
     g = _acceleration(system, acceleration)
-    flight = Flight(fall.planes, fall.basis.T @ g, float(restitution))
-    flight.run(fall.y(q), fall.shape @ v[fall.slides_v], float(duration))
+    gravity, first, limit = fall.basis.T @ g, (fall.y(q), fall.shape @ v[fall.slides_v]), TimeLimit(spend.time_limit)
+    broken: BaseException | None = None
+    if fall.moving is None:
+        flight = Flight(fall.planes, gravity, float(restitution))
+        flight.run(*first, float(duration))
+        end = flight.impacts[-1].time if flight.broken else float(duration)
+        reason = f"broken off after {MOST} events" if flight.broken else ""
+    else:
+        flight = MovingFlight(fall.moving, gravity, float(restitution), limit)
+        try:
+            flight.run(*first, float(duration))
+        except BROKEN_OFF as error:
+            broken = error
+        end, reason = flight.known, flight.reason
     happened = np.array([e.time for e in flight.impacts])
-    end = flight.impacts[-1].time if flight.broken else float(duration)
     t = np.union1d(times[times <= end], happened)
     x, w = fall.motion(q, v, flight, t)
     at = fall.motion(q, v, flight, happened)[0]
     names = [p.name for p in fall.planes]
     events = tuple(Bounce(e.kind, e.time, tuple(names[i] for i in e.planes), e.before, e.after, at[k])
                    for k, e in enumerate(flight.impacts))  # fmt: skip
-    reason = f"broken off after {MOST} events" if flight.broken else ""
-    return Simulation(system, t, x, w, events, not flight.broken, reason, frames=(fall.body,),
-                      _at=partial(fall.motion, q, v, flight))  # fmt: skip
+    return Simulation(system, t, x, w, events, not reason and broken is None, reason,
+                      interrupted=isinstance(broken, KeyboardInterrupt), late=isinstance(broken, TimeUp),
+                      frames=(fall.body,), _at=partial(fall.motion, q, v, flight))  # fmt: skip
 
 
 def _rolls(

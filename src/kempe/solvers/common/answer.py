@@ -86,7 +86,11 @@ class Answer(Result, Tabular):
 
         It shares nothing with the equations by which kernels say `success`.
         """
-        return judge(self.system, self.q, self._goals(), self._left())
+        return judge(self.system, self.q, self._goals(), self._left(), self._when())
+
+    def _when(self) -> Any:
+        """Times (...) at which equations in time must hold at `q`; 0 for answers that have no time of their own."""
+        return 0.0
 
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
         """The tasks that must hold, with their goals and tolerances."""
