@@ -21,7 +21,7 @@ from kempe import Mechanism, System, spatial
 from kempe.joints import TYPES, Spherical, joint_type
 from kempe.kinematics.maximal import maximal_q
 from kempe.library import lecture
-from kempe.model.tree.topology import natural
+from kempe.model.tree.structural_order import natural
 
 
 def dof_by_counting(system: System) -> int:

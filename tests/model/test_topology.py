@@ -16,7 +16,8 @@ from kempe import Mechanism, System
 from kempe.errors import DescriptionError
 from kempe.joints import joint_type
 from kempe.model.tree.characteristic_length import origin_of
-from kempe.model.tree.topology import natural, spanning_tree
+from kempe.model.tree.structural_order import natural
+from kempe.model.tree.topology import spanning_tree
 
 
 def tree_by_name(system: System) -> dict:

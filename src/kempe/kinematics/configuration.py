@@ -13,7 +13,7 @@ from kempe.calls import explained, generator, known, numbers, together
 from kempe.errors import InputError, UnknownNameError
 from kempe.model.kept import kept
 from kempe.model.tree.coordinates import distinct, returning
-from kempe.model.tree.topology import natural
+from kempe.model.tree.structural_order import natural
 from kempe.reals import converted, is_plain, is_real, named, reals, rows_of
 from kempe.spatial import Array
 from kempe.words import counted

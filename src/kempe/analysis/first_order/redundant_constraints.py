@@ -22,7 +22,7 @@ from kempe.analysis.first_order.screws import Screws
 from kempe.constraints.base import COUNTS, Op, position_rows
 from kempe.description.parts import Declared, Joint
 from kempe.model.closures.implicit_form import ImplicitForm, implicit_form, screw, slides_along_z
-from kempe.model.tree.topology import natural
+from kempe.model.tree.structural_order import natural
 from kempe.spatial import Array
 from kempe.words import InWords, counted, in_words
 

@@ -1,22 +1,25 @@
 """Graph -> forest: which joints carry the spanning tree, which close loops, and how bodies are numbered.
 
-Required of the result, and tested: it depends on names and structure only, never on the order of declaration; the
-user's joint directions are kept (a tree joint may be walked from its child to its parent); fixed, actuated and
-coupled joints stay in the tree where they can; among the others, joints with many freedoms are cut first, then those
-far from the ground, which keeps the tree shallow; a joint marked `cut` is left out if any other choice exists.
+Required of the result, and tested: the user's joint directions are kept (a tree joint may be walked from its child to
+its parent); a joint marked `cut` is left out if any other choice exists; fixed, actuated and coupled joints stay in the
+tree where they can; among the choices that remain the loops that the cut joints close are short. Between choices with
+loops of the same total length, joints of the least wanted kind are cut: passive ones, those with many freedoms, those
+far from the ground, those that are a second way into their child. What is alike in all this is ordered by structure,
+then by placements, then by limits, and by names last; the order of declaration decides nothing.
 """
 
 from __future__ import annotations
 
 import heapq
-import re
-from collections import deque
+from collections import Counter, deque
 from dataclasses import dataclass
 from typing import Any
 
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Joint
 from kempe.errors import DescriptionError, Fault
+from kempe.model.tree.short_loops import edges_left_out
+from kempe.model.tree.structural_order import structural_order
 
 
 @dataclass(frozen=True)
@@ -35,12 +38,6 @@ class Topology:
     closures: tuple[str, ...]
 
 
-def natural(name: str) -> tuple[Any, ...]:
-    """Sort key by which 'J2' comes before 'J10'."""
-    parts = ((p, p.lstrip("0")) for p in re.split(r"(\d+)", name) if p)
-    return tuple((0, len(d), d) if p.isdecimal() else (1, 0, p) for p, d in parts) + ((-1, 0, name),)
-
-
 def spanning_tree(mechanism: Mechanism) -> Topology:
     """Spanning tree and loop closures of a mechanism. Errors: `DescriptionError` naming bodies without a way to it."""
     ground = mechanism.ground.name
@@ -50,7 +47,7 @@ def spanning_tree(mechanism: Mechanism) -> Topology:
         neighbours[joint.child].append((joint.parent, joint))
     level = _levels(mechanism, ground, neighbours)
     _refuse_detached(mechanism, level)
-    kept = _kruskal(mechanism, level)
+    kept = _kept(mechanism, level)
     came: dict[str, tuple[str, Joint]] = {}
     queue = deque([ground])
     while queue:
@@ -96,36 +93,35 @@ def _refuse_detached(mechanism: Mechanism, level: dict[str, int]) -> None:
         )  # fmt: skip
 
 
-def _kruskal(mechanism: Mechanism, level: dict[str, int]) -> set[str]:
-    """Names of the tree's joints: the spanning tree of least cost, ties broken by name (Kruskal, 1956)."""
-    coupled = {c if c in mechanism.joints else c.rpartition(".")[0]
+def _kept(mechanism: Mechanism, level: dict[str, int]) -> set[str]:
+    """Names of the tree's joints."""
+    joints = mechanism.joints
+    if len(joints) < len(mechanism.bodies):  # a tree needs no choice
+        return set(joints)
+    coupled = {c if c in joints else c.rpartition(".")[0]
                for k in mechanism.couplings.values() for c in (k.of, *k.sources)}  # fmt: skip
-
-    def cost(joint: Joint) -> tuple[Any, ...]:
+    ways_in = Counter(j.child for j in joints.values())
+    grade: dict[str, tuple[Any, ...]] = {}
+    first: dict[str, tuple[Any, ...]] = {}
+    for name, joint in joints.items():
         dof = joint.type.dof(mechanism.dim, mechanism.bodies[joint.child].particle)
-        wish = 0 if joint.actuated or joint.name in coupled else 1 if joint.actuated is None else 2
-        return joint.cut, dof > 0, wish, dof, level[joint.parent] + level[joint.child], natural(joint.name)
-
-    root = {b: b for b in mechanism.bodies}
-
-    def find(body: str) -> str:
-        while root[body] != body:
-            root[body] = body = root[root[body]]
-        return body
-
-    kept: set[str] = set()
-    ends: set[str] = set()  # particles have no orientation: no branch goes on from them
-    joints = list(mechanism.joints.values())
-    if len(joints) >= len(root):  # a tree needs no choice
-        joints.sort(key=cost)
-    for joint in joints:
-        a, b = find(joint.parent), find(joint.child)
-        if a != b and joint.child not in ends:
-            root[a] = b
-            kept.add(joint.name)
-            if mechanism.bodies[joint.child].particle:
-                ends.add(joint.child)
-    return kept
+        wish = 0 if joint.actuated or name in coupled else 1 if joint.actuated is None else 2
+        grade[name] = joint.cut, dof > 0, wish > 0
+        second_way_in = joint.child == mechanism.ground.name or ways_in[joint.child] > 1
+        first[name] = *grade[name], wish, dof, level[joint.parent] + level[joint.child], second_way_in
+    order = structural_order(mechanism, level, first)
+    number = {b: k for k, b in enumerate(mechanism.bodies)}
+    names = [n for n, j in joints.items() if not mechanism.bodies[j.child].particle]
+    out = edges_left_out(
+        [(number[joints[n].parent], number[joints[n].child]) for n in names],
+        [grade[n] for n in names],
+        [order[n] for n in names],
+    )
+    kept = set(names) - {names[k] for k in out}
+    held: dict[str, str] = {}  # particles have no orientation: one joint holds each, and no branch goes on from it
+    for name in sorted(set(joints) - set(names), key=lambda n: (grade[n], order[n])):
+        held.setdefault(joints[name].child, name)
+    return kept | set(held.values())
 
 
 def _number(mechanism: Mechanism, came: dict[str, tuple[str, Joint]]) -> list[str]:

@@ -21,7 +21,7 @@ from kempe.joints import P, Primitive, R
 from kempe.kernels.dyads import dyads_layout as K
 from kempe.kinematics.closure_errors import joint_pose
 from kempe.model.tree.coordinates import coordinate_names
-from kempe.model.tree.topology import natural
+from kempe.model.tree.structural_order import natural
 from kempe.spatial import Array
 from kempe.words import InWords
 

@@ -1,0 +1,257 @@
+"""Spanning trees whose fundamental loops are short.
+
+A spanning tree of least total loop length is NP-hard to find (Deo, Prabhu and Krishnamoorthy, 1982). The heuristic here
+reduces the graph to branches between bodies where loops meet, keeps the branches that lie on many short loops
+(a shortest loop through every branch, as in Horton, 1987), and then exchanges branches of the tree for branches that it
+left out while this shortens the loops (Amaldi, Liberti, Maculan and Maffioli, 2009). It is exact for chains of loops,
+ladders and trusses. The result depends on the graph and on the order of preference only, not on how bodies and joints
+are numbered.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections import defaultdict
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+REACH = 400
+"""Bodies at most that the search for a shortest loop through a branch looks at: others count as on no short loop."""
+EXCHANGES = 400
+"""Work for exchanges, in loops that are looked at for each branch: it makes the whole search linear in the size."""
+
+FEW = 200
+"""Branches up to which the search begins at the preferred tree, too."""
+
+
+class Branch(NamedTuple):
+    """A row of joints between two bodies where loops meet; a tree leaves out one joint of a branch, or none."""
+
+    ends: tuple[int, int]
+    members: tuple[int, ...]
+    worst: int
+    """The member that is left out before the others."""
+
+    def beyond(self, body: int) -> int:
+        """The other end."""
+        return self.ends[1] if self.ends[0] == body else self.ends[0]
+
+
+def edges_left_out(ends: Sequence[tuple[int, int]], grade: Sequence[Any], order: Sequence[int]) -> set[int]:
+    """Edges that a spanning tree with short loops leaves out.
+
+    Parameters
+    ----------
+    ends
+        For each edge the two bodies that it joins; several edges may join the same two.
+    grade
+        For each edge its grade: of each loop an edge of the highest grade is left out, however long loops become.
+    order
+        For each edge its place in the order of preference, each another number: among choices with loops of the same
+        total length, edges that come late are left out.
+    """
+    branches, out = _branches(ends, grade, order)
+    if branches:
+        branches.sort(key=lambda b: order[b.worst])  # from here on a branch's number is its preference
+        out |= _Search(branches, [grade[b.worst] for b in branches]).left_out()
+    return out
+
+
+def _branches(
+    ends: Sequence[tuple[int, int]], grade: Sequence[Any], order: Sequence[int]
+) -> tuple[list[Branch], set[int]]:
+    """The branches of the graph, and the edges left out of rings that hang on one body at most."""
+    at: dict[int, list[int]] = defaultdict(list)
+    for edge, (a, b) in enumerate(ends):
+        at[a].append(edge)
+        at[b].append(edge)
+    degree = {body: len(edges) for body, edges in at.items()}
+    gone = [False] * len(ends)
+    leaves = [body for body, count in degree.items() if count == 1]
+    while leaves:
+        for edge in at[leaves.pop()]:
+            if not gone[edge]:
+                gone[edge] = True
+                for body in ends[edge]:
+                    degree[body] -= 1
+                    if degree[body] == 1:
+                        leaves.append(body)
+    used = list(gone)
+    branches, out = list[Branch](), set[int]()
+    meeting = [body for body, count in degree.items() if count > 2]
+    for body in (*meeting, *degree):  # then rings without a body where loops meet
+        for first in at[body]:
+            if used[first]:
+                continue
+            members, here, edge = list[int](), body, first
+            while True:
+                used[edge] = True
+                members.append(edge)
+                a, b = ends[edge]
+                here = b if here == a else a
+                if here == body or degree[here] > 2:
+                    break
+                edge = next(e for e in at[here] if not used[e])
+            worst = max(members, key=lambda e: (grade[e], order[e]))
+            if here == body:
+                out.add(worst)
+            else:
+                branches.append(Branch((body, here), tuple(members), worst))
+    return branches, out
+
+
+class _Search:
+    """A tree of branches, improved by exchanges; branches come in the order of preference, kept ones first."""
+
+    def __init__(self, branches: list[Branch], grade: list[Any]):
+        self.branches, self.grade = branches, grade
+        self.length = [len(b.members) for b in branches]
+        self.at: dict[int, list[int]] = defaultdict(list)
+        for k, branch in enumerate(branches):
+            for body in branch.ends:
+                self.at[body].append(k)
+
+    def left_out(self) -> set[int]:
+        """Edges that the best tree found leaves out."""
+        use = self._use()
+        found = [self._improved(self._kruskal(lambda k: (self.grade[k], -use[k], self.length[k], k)))]
+        if len(self.branches) <= FEW:
+            found.append(self._improved(self._kruskal(lambda k: (self.grade[k], k))))
+        _, cut = min(found)
+        return {self.branches[k].worst for k in cut}
+
+    def _use(self) -> list[int]:
+        """For each branch on how many short loops it lies: on shortest ones through some branch."""
+        loops = {loop for k in range(len(self.branches)) if (loop := self._shortest_loop(k))}
+        use = [0] * len(self.branches)
+        for loop in loops:
+            for k in loop:
+                use[k] += 1
+        return use
+
+    def _shortest_loop(self, k: int) -> frozenset[int]:
+        """Branches of a shortest loop through branch k; none where there is none within `REACH` (Dijkstra, 1959)."""
+        start, goal = self.branches[k].ends
+        came: dict[int, int] = {}
+        front = [(0, k, start)]
+        while front and len(came) < REACH:
+            far, by, here = heapq.heappop(front)
+            if here in came:
+                continue
+            came[here] = by
+            if here == goal:
+                loop = {k}
+                while here != start:
+                    loop.add(came[here])
+                    here = self.branches[came[here]].beyond(here)
+                return frozenset(loop)
+            for j in self.at[here]:
+                there = self.branches[j].beyond(here)
+                if j != k and there not in came:
+                    heapq.heappush(front, (far + self.length[j], j, there))
+        return frozenset()
+
+    def _kruskal(self, key: Any) -> list[int]:
+        """Branches of the spanning tree of least cost (Kruskal, 1956)."""
+        root: dict[int, int] = {}
+
+        def find(body: int) -> int:
+            while (up := root.get(body, body)) != body:
+                root[body] = body = root.get(up, up)
+            return body
+
+        kept: list[int] = []
+        for k in sorted(range(len(self.branches)), key=key):
+            a, b = (find(body) for body in self.branches[k].ends)
+            if a != b:
+                root[a] = b
+                kept.append(k)
+        return kept
+
+    def _loops(self, kept: list[int]) -> dict[int, set[int]]:
+        """For each branch that is left out the branches of the tree that close its loop."""
+        ways: dict[int, list[int]] = defaultdict(list)
+        for k in kept:
+            for body in self.branches[k].ends:
+                ways[body].append(k)
+        up: dict[int, tuple[int, int, int]] = {}
+        for base in self.at:
+            if base in up:
+                continue
+            up[base] = (0, -1, base)
+            stack = [base]
+            while stack:
+                here = stack.pop()
+                for k in ways[here]:
+                    there = self.branches[k].beyond(here)
+                    if there not in up:
+                        up[there] = (up[here][0] + 1, k, here)
+                        stack.append(there)
+        loops: dict[int, set[int]] = {}
+        for k in sorted(set(range(len(self.branches))) - set(kept)):
+            a, b = self.branches[k].ends
+            loops[k] = set()
+            while a != b:
+                if up[a][0] < up[b][0]:
+                    a, b = b, a
+                loops[k].add(up[a][1])
+                a = up[a][2]
+        return loops
+
+    def _improved(self, kept: list[int]) -> tuple[int, list[int]]:
+        """Total length of the loops, and what is left out, after exchanges that make the length less.
+
+        Branch e comes in for f of its loop. Each other loop through f then goes round the rest of e's loop: it becomes
+        longer by the length of e's loop less twice what the two share. Exchanges of the same length are made where
+        the branch that comes in is preferred.
+        """
+        loops = self._loops(kept)
+        through: dict[int, set[int]] = defaultdict(set)
+        for e, loop in loops.items():
+            for f in loop:
+                through[f].add(e)
+        size = {e: self.length[e] + sum(self.length[f] for f in loop) for e, loop in loops.items()}
+        work, better = EXCHANGES * len(self.branches), True
+        while better and work > 0:
+            better = False
+            for e in sorted(loops):
+                if work <= 0:
+                    break
+                shared: dict[int, int] = defaultdict(int)
+                for f in loops[e]:
+                    work -= len(through[f])
+                    for g in through[f]:
+                        shared[g] += self.length[f]
+                gains = [
+                    (sum(size[e] - 2 * shared[g] for g in through[f] if g != e), -f)
+                    for f in loops[e]
+                    if self.grade[f] == self.grade[e]
+                ]
+                if gains and min(gains) < (0, -e):
+                    self._exchange(e, -min(gains)[1], loops, through, size)
+                    better = True
+        return sum(size.values()), sorted(loops)
+
+    def _exchange(
+        self, e: int, f: int, loops: dict[int, set[int]], through: dict[int, set[int]], size: dict[int, int]
+    ) -> None:
+        """Take branch e into the tree and leave out f, which is on its loop."""
+        own = loops.pop(e)
+        for k in own:
+            through[k].discard(e)
+        own ^= {e, f}
+        for g in through.pop(f, set[int]()):
+            loop = loops[g]
+            loop.discard(f)
+            for k in own:
+                if k in loop:
+                    loop.discard(k)
+                    through[k].discard(g)
+                else:
+                    loop.add(k)
+                    through[k].add(g)
+            size[g] = self.length[g] + sum(self.length[k] for k in loop)
+        loops[f] = own
+        size[f] = size.pop(e)
+        for k in own:
+            through[k].add(f)
