@@ -7,17 +7,18 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from graphs import Edge, graphs
+from graphs import graphs
 from hunts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shipped import shipped, with_loops
 
 from kempe import Mechanism, System
 from kempe.errors import DescriptionError
 from kempe.joints import joint_type
 from kempe.model.tree.characteristic_length import origin_of
 from kempe.model.tree.structural_order import natural
-from kempe.model.tree.topology import spanning_tree
+from kempe.model.tree.topology import Topology, spanning_tree
 
 
 def tree_by_name(system: System) -> dict:
@@ -82,43 +83,129 @@ def test_bodies_keep_their_order_unless_a_parent_comes_later(graph):
     assert list(t.bodies) == expected
 
 
-@given(graph=graphs(loops=8))
-@settings(max_examples=examples(120))
-def test_on_every_loop_the_least_wanted_joint_is_cut(graph):
-    """Fixed, actuated and coupled joints stay; of the others those with many freedoms go, then those far away."""
-    m = graph.mechanism()
-    t = spanning_tree(m)
-    edges = {e.name: e for e in graph.edges}
-    coupled = {name for gear in graph.gears for name in gear[:2]}
-    neighbours: dict[str, set[str]] = {b: set() for b in ("ground", *graph.bodies, *graph.particles)}
-    for e in graph.edges:
-        neighbours[e.parent].add(e.child)
-        if e.child not in graph.particles:  # no way leads on from a particle
-            neighbours[e.child].add(e.parent)
-    level, front = {"ground": 0}, ["ground"]
-    while front:
-        front = [there for here in front for there in sorted(neighbours[here]) if there not in level
-                 and level.setdefault(there, level[here] + 1)]  # fmt: skip
-
-    def cost(e: Edge) -> tuple:
-        dof = joint_type(e.kind, **e.options).dof(graph.dim, e.child in graph.particles)
-        wanted = 0 if e.actuated or e.name in coupled else 1 if e.actuated is None else 2
-        return e.cut, dof > 0, wanted, dof, level[e.parent] + level[e.child]
-
+def way_to_ground(t: Topology) -> Callable[[str], dict[str, None]]:
+    """Joints of the tree between a body and the ground."""
     up = {b: (t.bodies[p], j) for b, p, j in zip(t.bodies[1:], t.parent, t.parent_joints, strict=True)}
 
-    def way(body: str) -> list[str]:
-        joints = []
-        while body != "ground":
+    def way(body: str) -> dict[str, None]:
+        joints: dict[str, None] = {}
+        while body in up:
             body, joint = up[body]
-            joints.append(joint)
+            joints[joint] = None
         return joints
 
-    for name in t.closures:
-        loop = set(way(edges[name].parent)) ^ set(way(edges[name].child))
+    return way
+
+
+def loops_of(system: System) -> dict[str, set[str]]:
+    """For each joint that is left out the joints of the tree that are on its loop."""
+    way, joints = way_to_ground(system.structure.topology), system.structure.joints
+    return {
+        n: {*way(joints[n].parent)} ^ {*way(joints[n].child)} for n in system.structure.closures
+    }  # fmt: skip
+
+
+def shortest_basis(ends: list[tuple[int, int]]) -> int:
+    """Total length of a minimum cycle basis (Horton, 1987): short loops, taken while they are independent modulo 2."""
+    bodies = sorted({b for pair in ends for b in pair})
+    candidates: set[tuple[int, int]] = set()  # length, and the edges as bits
+    for root in bodies:
+        ways = {root: 0}
+        front = [root]
+        while front:
+            here = front.pop(0)
+            for k, (a, b) in enumerate(ends):
+                for x, y in ((a, b), (b, a)):
+                    if x == here and y not in ways:
+                        ways[y] = ways[here] | 1 << k
+                        front.append(y)
+        for k, (a, b) in enumerate(ends):
+            loop = ways[a] ^ ways[b] ^ 1 << k
+            if loop:
+                candidates.add((loop.bit_count(), loop))
+    total = 0
+    pivots: dict[int, int] = {}
+    for length, loop in sorted(candidates):
+        rest = loop
+        while rest and (lead := rest.bit_length()) in pivots:
+            rest ^= pivots[lead]
+        if rest:
+            pivots[rest.bit_length()] = rest
+            total += length
+    assert len(pivots) == len(ends) - len(bodies) + 1
+    return total
+
+
+def ends_of(m: Mechanism) -> list[tuple[int, int]]:
+    number = {b: k for k, b in enumerate(m.bodies)}
+    return [(number[j.parent], number[j.child]) for j in m.joints.values()]
+
+
+def total_length(m: Mechanism) -> int:
+    return sum(1 + len(loop) for loop in loops_of(m.build()).values())
+
+
+@given(graph=graphs(loops=8))
+@settings(max_examples=examples(120))
+def test_on_every_loop_a_joint_of_the_least_wanted_grade_is_cut(graph):
+    """Joints that the user does not mark stay, fixed ones, those with motors and coupled ones."""
+    system = graph.mechanism().build()
+    edges = {e.name: e for e in graph.edges}
+    coupled = {name for gear in graph.gears for name in gear[:2]}
+
+    def grade(name: str) -> tuple:
+        e = edges[name]
+        dof = joint_type(e.kind, **e.options).dof(graph.dim, e.child in graph.particles)
+        return e.cut, dof > 0, not (e.actuated or name in coupled)
+
+    t = system.structure.topology
+    holds = dict(zip(t.bodies[1:], t.parent_joints, strict=True))
+    for name, loop in loops_of(system).items():
         if edges[name].child in graph.particles:  # the choice is only which of its joints holds the particle
-            loop = {up[edges[name].child][1]}
-        assert all(cost(edges[j]) <= cost(edges[name]) for j in loop), (name, loop)
+            loop = {holds[edges[name].child]}
+        assert all(grade(j) <= grade(name) for j in loop), (name, loop)
+
+
+@pytest.mark.parametrize("name", with_loops())
+def test_loops_of_models_are_short(name):
+    m = shipped()[name].mechanism
+    assert total_length(m) <= 1.5 * shortest_basis(ends_of(m))
+
+
+def random_pins(rng: np.random.Generator, bodies: int, loops: int, near: int) -> Mechanism:
+    """Bodies on pins, each on one of the `near` bodies before it, and pins that close loops among `near` bodies."""
+    m = Mechanism("pins", dim=2)
+    names = [m.ground.name, *(m.body(f"b{k}").name for k in rng.permutation(bodies))]
+    pairs = [(int(rng.integers(max(0, k - near), k)), k) for k in range(1, len(names))]
+    for _ in range(loops):
+        a = int(rng.integers(1, len(names)))
+        pairs.append((a, int(rng.integers(max(0, a - near), a))))
+    for k, (a, b) in zip(rng.permutation(len(pairs)), pairs, strict=True):
+        m.revolute(f"j{k}", names[a], names[b])
+    return m
+
+
+def test_loops_of_random_graphs_are_short(hunt):
+    rng = hunt.rng()
+    for _ in range(hunt.cases(200)):
+        bodies = int(rng.integers(3, 30))
+        m = random_pins(rng, bodies, int(rng.integers(1, 12)), int(rng.choice([2, 4, bodies])))
+        assert total_length(m) <= 1.5 * shortest_basis(ends_of(m))
+
+
+@pytest.mark.parametrize("names", ["ABX", "LRM", "XBA"])
+def test_loops_of_a_ladder_do_not_run_to_the_ground(names):
+    """Rails A and B, rungs X, whatever they are called; 40 loops of four joints."""
+    a, b, x = names
+    m = Mechanism("ladder", dim=2)
+    left, right = m.ground.name, m.body("base").name
+    m.revolute(f"{x}0", left, right)
+    for k in range(1, 41):
+        m.body(f"l{k}"), m.body(f"r{k}")
+        m.revolute(f"{a}{k}", left, f"l{k}"), m.revolute(f"{b}{k}", right, f"r{k}")
+        m.revolute(f"{x}{k}", f"l{k}", f"r{k}")
+        left, right = f"l{k}", f"r{k}"
+    assert [len(loop) for loop in loops_of(m.build()).values()] == [3] * 40
 
 
 # ------------------------------------------------------------------ the lecture
