@@ -314,3 +314,63 @@ def test_answers_print_little(name):
         ]
     for answer in (*large, *(a for _, a in wrong_calls.answers(system))):
         assert len(repr(answer)) < 1500 and len(str(answer)) < 5000
+
+
+# ---- arguments of a wrong kind, where errors of numpy and Python came out
+
+FOUR = kempe.load("four_bar")
+WRONG_KINDS = {
+    "tasks.error": (lambda: kempe.tasks.error(PUMA, "nan", PUMA.mid), "constraint is 'nan'; it must be a task"),
+    "tasks.count": (lambda: kempe.tasks.count(PUMA, [{}]), "constraint is"),
+    "tasks.jacobian": (lambda: kempe.tasks.jacobian(PUMA, {"q1": 1}, PUMA.mid), "constraint is"),
+    "tasks.miss": (lambda: kempe.tasks.miss(PUMA, np.eye(4), PUMA.mid), "constraint is"),
+    "convert.expanded": (lambda: kempe.convert.expanded([1]), "system is .*; it must be a System"),
+    "convert.maximal": (lambda: kempe.convert.maximal((1,)), "system is .*; it must be a System"),
+    "convert.maximal_q": (lambda: kempe.convert.maximal_q([{}]), "system is .*; it must be a System"),
+    "path.save of None": (lambda: FOUR.trace("A").save(None), "path is None; it must be the path of a file"),
+    "path.save of bytes": (lambda: FOUR.trace("A").save(b"x.csv"), "path is b'x.csv'"),
+    "mechanism.save": (lambda: FOUR.mechanism.save(None), "path is None"),
+    "plot far away": (lambda: kempe.load("slider_crank").plot(np.full(4, 1e200)), "beyond 1e"),
+    "plot of axes": (lambda: PUMA.plot(axes=np.zeros(6)), "no frame"),
+    "plot of labels": (lambda: PUMA.plot(labels=np.zeros((2, 2))), "labels is"),
+    "fk of a module": (lambda: PUMA.fk(np, "tool"), "q is"),
+    "a place in a path": (lambda: FOUR.trace("A")["a"], "index is 'a'; it must be a whole number"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG_KINDS)
+def test_wrong_kinds_are_refused_in_words(name):
+    if name.startswith("plot"):
+        pytest.importorskip("matplotlib")
+    call, said = WRONG_KINDS[name]
+    with pytest.raises(KempeError, match=said) as error:
+        call()
+    assert len(str(error.value)) < 500
+
+
+def test_unusual_kinds_that_say_what_is_meant_are_taken():
+    way = kempe.load("car").manoeuvre([0.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    assert way.at(np.zeros((3, 0, 6))).shape == (3, 0, 6, 3)
+    assert kempe.from_dh(memoryview(np.zeros((3, 4)))).build().nq == 3
+    with pytest.raises(IndexError):
+        way[10**9]
+
+
+ENDLESS = {
+    "fk": lambda x: PUMA.fk(x, "tool"), "ik": lambda x: PUMA.ik(x, "tool"), "tasks": lambda x: PUMA.ik(x),
+    "start": lambda x: PUMA.ik(np.eye(4), "tool", x), "spatial": kempe.spatial.inverse,
+    "known": lambda x: FOUR.assemble({"A": x}),
+    "limits": lambda x: PUMA.with_limits(x), "frames": lambda x: PUMA.fk(PUMA.mid, x), "dh": kempe.from_dh,
+    "poses": lambda x: PUMA.reach.poses(x, "tool"), "actuated": lambda x: PUMA.mobility(actuated=x),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ENDLESS)
+@pytest.mark.parametrize("kind", ["once", "twice", "with numbers"])
+def test_a_list_that_holds_itself_is_refused(name, kind):
+    """Twice: its entries would double with each level that is looked at."""
+    own: list = [1.0] if kind == "with numbers" else []
+    own += [own] if kind != "twice" else [own, own]
+    with pytest.raises(KempeError) as error:
+        ENDLESS[name](own)
+    assert len(str(error.value)) < 500

@@ -556,3 +556,44 @@ def test_a_whole_number_that_no_float_holds_is_refused(what, number):
     with pytest.raises(KempeError) as error:
         TWO_FREE[what](m, number)
     assert len(str(error.value)) < 400
+
+
+# ---- one rule for what is not finite
+
+
+TIP = "tool"
+OF_POSES = {
+    "ik": lambda s, X: s.ik(X, TIP),
+    "ik_all": lambda s, X: s.ik_all(X, TIP),
+    "task": lambda s, X: s.ik([tasks.Pose(TIP, X)]),
+    "tasks": lambda s, X: s.ik([tasks.Pose(TIP, X), tasks.Position(TIP, X[:3, 3])]),
+    "ik_path": lambda s, X: s.ik_path(X[None], TIP),
+    "reach": lambda s, X: s.reach.poses(X[None], TIP),
+    "sweep": lambda s, X: s.inverse.sweep(X, TIP),
+}
+
+
+@pytest.mark.parametrize("entry", [(3, 3), (3, 0), (0, 3), (1, 1)])
+@pytest.mark.parametrize("verb", OF_POSES)
+def test_a_pose_with_a_nan_anywhere_is_refused(verb, entry):
+    arm = kempe.load("panda" if verb == "sweep" else "puma560")
+    X = arm.fk(arm.mid, TIP)
+    X[entry] = np.nan
+    with pytest.raises(InputError, match="finite|no pose"):
+        OF_POSES[verb](arm, X)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("name", ["four_bar", "slider_crank", "bennett", "jansen"])
+def test_a_start_is_read_whole(name, value):
+    """Also where a known value takes the place of the entry."""
+    system = kempe.load(name)
+    q = system.assemble().q
+    for k, coordinate in enumerate(system.coordinate_names):
+        start, known = q.copy(), {coordinate: q[k]}
+        start[k] = value
+        for given in (start, start.tolist()):
+            with pytest.raises(InputError, match="not finite"):
+                system.assemble(known, given)
+        two = system.assemble(known, np.stack([q, start]))
+        assert two.code[1] == kempe.Status.BAD_INPUT != two.code[0] and not two.success[1]

@@ -305,3 +305,22 @@ def test_particles_that_do_not_fix_a_pose():
     corners = np.vstack([np.eye(3), np.zeros(3)])
     mirrored = spatial.fit_pose(corners, -corners)
     assert np.linalg.det(mirrored.X[:3, :3]) == pytest.approx(1.0) and mirrored.residual > 0.1
+
+
+@pytest.mark.parametrize("function", [
+    spatial.inverse, spatial.log_se3, spatial.adjoint, spatial.xyz_rpy_from_pose
+])  # fmt: skip
+def test_the_last_row_of_a_pose_is_read(function):
+    """A NaN there makes the answer NaN, and other numbers are refused: `ik` does the same."""
+    good = spatial.pose_from_xyz_rpy([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+    for entry in range(4):
+        wrong = good.copy()
+        wrong[3, entry] = np.nan
+        rows = np.stack([good, wrong])
+        assert np.isnan(np.asarray(function(wrong))[..., :3]).any()
+        np.testing.assert_array_equal(function(rows)[0], function(good))
+        assert np.isnan(np.asarray(function(rows)[1])[..., :3]).any()
+        wrong[3, entry] = 5.0
+        for X in (wrong, np.stack([good, wrong])):
+            with pytest.raises(InputError, match="its last row is .*5.0.*; it must be 0 0 0 1"):
+                function(X)

@@ -22,7 +22,7 @@ Class = TypeVar("Class", bound=type)
 Options = ParamSpec("Options")
 Kept = TypeVar("Kept")
 
-FOREIGN = (TypeError, ValueError, LookupError, AttributeError, ArithmeticError)
+FOREIGN = (TypeError, ValueError, LookupError, AttributeError, ArithmeticError, NotImplementedError)
 """What Python and numpy raise for an argument of which nothing can be made."""
 
 CONFIGURATIONS = {"q", "q0", "q1", "near", "start"}
@@ -221,6 +221,7 @@ KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "Sequence": (is_list, "a list"),
     "System": (lambda x: _is_a("System", x), "a System"),
     "Mechanism": (lambda x: _is_a("Mechanism", x), "a Mechanism"),
+    "Constraint": (lambda x: _is_a("Constraint", x), "a task or constraint of kempe.constraints"),
     "np.random.Generator": (lambda x: isinstance(x, np.random.Generator), "a generator"),
 }
 """What the parts of annotations stand for: whether a value is of the kind, and the words for it."""

@@ -7,9 +7,23 @@ import reprlib
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
+from tokenize import TokenError
 
 PROBLEM_LIMIT = 20
 """Problems of one file that are collected before giving up."""
+
+UNREADABLE = (
+    OSError,
+    ValueError,
+    RuntimeError,
+    LookupError,
+    TypeError,
+    EOFError,
+    ArithmeticError,
+    SyntaxError,
+    TokenError,
+)
+"""What libraries raise for a file that is not what it should be: numpy reads the header of a .npy file as Python."""
 
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 100

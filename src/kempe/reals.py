@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from numbers import Rational, Real
-from typing import Any, TypeGuard
+from typing import Any, TypeGuard, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,8 @@ from kempe.errors import InputError, shown
 PLAIN = frozenset({float, int, np.float64})
 """Numbers of which a sequence needs no closer look."""
 LISTS = frozenset({list, tuple})
+DEEPEST = 64
+"""Lists within lists that are read."""
 LARGEST = int(np.finfo(np.float64).max)
 """The largest float: whole numbers and fractions can be larger."""
 KINDS = {
@@ -36,9 +38,12 @@ def reals(given: Any, what: str, wanted: str = "an array of real numbers") -> ND
     if kind is float or kind is np.float64:
         return np.asarray(given, dtype=np.float64)
     if not is_plain(given):
-        for part in _parts(given):
-            if held := _trouble(part):
-                raise InputError(f"{what} {held}; it must be {wanted}")
+        try:
+            held = next((said for part in _parts(given) if (said := _trouble(part))), "")
+        except RecursionError:  # numpy has at most 64 axes, and a list that holds itself has no end
+            held = f"has lists nested more than {DEEPEST} deep"
+        if held:
+            raise InputError(f"{what} {held}; it must be {wanted}")
     return converted(given, what, wanted)
 
 
@@ -150,9 +155,9 @@ def rows_of(given: Any) -> list[Any] | None:
 
 def _labels(given: Any) -> list[Any] | None:
     """The labels along the last axis of an array-like, where it has some."""
-    fields = getattr(getattr(given, "dtype", None), "names", None)
-    if fields:
-        return list(fields)
+    fields: Any = getattr(getattr(given, "dtype", None), "names", None)
+    if isinstance(fields, tuple) and fields:
+        return list(cast("tuple[Any, ...]", fields))
     for name in ("column_names", "columns"):
         found: Any = getattr(given, name, None)
         if found is not None and not callable(found):
@@ -167,17 +172,22 @@ def _labels(given: Any) -> list[Any] | None:
 def _parts(given: Any) -> Iterator[Any]:
     """What is no plain number and no list: itself, or all that lists of lists hold; lists of numbers are passed by."""
     level = [given]
-    while level:
+    for _ in range(DEEPEST):
+        if not level:
+            return
         inner: list[Any] = []
+        seen = set[int]()  # a list that holds itself twice would double at each level
         for x in level:
             if x.__class__ in PLAIN or x.__class__ is np.ndarray and x.dtype.kind != "V":
                 continue
             if x.__class__ in LISTS:
-                if len(x) and x[0].__class__ not in PLAIN:
+                if len(x) and x[0].__class__ not in PLAIN and id(x) not in seen:
+                    seen.add(id(x))
                     inner += x
             else:
                 yield x
         level = inner
+    raise RecursionError
 
 
 def _trouble(x: Any) -> str:

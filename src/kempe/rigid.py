@@ -26,7 +26,11 @@ WORDS = ("at", "rpy", "angle", "quat_wxyz", "quat_xyzw", "matrix")
 """What a pose in words can have: its place, and its orientation in one way."""
 
 
-def arrays(x: Any, what: str) -> Any:
+DEEPEST = 32
+"""Lists within lists that are read: as many as numpy has axes."""
+
+
+def arrays(x: Any, what: str, depth: int = 0) -> Any:
     """What can be read as an array of poses (..., 4, 4), in the plane (..., 3, 3), rotations, or positions.
 
     Objects that have a matrix, pairs of a position and a rotation, poses in words, ``{"at": (1, 0, 0), "quat_xyzw":
@@ -42,7 +46,9 @@ def arrays(x: Any, what: str) -> Any:
         entries = cast("Sequence[Any]", x)
         if not any(isinstance(e, (Mapping, list, tuple)) or _matrix(e) is not None for e in entries):
             return entries
-        parts = [arrays(e, what) for e in entries]
+        if depth == DEEPEST:
+            raise InputError(f"{what} is {shown(entries)}: lists are nested more than {DEEPEST} deep")
+        parts = [arrays(e, what, depth + 1) for e in entries]
         if all(a is b for a, b in zip(parts, entries, strict=True)):
             return entries
         shapes = {np.shape(p) for p in parts}

@@ -16,6 +16,8 @@ from kempe.errors import InputError
 
 Array = NDArray[np.float64]
 
+LAST_ROW = [0.0, 0.0, 0.0, 1.0]
+"""The last row of a pose."""
 SMALL_ANGLE = 1e-4
 """Below this angle, series replace quotients by the angle: their first dropped term is under 1e-17."""
 
@@ -52,9 +54,30 @@ def pose(R: ArrayLike | None = None, p: ArrayLike | None = None) -> Array:
     return out
 
 
+def _poses(X: ArrayLike, what: str = "X") -> Array:
+    """Poses (..., 4, 4), read: all NaN where the last row holds a NaN. `what` names them in messages.
+
+    Errors: `InputError` for other shapes, and for a last row that is not 0 0 0 1. Rotations are not checked.
+    """
+    given = numbers(X, what, 4, 4)
+    last = given[..., 3, :]
+    if given.ndim == 2 and last.tolist() == LAST_ROW:  # the usual case, without the cost of arrays
+        return given
+    right = (last == LAST_ROW).all(axis=-1)
+    if right.all():
+        return given
+    bad = np.isnan(last).any(axis=-1)
+    if not (right | bad).all():
+        wrong = last[~(right | bad)][0].tolist()
+        raise InputError(f"{what} is no pose: its last row is {wrong}; it must be 0 0 0 1")
+    out = given.copy()
+    out[bad] = np.nan
+    return out
+
+
 def inverse(X: ArrayLike) -> Array:
     """Inverse (..., 4, 4) of poses, by transposing the rotation."""
-    given = numbers(X, "X", 4, 4)
+    given = _poses(X)
     R = np.swapaxes(given[..., :3, :3], -1, -2)
     return pose(R, -np.einsum("...ij,...j->...i", R, given[..., :3, 3]))
 
@@ -209,7 +232,7 @@ def exp_se3(twist: ArrayLike) -> Array:
 
 def log_se3(X: ArrayLike) -> Array:
     """Twist [v; w] (..., 6) whose exponential is the pose; the rotation is at most a half turn."""
-    given = numbers(X, "X", 4, 4)
+    given = _poses(X)
     w = log_so3(given[..., :3, :3])
     K = skew(w)
     a, b, _ = _series(np.linalg.norm(w, axis=-1))
@@ -233,7 +256,7 @@ def _series(angle: Array) -> tuple[Array, Array, Array]:
 
 def adjoint(X: ArrayLike) -> Array:
     """Matrix (..., 6, 6) that takes twists [v; w] seen from B to twists seen from A, for X = X_AB."""
-    given = numbers(X, "X", 4, 4)
+    given = _poses(X)
     R, p = given[..., :3, :3], given[..., :3, 3]
     out = np.zeros((*given.shape[:-2], 6, 6))
     out[..., :3, :3], out[..., 3:, 3:] = R, R
@@ -249,7 +272,7 @@ def pose_from_xyz_rpy(values: ArrayLike) -> Array:
 
 def xyz_rpy_from_pose(X: ArrayLike) -> Array:
     """x, y, z, roll, pitch, yaw (..., 6) of poses."""
-    given = numbers(X, "X", 4, 4)
+    given = _poses(X)
     return np.concatenate([given[..., :3, 3], matrix_to_rpy(given[..., :3, :3])], axis=-1)
 
 

@@ -255,3 +255,22 @@ def test_the_page_names_every_key():
         "of", "sources", "offset", "rows", "convention",
     }  # fmt: skip
     assert all(f"{key} = " in page for key in ("of", "sources", "rows", "convention"))
+
+
+@pytest.mark.parametrize("text", ["[a{}]", "a{} = 1", "[[a{}]]", "'a'{} = 1", '[ "a" {} ]'])
+def test_long_dotted_keys_are_refused_before_they_take_long(text, monkeypatch):
+    """The time of `tomllib` grows as the square of their names: it does not get them."""
+    from kempe.description.toml import toml_fast
+
+    monkeypatch.setattr(toml_fast.tomllib, "loads", lambda text: pytest.fail("given to tomllib"))
+    for names in (65, 100_000):
+        with pytest.raises(DescriptionError, match="<text>:2: .*a dotted key of more than 64 names"):
+            read_toml("# a comment\n" + text.format(". b" * names) + "\n")
+
+
+def test_places_of_deep_keys_are_those_of_what_encloses_them():
+    from kempe.description.toml.toml_places import DEEPEST
+
+    deep = tuple("abcdefghijklmnopqrstuvwxyz")
+    places = Places(Source("x", f"x = 1\n[{'.'.join(deep)}]\ny = 2\n"))
+    assert places.where(*deep[:3]).line == places.where(*deep, "y").line == 2 and len(deep) > DEEPEST

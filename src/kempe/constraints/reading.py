@@ -14,9 +14,6 @@ from kempe.rigid import EXACT as RIGID
 from kempe.rigid import arrays, sound
 from kempe.spatial import Array
 
-ROW = [0.0, 0.0, 0.0, 1.0]
-LAST = np.array(ROW)
-"""The last row of a pose."""
 LARGEST = 1e100
 """Numbers above this are too large for the kernels."""
 
@@ -35,9 +32,7 @@ def poses_of(x: Any, dim: int, what: str) -> Array:
         X[..., :2, :2], X[..., :2, 3], X[..., 2, 2], X[..., 3, 3] = given[..., :2, :2], given[..., :2, 2], 1.0, 1.0
     if X.ndim < 2 or X.shape[-2:] != (4, 4):
         raise InputError(f"{what} has shape {X.shape}; it must be a pose (..., 4, 4)")
-    last = X[..., 3, :]
-    if (X.ndim > 2 or last.tolist() != ROW) and not np.all((last == LAST) | np.isnan(last)):
-        raise InputError(f"{what} is no pose: its last row is {X[..., 3, :].tolist()}; it must be 0 0 0 1")
+    X = spatial._poses(X, what)
     if dim == 2 and (np.any(np.abs(X[..., 2, 3]) > RIGID) or np.any(1.0 - X[..., 2, 2] > RIGID)):
         raise InputError(f"{what} leaves the plane of the system")
     return sound(X, what)

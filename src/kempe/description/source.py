@@ -179,7 +179,10 @@ def folders_of(given: Any) -> tuple[Path, ...]:
 
 def expanded(path: str | Path) -> Path:
     """The path of a file, a leading ``~`` replaced by the home folder. Errors: `InputError` for a URL."""
-    text = os.fspath(path)
+    given: object = path
+    text: object = os.fspath(path) if isinstance(given, os.PathLike) else given
+    if not isinstance(text, str):
+        raise InputError(f"path is {shown(given)}; it must be the path of a file, as text or a Path")
     scheme = _SCHEME.match(text)
     if scheme:
         url = shorten(text if "://" in text else text.replace(":/", "://", 1), 200)  # a Path keeps one slash

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from kempe import spatial
+from kempe.calls import explained
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body, Coupling, Joint
 from kempe.errors import InputError
@@ -25,6 +26,7 @@ class _SingleJoint(NamedTuple):
     motion: Primitive
 
 
+@explained
 def expanded(system: System) -> System:
     """The same system made of revolute and prismatic joints only, with links without size between them.
 

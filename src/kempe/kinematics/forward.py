@@ -113,7 +113,7 @@ def _model(chain_of: _ChainQuery) -> Any:
     def formed(_: object, q: Any, out: Any = None, threads: int | None = None) -> Array:
         return in_form(chain_of.system, q, chain_of.name, out, threads, *chain_of.form)
 
-    function: Any = pose if chain_of.form == (None, None) else formed
+    function: Any = pose if all(part is None for part in chain_of.form) else formed
     function.jacobian, function.pose_and_jacobian = jacobian, pose_and_jacobian
     function.system, function.frame = chain_of.system, chain_of.name
     function.__name__, function.__qualname__ = "query", f"query({chain_of.system.name!r}, {chain_of.name!r})"

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 
+@explained
 @kept
 def maximal(system: System) -> System:
     """The system in maximal coordinates: each body hangs on a free joint from the ground, and all joints are cut.
@@ -62,6 +63,7 @@ def to_maximal(system: System, q: Any) -> Array:
     return np.ascontiguousarray(fk(system, q)[..., 1:, :, :])
 
 
+@explained
 def maximal_q(system: System, q: Any = None, poses: ArrayLike | None = None) -> Array:
     """Configuration (..., nq) of `maximal(system)`: the joints as at `q`, the bodies at `poses` (..., n_b, 4, 4).
 

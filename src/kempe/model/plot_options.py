@@ -62,4 +62,5 @@ class PlotOptions:
         """What is written, as words of `LABELS`."""
         if isinstance(self.labels, bool):
             return frozenset(LABELS[:2]) if self.labels else frozenset()
-        return frozenset(LABELS if self.labels == "all" else listed(self.labels, "labels"))
+        every = isinstance(self.labels, str) and self.labels == "all"
+        return frozenset(LABELS if every else listed(self.labels, "labels"))

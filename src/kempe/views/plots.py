@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
     from kempe.model.system import System
 
+FARTHEST = 1e50
+"""Coordinates up to which a configuration is drawn: squares of distances must stay finite."""
 MOST = 32
 """Configurations that one picture shows at most."""
 ACROSS = 4
@@ -132,7 +134,8 @@ def subject_of(
         names = list(getattr(path, "frames", ()) or (f for link in scene.links[1:] for f in link.frames))
     curves = {n: fk(system, way, n)[:, :3, 3] for n in names} if way is not None else {}
     moving = [f for link in scene.links[1:] for f in (*link.bodies, *link.frames)]
-    axes = [system.body_names[0], *moving] if options.axes == "all" else names_of(system, options.axes)
+    every = isinstance(options.axes, str) and options.axes == "all"
+    axes = [system.body_names[0], *moving] if every else names_of(system, options.axes)
     earlier = [] if way is None else list(_spread(way, options.ghosts))
     earlier += list(_neighbours(system, q)) if options.motion else []
     return Subject(
@@ -255,9 +258,9 @@ def _configurations(system: System, q: Any, way: Array | None) -> tuple[Array, t
         q = q.q
     given = as_q(system, q)
     found = given.reshape(math.prod(given.shape[:-1]), system.nq)
-    good = np.isfinite(found).all(axis=1)
+    good = (np.abs(found) < FARTHEST).all(axis=1)
     if not good.all() and (np.ndim(q) == 1 or not good.any()):
-        raise InputError("q holds numbers that are not finite: there is nothing to draw")
+        raise InputError(f"q holds numbers that are not finite, or beyond {FARTHEST:g}: there is nothing to draw")
     if not len(found):
         raise InputError("q holds no configuration: there is nothing to draw")
     if good.sum() > MOST:

@@ -9,7 +9,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.description.source import expanded, no_file
-from kempe.errors import InputError, UnknownNameError
+from kempe.errors import UNREADABLE, InputError, UnknownNameError
 from kempe.kinematics.common.tabular import SUFFIXES, as_numbers, header_of, rows_of_text, table_file, write_table
 from kempe.kinematics.configuration import as_q, closed_from, from_home
 from kempe.model.tree.coordinates import units
@@ -130,7 +130,7 @@ def read(path: Path, matrices: bool = False) -> tuple[list[str] | None, spatial.
 def _read_npy(path: Path, matrices: bool) -> tuple[None, spatial.Array]:
     try:
         array = reals(np.load(path, allow_pickle=False), "the file")
-    except (ValueError, EOFError):
+    except UNREADABLE:
         raise InputError(f"{path}: it is not a .npy file of numbers") from None
     if array.ndim == 2 or (matrices and array.ndim == 3 and array.shape[1:] == (4, 4)):
         return None, array

@@ -612,6 +612,41 @@ def test_blocks_that_are_too_large_are_refused(tmp_path, q, monkeypatch):
         )
 
 
+@pytest.mark.filterwarnings("ignore:invalid escape sequence:DeprecationWarning")
+@pytest.mark.parametrize("read", ["map", "rows"])
+def test_damaged_npy_files_are_refused_in_words(tmp_path, hunt, read):
+    """Numpy reads the header of such a file as Python: any error of that may come."""
+    from kempe.views import rows
+
+    rng, file = hunt.rng(), tmp_path / "x.npy"
+    np.save(file, np.zeros((20, 6)))
+    data = file.read_bytes()
+    for case in range(hunt.cases(400)):
+        bad = bytearray(data)
+        if case == 0:
+            bad = bytearray(data.replace(b"), }", b"   }"))
+        for _ in range(int(rng.integers(1, 4)) if case else 0):
+            bad[int(rng.integers(128))] = int(rng.choice([*b"(){}[],:'\\\n 0", int(rng.integers(256))]))
+        file.write_bytes(bytes(bad))
+        try:
+            if read == "map":
+                row_sources.open_rows(file).read(0, 1)
+            else:
+                rows.read(file)
+        except KempeError:
+            continue
+
+
+def test_a_chunk_of_many_digits_is_refused_in_words(tmp_path):
+    path = written(tmp_path, "x.zarr", np.zeros((20, 6)))
+    said = json.loads((path / "zarr.json").read_text())
+    for digits in (30, 400):
+        said["chunk_grid"]["configuration"]["chunk_shape"][0] = 10**digits
+        (path / "zarr.json").write_text(json.dumps(said))
+        with pytest.raises(KempeError):
+            row_sources.open_rows(path).read(0, 20_000)
+
+
 # ---- on a cluster
 
 

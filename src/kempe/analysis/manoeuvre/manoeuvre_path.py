@@ -116,7 +116,7 @@ class Manoeuvre(Motion):
             shape = (*t.shape, self.system.nq)
             return np.broadcast_to(self.q[0], shape).copy(), np.zeros((*t.shape, self.system.nv))
         q, v = self._exact.at(t.ravel())
-        return q.reshape(*t.shape, -1), v.reshape(*t.shape, -1)
+        return q.reshape(*t.shape, self.system.nq), v.reshape(*t.shape, self.system.nv)
 
     def table(self, frames: Iterable[FrameLike] = ()) -> tuple[list[str], Array]:
         """Names and columns (n, k) for a file: time, all coordinates, x, y (and z) of frames."""

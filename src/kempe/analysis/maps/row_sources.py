@@ -13,7 +13,7 @@ import numpy as np
 from kempe.analysis.maps.zarr_folders import zarr_library
 from kempe.calls import known
 from kempe.description.source import expanded
-from kempe.errors import DamagedError, InputError, KempeError, MissingExtraError
+from kempe.errors import UNREADABLE, DamagedError, InputError, KempeError, MissingExtraError
 from kempe.kinematics.common.tabular import header_of, rows_of_text
 from kempe.reals import KINDS
 from kempe.spatial import Array
@@ -23,8 +23,6 @@ BLOCK_ROWS = 2**16
 """Rows of a block where the file itself has none, or smaller ones."""
 BLOCK_BYTES = 2**30
 """The largest block that is read: a row group of a Parquet file, a chunk of Zarr."""
-DAMAGED = (OSError, ValueError, RuntimeError, KeyError, TypeError, EOFError)
-"""What libraries raise for a file that is not what it should be."""
 
 
 class RowSource:
@@ -64,7 +62,7 @@ class RowSource:
                 out[at - first : stop - first] = self._held[1][at - low : stop - low]
             except KempeError:
                 raise
-            except DAMAGED as error:
+            except UNREADABLE as error:
                 where = f"rows {low} to {int(self.edges[k + 1])}"
                 raise DamagedError(f"{self.path}: {where} cannot be read: {error}") from error
             at = stop
@@ -86,7 +84,7 @@ def open_rows(path: str | Path, columns: Sequence[str] | None = None) -> RowSour
         source = reader(path, columns)
     except KempeError:
         raise
-    except DAMAGED as error:
+    except UNREADABLE as error:
         kind = "Zarr" if reader is _zarr else path.suffix
         raise InputError(f"{path}: this cannot be read as {kind}: {error}") from error
     if columns is not None and source.names is None:

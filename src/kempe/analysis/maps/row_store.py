@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from kempe.analysis.maps.part_log import DonePart, PartLog, not_written, refuse_other
-from kempe.analysis.maps.row_sources import DAMAGED, RowSource
+from kempe.analysis.maps.row_sources import RowSource
 from kempe.analysis.maps.row_verbs import AXES, Arrays, RowJob, axes_of
 from kempe.analysis.maps.zarr_folders import (
     add_array,
@@ -23,7 +23,7 @@ from kempe.analysis.maps.zarr_folders import (
     take_place,
     zarr_library,
 )
-from kempe.errors import DamagedError, InputError
+from kempe.errors import UNREADABLE, DamagedError, InputError
 from kempe.status import MEMBERS
 
 FORMAT = "kempe rows 1"
@@ -82,7 +82,7 @@ class RowStore(PartLog):
         try:
             group = zarr_library().open_group(str(self.path), mode="r")
             self.header = json.loads(group.attrs["kempe"])
-        except DAMAGED as error:
+        except UNREADABLE as error:
             raise DamagedError(f"{self.path} is damaged: it does not say what made it; take another path, or remove "
                                f"it") from error  # fmt: skip
         refuse_other(self.header, self.said, str(self.path), self.keys)
@@ -91,7 +91,7 @@ class RowStore(PartLog):
             if any(group[name][...].tolist() != words for name, words in self._words()):
                 raise ValueError("the names along an axis are not those that were written")
             self._open(self.path, "r")
-        except DAMAGED:
+        except UNREADABLE:
             self.damaged = 1
             return False
         starts = range(0, self.source.n, self.chunk)
@@ -123,7 +123,7 @@ class RowStore(PartLog):
             if not self.arrays:
                 self._open(self.folder / ROWS, "r+")
             found = {name: array[part.first : part.last] for name, array in self.arrays.items()}
-        except DAMAGED:
+        except UNREADABLE:
             return False
         return checksum_of_arrays(found) == part.checksum
 

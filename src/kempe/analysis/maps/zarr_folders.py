@@ -9,7 +9,7 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from kempe.errors import InputError, KempeError, MissingExtraError
+from kempe.errors import UNREADABLE, InputError, KempeError, MissingExtraError
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -38,7 +38,7 @@ def format_of(path: Path) -> str | None:
     """Which of our formats is written at a path, sound or not; None for all else."""
     try:
         return json.loads((path / "zarr.json").read_text(encoding="utf-8"))["attributes"]["format"]
-    except (OSError, ValueError, KeyError, TypeError):
+    except UNREADABLE:
         return None
 
 

@@ -38,7 +38,7 @@ def rows_of(rows: Any, columns: Sequence[str], known: tuple[str, ...]) -> tuple[
     Errors: `InputError` for tables of another form, and for columns that are not `known`.
     """
     columns = _checked_columns(columns, known)
-    table: Any = rows
+    table: Any = np.asarray(rows) if isinstance(rows, memoryview) else rows
     names: Any = rows.dtype.names if is_array(rows) else rows if is_mapping(rows) else getattr(rows, "columns", None)
     if names is not None:
         if columns != ORDER:

@@ -24,6 +24,12 @@ _LINE = re.compile(
     r'(?:"([^"\\\x00-\x1f\x7f]*)"|([-+.0-9eE]+)|(true|false)|\[([-+.0-9eE, \t]*)\])[ \t]*)?'
     rf"{_COMMENT}\r?"
 )
+MOST_NAMES = 64
+"""Names of a dotted key: the time of `tomllib` grows as their square."""
+_LONG_KEY = re.compile(
+    rf"""^[ \t]*+(?:\[\[?[ \t]*+)?(?:(?:[A-Za-z0-9_-]++|"[^"\n]*"|'[^'\n]*')[ \t]*+\.[ \t]*+){{{MOST_NAMES}}}""",
+    re.MULTILINE,
+)
 _FLOAT = re.compile(r"[-+]?(?:0|[1-9][0-9]*)(?:\.[0-9]+(?:[eE][-+]?[0-9]+)?|[eE][-+]?[0-9]+)")
 _BRACKET = re.compile(r"^[ \t]*\[", re.MULTILINE)
 _WHOLE = re.compile(r"[-+]?(?:0|[1-9][0-9]{0,17})")
@@ -38,6 +44,9 @@ def loads(text: str) -> tuple[dict[str, Any], dict[Path, int] | None]:
 
     Errors: those of `tomllib`.
     """
+    if found := _LONG_KEY.search(text):
+        line = text.count("\n", 0, found.start()) + 1
+        raise ValueError(f"a dotted key of more than {MOST_NAMES} names (at line {line}, column 1)")
     if text.count("\n[") >= MANY:
         with contextlib.suppress(_Other, ValueError, RecursionError):
             return _loads(text)

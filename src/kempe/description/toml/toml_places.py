@@ -14,6 +14,9 @@ from kempe.errors import Where
 Path = tuple[str | int, ...]
 """Keys and indices that lead to a value: ``("joint", 2, "limits")``."""
 
+DEEPEST = 16
+"""Names of a dotted key that are told apart: Kempe's own format has six at most, and a long key must not take long."""
+
 _TOKEN = re.compile(
     r'''(?P<string>"""(?:\\.|[^\\])*?"""(?:""|"|)|\'\'\'.*?\'\'\'(?:\'\'|\'|)|"(?:\\.|[^"\\\n])*"|'[^'\n]*')'''
     r"""|(?P<comment>\#[^\n]*)|(?P<newline>\n)|(?P<mark>[\[\]{},=.])|(?P<bare>[^\s"'\#\[\]{},=.]+)""",
@@ -40,6 +43,7 @@ class Places:
 
     def where(self, *path: str | int) -> Where:
         """The place of the value at `path`."""
+        path = path[: 2 * DEEPEST]
         if path in self._tables:  # known without looking at what is in them
             return self.source.where_offset(self._tables[path])
         while path and path not in self._offsets:
@@ -95,10 +99,12 @@ def _header(start: _Token, tokens: Iterator[_Token], counts: dict[Path, int]) ->
 
 
 def _key(token: _Token, tokens: Iterator[_Token], stop: str) -> list[str]:
-    """Names of a dotted key, which `token` begins and `stop` ends."""
+    """The first names of a dotted key, which `token` begins and `stop` ends."""
     names: list[str] = []
     while token.text != stop or token.kind == "string":
-        if token.kind == "string":
+        if len(names) == DEEPEST:
+            pass
+        elif token.kind == "string":
             names.append(tomllib.loads(f"k={token.text}")["k"])
         elif token.kind == "bare":
             names.append(token.text)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from collections.abc import Set as AbstractSet
 from functools import cached_property
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -272,7 +273,7 @@ class Assembler:
             return None
         start = start[None].copy()
         for place, x in zip(self.place_list, numbers, strict=True):
-            start[0, place] = x
+            start[0, place] = x if isfinite(start[0, place]) else math.nan  # a start is read whole
         return start
 
     def _starts(self, given: Mapping[str, Any], start: Any) -> tuple[Array, tuple[int, ...]]:
@@ -289,7 +290,9 @@ class Assembler:
         starts = np.empty((*lead, system.nq))
         starts[:] = base
         for k, column in enumerate(columns):
-            starts[..., self.places[k]] = column if self.plain else (column - self.offsets[k]) * self.factors[k]
+            value = column if self.plain else (column - self.offsets[k]) * self.factors[k]
+            at = starts[..., self.places[k]]
+            starts[..., self.places[k]] = np.where(np.isfinite(at), value, np.nan)  # a start is read whole
         return starts.reshape(math.prod(lead), system.nq), lead
 
     def _turned(self, given: Mapping[str, Any]) -> tuple[bool, ...]:

@@ -54,6 +54,8 @@ def from_maximal(system: System, poses: ArrayLike, start: Any = None, tolerance:
     """
     poses, tolerance = as_poses(system, poses), READ if tolerance is None else tolerance
     start = None if start is None else as_start(system, start)
+    if start is not None and not np.isfinite(start).all():
+        raise InputError("start has entries that are not finite")
     _refuse_no_poses(system, poses, tolerance)
     lead = together({"poses": poses.shape[:-3], "start": () if start is None else start.shape[:-1]})
     joints = system.mechanism.joints

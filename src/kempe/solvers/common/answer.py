@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 
 from kempe.calls import explained_methods, place_in
-from kempe.errors import NoSolutionError
+from kempe.errors import InputError, NoSolutionError, shown
 from kempe.kinematics.common.result import MOST_JUDGED, Cells, Result
 from kempe.kinematics.common.tabular import Tabular
 from kempe.kinematics.measure import Judgement, judge
-from kempe.reals import plain
+from kempe.reals import is_whole, plain
 from kempe.solvers.common.clock import partial
 from kempe.spatial import Array
 from kempe.status import Status
@@ -212,7 +212,12 @@ class ConfigurationList:
         return iter(self.q)
 
     def __getitem__(self, k: Any) -> Array:
-        return self.q[k]
+        try:
+            return self.q[k]
+        except IndexError:
+            if is_whole(k):  # where an iteration ends
+                raise
+            raise InputError(f"index is {shown(k)}; it must be a whole number, a slice or an array of these") from None
 
 
 @explained_methods

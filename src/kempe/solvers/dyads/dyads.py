@@ -203,6 +203,8 @@ class Plan(Report):
         signs = self.branches()
         k, nq = len(signs), self.system.nq
         targets = np.zeros((1, nq)) if start is None else _rows(as_start(self.system, start), (), "near")
+        if not np.isfinite(targets).all():
+            raise InputError("start has entries that are not finite")
         q, status = np.empty((len(given) * k, nq)), np.empty((len(given) * k, 2))
         many = np.repeat(given, k, axis=0)
         self._run(many, np.tile(signs, (len(given), 1)), targets, q, status, None)

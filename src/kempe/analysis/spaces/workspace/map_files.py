@@ -14,7 +14,7 @@ import numpy as np
 from kempe.analysis.maps.zarr_folders import add_array, consolidate, format_of, refuse_place, take_place, zarr_library
 from kempe.analysis.spaces.workspace.cell_map import CellMap, Grid
 from kempe.analysis.spaces.workspace.sample_parts import checksum_of
-from kempe.errors import DamagedError, DiskError, InputError
+from kempe.errors import UNREADABLE, DamagedError, DiskError, InputError
 
 FORMAT = "kempe workspace 1"
 CHUNK = 64
@@ -89,7 +89,7 @@ def read_map(path: Path) -> Stored:
         grid = Grid(**{k: tuple(made[k]) for k in ("low", "high", "cells", "axes", "names")})
         middles = {name: np.asarray(group[name][...]) for name in grid.axes}
         checksum = made.pop("checksum")
-    except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
+    except UNREADABLE as error:
         raise DamagedError(f"{path} is damaged ({type(error).__name__}: {error}); {again}") from error
     if counts.shape != grid.shape or _checksum(counts, made) != checksum:
         raise DamagedError(f"{path} is damaged: the counts, or what made them, are not what was written; {again}")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from kempe.analysis.maps.part_log import DonePart, PartLog, write_whole
-from kempe.errors import DiskError
+from kempe.errors import UNREADABLE, DiskError
 
 BLOCK = 2**18
 """Counts that are converted at once."""
@@ -44,7 +44,7 @@ class SampleParts(PartLog):
         """The counts of a part; None where they are not what was written."""
         try:
             counts = np.load(self.file(part), allow_pickle=False)
-        except (OSError, ValueError, EOFError):
+        except UNREADABLE:
             return None
         return counts if counts.shape == (self.entries,) and checksum_of(counts) == part.checksum else None
 
