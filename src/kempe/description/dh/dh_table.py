@@ -38,7 +38,9 @@ def rows_of(rows: Any, columns: Sequence[str], known: tuple[str, ...]) -> tuple[
     Errors: `InputError` for tables of another form, and for columns that are not `known`.
     """
     columns = _checked_columns(columns, known)
-    table: Any = np.asarray(rows) if isinstance(rows, memoryview) else rows
+    table: Any = rows
+    if isinstance(table, memoryview):  # one of two axes cannot be gone through
+        rows = table = np.asarray(table)
     names: Any = rows.dtype.names if is_array(rows) else rows if is_mapping(rows) else getattr(rows, "columns", None)
     if names is not None:
         if columns != ORDER:
