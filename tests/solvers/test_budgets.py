@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pickle
+import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +14,8 @@ from test_tasks import inside, two_arms
 import kempe
 from kempe import Mechanism, spatial, tasks
 from kempe.errors import InputError, NoSolutionError
+from kempe.kernels.compiled import fallback
+from kempe.kinematics.common import parallel
 from kempe.solvers.analytic import ik_all, start_search, through_loops
 from kempe.solvers.analytic.plans import question
 from kempe.solvers.one_frame import multi_start
@@ -408,3 +412,91 @@ def test_turns_that_a_function_tells_apart_are_limits_not_a_matter_of_starts():
     wanted = [tasks.Position(hand, s.fk(s.mid, hand)[:3, 3]), tasks.Function(lambda q: q[0] - 5.0)]
     answer = s.ik(wanted, budget=kempe.Budget(starts=20))
     assert not answer and "more starts" not in answer.status and "the limits of 'panda_joint1'" in answer.status
+
+
+# ---- the time of batches out of reach
+
+
+@pytest.fixture
+def kernel_calls(monkeypatch):
+    """What kernels were called with, so far: (targets, starts) of searches, and targets of descents."""
+    calls: list[tuple[str, int, int]] = []
+    search, nearest = multi_start.schedule, fallback.approach
+
+    def reach(*args):
+        calls.append(("search", len(args[4]), args[8]))
+        return search.reach(*args)
+
+    def approach(*args):
+        calls.append(("descents", len(args[4]), 0))
+        return nearest(*args)
+
+    monkeypatch.setattr(multi_start, "schedule", SimpleNamespace(reach=reach))
+    monkeypatch.setattr("kempe.kernels.compiled.fallback", SimpleNamespace(approach=approach))
+    return calls
+
+
+def far_away(s: kempe.System, frame: str, count: int) -> np.ndarray:
+    """Poses of which a third are reached, some are out of reach by their lengths, and some for other reasons."""
+    X = s.fk(s.random(5, count), frame)
+    X[1::3, :3, 3] *= 1.15
+    X[2::3, :3, 3] *= 4.0
+    return X
+
+
+@pytest.mark.parametrize("budget", [None, kempe.Budget(time_limit=1000.0), kempe.Budget(threads=1)])
+def test_no_call_of_a_kernel_takes_long(budget, kernel_calls):
+    """Between two calls Python sees an interrupt and the clock: each has at most 4096 starts, or 128 descents."""
+    s = kempe.load("puma560")
+    answer = s.ik(far_away(s, "tool", 1500), "tool", budget=budget)
+    assert np.isfinite(answer.q).all() and {kind for kind, *_ in kernel_calls} == {"search", "descents"}
+    for kind, targets, starts in kernel_calls:
+        assert targets <= 128 if kind == "descents" else targets * starts <= max(4096, 8 * starts), (kind, targets)
+
+
+def test_a_time_limit_that_does_not_come_changes_nothing():
+    """What is nearest to targets that lengths put out of reach is found on demand, with a limit, too."""
+    s = kempe.load("puma560")
+    X = far_away(s, "tool", 90)
+    plain, limited = s.ik(X, "tool"), s.ik(X, "tool", budget=kempe.Budget(time_limit=1000.0))
+    np.testing.assert_array_equal(limited.code, plain.code)
+    solved = np.asarray(plain.success)
+    np.testing.assert_array_equal(limited.q[solved], plain.q[solved])
+    np.testing.assert_array_equal(limited.q, plain.q)
+    np.testing.assert_array_equal(limited.starts, plain.starts)
+
+
+@pytest.mark.parametrize("most", [0, 1, 3, 9, 30])
+def test_the_time_limit_of_a_batch_ends_it_at_the_next_look_at_the_clock(most, monkeypatch, kernel_calls):
+    """Whichever look it is: no kernel is called again, and each target says whether it was reached, or why not."""
+    s = kempe.load("puma560")
+    X = far_away(s, "tool", 1500)
+    looks, plain = [0], s.ik(X, "tool")
+    np.isfinite(plain.q)
+    kernel_calls.clear()
+
+    def monotonic() -> float:
+        looks[0] += 1
+        return 0.0 if looks[0] <= most + 1 else 1e9
+
+    monkeypatch.setattr(multi_start.time, "monotonic", monotonic)
+    answer = s.ik(X, "tool", budget=kempe.Budget(time_limit=5.0, threads=1))
+    assert len(kernel_calls) <= most
+    code = np.asarray(answer.code)
+    assert set(np.unique(code)) <= {Status.SOLVED, Status.OUT_OF_REACH, Status.OUT_OF_TIME, Status.NOT_FOUND}
+    assert (np.asarray(plain.code)[code == Status.SOLVED] == Status.SOLVED).all()
+    assert (np.asarray(plain.code)[code == Status.OUT_OF_REACH] == Status.OUT_OF_REACH).all()
+    assert most > 0 or not (code == Status.SOLVED).any()
+    monkeypatch.undo()
+    assert np.isfinite(answer.q).all() and np.isfinite(answer.position_error).all()
+
+
+def test_the_work_of_a_thread_that_was_told_to_stop_ends_at_the_next_piece():
+    s = kempe.load("puma560")
+    X, sign = far_away(s, "tool", 1500), threading.Event()
+    work = parallel.stopped_by(sign, lambda: s.ik(X, "tool", budget=kempe.Budget(threads=1)))
+    assert np.isfinite(work().q).all()
+    sign.set()
+    with pytest.raises(parallel.Stopped):
+        work()
+    assert s.ik(X[0], "tool")  # the sign was for that work alone

@@ -20,9 +20,10 @@ from interrupts import Interrupt
 
 import kempe
 from kempe import Budget, Status, spatial
-from kempe.analysis.maps import file_map, part_log, row_sources, row_store, side_by_side
+from kempe.analysis.maps import file_map, part_log, row_sources, row_store, row_verbs, side_by_side
 from kempe.calls import until_interrupt
 from kempe.errors import DamagedError, InputError, KempeError, UnknownNameError
+from kempe.kinematics.common import parallel
 
 zarr = pytest.importorskip("zarr", reason="zarr is not installed (extra scale)")
 parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed (extra scale)")
@@ -326,6 +327,55 @@ def test_the_time_limit(tmp_path, whole):
     answer = mapped(whole[0], tmp_path / "out.zarr", budget=Budget(time_limit=1e-9))
     assert answer.code is Status.OUT_OF_TIME and answer.late and answer.rows < N
     assert mapped(whole[0], tmp_path / "out.zarr").rows == N and same(arrays(tmp_path / "out.zarr"), whole[1])
+
+
+@pytest.mark.parametrize("spoil", ["", "cut", "rows", "changed"])
+def test_a_chunk_whose_work_is_stopped_is_gone_on_with(tmp_path, monkeypatch, spoil):
+    """Pieces of a chunk that are done when the work is told to stop are not answered again; damaged ones are."""
+    X = PUMA.fk(PUMA.random(1, 64), "tool")
+    X[20:, :3, 3] *= 2.0
+    file, path = written(tmp_path, "x.npy", X), tmp_path / "out.zarr"
+    monkeypatch.setattr(file_map, "CHUNK_BYTES", 2**30)
+    monkeypatch.setitem(row_verbs.VERBS, "ik", row_verbs.VERBS["ik"]._replace(rows=64))
+    answered, most = [], [3]
+    before = row_verbs.RowJob.answers
+
+    def answers(job, rows):
+        if len(rows):
+            if len(answered) == most[0]:
+                workers[0].stop()
+            parallel.check_stop()
+            answered.append(len(rows))
+        return before(job, rows)
+
+    workers, made = [], side_by_side.ThreadWorkers.__init__
+    monkeypatch.setattr(row_verbs.RowJob, "answers", answers)
+
+    def noted(self, *args, **more):
+        workers.insert(0, self)
+        made(self, *args, **more)
+
+    monkeypatch.setattr(side_by_side.ThreadWorkers, "__init__", noted)
+    with pytest.raises(parallel.Stopped):
+        kempe.map_file(PUMA, "ik", file, path, "tool", budget=Budget(threads=1))
+    assert answered == [8, 8, 8]
+    (kept,) = path.with_name("out.zarr.parts").glob("begun_*.npz")
+    if spoil == "cut":
+        kept.write_bytes(kept.read_bytes()[:-40])
+    elif spoil == "rows":
+        with np.load(kept) as found:
+            np.savez(kept, **{**{k: found[k] for k in found.files}, "code": np.zeros(24, dtype=np.uint8)})
+    elif spoil == "changed":
+        X[5, :3, 3] *= 0.9
+        file = written(tmp_path, "x.npy", X)
+    answered.clear()
+    most[0] = -1
+    done = kempe.map_file(PUMA, "ik", file, path, "tool", budget=Budget(threads=1))
+    assert sum(answered) == (64 if spoil else 40)
+    plain = PUMA.ik(X, "tool")
+    assert done.rows == 64 and np.array_equal(arrays(path)["q"], plain.q)
+    assert np.array_equal(arrays(path)["code"], plain.code)
+    assert not path.with_name("out.zarr.parts").exists()
 
 
 def test_a_finished_map_is_left_as_it_is(tmp_path, whole):

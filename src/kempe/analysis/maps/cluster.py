@@ -62,6 +62,9 @@ class ClusterWorkers:
 
         return isinstance(future.exception(), KilledWorker)
 
+    def stop(self) -> None:
+        """Nothing: what is begun is given up."""
+
     def give_up(self, futures: list[Any]) -> None:
         """Drop tasks that are not done."""
         self.client.cancel(futures)

@@ -160,10 +160,10 @@ def _fill(store: RowStore, client: Any, threads: int, spend: Budget, clock: Time
 
 def _local(store: RowStore, tasks: list[tuple[int, int]], threads: int, clock: TimeLimit) -> Iterator[DonePart]:
     """The parts that threads of this process make of ranges of rows."""
-    with ThreadWorkers(threads, spare=1) as workers:
+    with ThreadWorkers(threads, spare=1, stops=True) as workers:
 
         def work(first: int, last: int, rows: Any) -> DonePart:
-            return store.made(first, last, rows, store.job.answers(rows))
+            return store.made(first, last, rows, store.answers(first, rows))
 
         def begin(task: tuple[int, int], _: int) -> Any:
             return workers.submit(work, *task, store.source.read(*task))

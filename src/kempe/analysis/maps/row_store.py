@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import shutil
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import numpy as np
 
 from kempe.analysis.maps.part_log import DonePart, PartLog, not_written, refuse_other
 from kempe.analysis.maps.row_sources import RowSource
-from kempe.analysis.maps.row_verbs import AXES, Arrays, RowJob, axes_of
+from kempe.analysis.maps.row_verbs import AXES, VERBS, Arrays, RowJob, axes_of
 from kempe.analysis.maps.zarr_folders import (
     add_array,
     consolidate,
@@ -24,6 +25,7 @@ from kempe.analysis.maps.zarr_folders import (
     zarr_library,
 )
 from kempe.errors import UNREADABLE, DamagedError, InputError
+from kempe.kinematics.common.parallel import Stopped
 from kempe.status import MEMBERS
 
 FORMAT = "kempe rows 1"
@@ -34,6 +36,15 @@ SUMS = {
     "source_checksum": ("source", "checksum of the rows of a chunk"),
 }
 """Arrays with an entry for each chunk, what of a `DonePart` they hold, and in words."""
+
+
+PIECES = 8
+"""Pieces of a chunk, as a verb takes one at once: what is done of them is kept where the work is stopped."""
+
+
+def _joined(parts: list[Arrays]) -> Arrays:
+    """Arrays one after the other, by their names."""
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def checksum_of_arrays(arrays: Arrays) -> str:
@@ -172,6 +183,47 @@ class RowStore(PartLog):
                 if name in used or (name == "unit" and "coordinate" in used)]  # fmt: skip
 
     # ---- what is done
+
+    def answers(self, first: int, rows: Any) -> Arrays:
+        """Answers to the rows of a chunk that begins at row `first`; after a stop the next call goes on with them."""
+        piece, kept = max(1, VERBS[self.job.verb].rows // PIECES), self.folder / f"begun_{first}.npz"
+        parts = self._begun(kept, rows)
+        at = sum(len(part["code"]) for part in parts)
+        try:
+            while at < len(rows):
+                parts.append(self.job.answers(rows[at : at + piece]))
+                at += len(parts[-1]["code"])
+        except Stopped:
+            if parts:
+                self._keep(kept, _joined(parts), rows)
+            raise
+        kept.unlink(missing_ok=True)
+        return _joined(parts)
+
+    def _begun(self, path: Path, rows: Any) -> list[Arrays]:
+        """The answers to the first rows of a chunk that a stop has left; none where the file or the rows changed."""
+        if not path.exists():
+            return []
+        try:
+            with np.load(path) as file:
+                found = {name: file[name] for name in file.files}
+            own = [str(found.pop(name)) for name in ("sum", "of")]
+            count = len(found["code"])
+            good = set(found) == set(self.job.layout) and own == self._sums(found, rows[:count])
+        except (*UNREADABLE, zipfile.BadZipFile):
+            return []
+        return [found] if good else []
+
+    def _keep(self, path: Path, found: Arrays, rows: Any) -> None:
+        """Keep the answers to the first rows of a chunk; where there is no room they are found again."""
+        sums = dict(zip(("sum", "of"), self._sums(found, rows[: len(found["code"])]), strict=True))
+        try:
+            np.savez(path, **found, **sums)  # type: ignore[arg-type]
+        except OSError:
+            path.unlink(missing_ok=True)
+
+    def _sums(self, found: Arrays, rows: Any) -> list[str]:
+        return [checksum_of_arrays(found), checksum_of_arrays({"rows": rows})]
 
     def made(self, first: int, last: int, rows: Any, arrays: Arrays) -> DonePart:
         """Write the answers to the rows `first` to `last`; to be added when that is done. Errors: `DiskError`."""

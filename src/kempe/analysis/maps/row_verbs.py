@@ -158,7 +158,7 @@ def _assemble(job: RowJob, rows: Array) -> Arrays:
 
 VERBS = {
     "fk": Verb(_fk, ("form", "dtype"), 2**16, needs_frame=False),
-    "ik": Verb(_ik, ("task", "start", "method", "tolerance"), 2**14),
+    "ik": Verb(_ik, ("task", "start", "method", "tolerance"), 2**12),
     "ik_all": Verb(_ik_all, ("task", "start", "fixed", "limits", "tolerance"), 2**12),
     "assemble": Verb(_assemble, ("start", "branch", "prefer", "limits", "tolerance"), 2**12, needs_frame=False),
 }

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from typing import Any, Protocol, TypeVar
 
 from kempe.errors import InputError, shown
-from kempe.kinematics.common.parallel import processors
+from kempe.kinematics.common.parallel import Stopped, processors, stopped_by
 from kempe.reals import is_whole
 from kempe.solvers.common.clock import BROKEN_OFF
 
@@ -52,16 +53,31 @@ class Workers(Protocol):
         """Drop these, or wait for them."""
         ...
 
+    def stop(self) -> None:
+        """Tell what is begun to stop, where it may."""
+        ...
+
 
 class ThreadWorkers:
-    """Threads of this process; `spare` tasks wait for the next that is free."""
+    """Threads of this process; `spare` tasks wait for the next that is free.
+
+    What is begun is finished; with `stops` it is left where it takes long, to be begun again another time.
+    """
 
     finishes = True
 
-    def __init__(self, threads: int, spare: int = 0):
+    def __init__(self, threads: int, spare: int = 0, stops: bool = False):
         self.most = threads + spare
         self.pool = ThreadPoolExecutor(threads, thread_name_prefix="kempe")
-        self.submit = self.pool.submit
+        self.stops, self.sign = stops, threading.Event()
+
+    def submit(self, work: Callable[..., Any], *args: Any) -> Future[Any]:
+        """The future of a call."""
+        return self.pool.submit(stopped_by(self.sign, work) if self.stops else work, *args)
+
+    def stop(self) -> None:
+        """Tell what is begun to stop, where it may."""
+        self.sign.set()
 
     def __enter__(self) -> ThreadWorkers:
         return self
@@ -106,9 +122,14 @@ def finished(
                     yield task, future.result()
             check()
     except BROKEN_OFF:
+        workers.stop()
         while workers.finishes and running:
             future, (task, _) = running.popitem()
-            yield task, future.result()
+            try:
+                result = future.result()
+            except Stopped:
+                continue
+            yield task, result
         raise
     finally:
         workers.give_up(list(running))

@@ -17,7 +17,7 @@ from kempe.kernels.base.search_layout import LARGEST
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.compiled import maker
 from kempe.kernels.forward.table_layout import SLIDE
-from kempe.kinematics.common.parallel import over_chunks
+from kempe.kinematics.common.parallel import check_stop, over_chunks
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.kept import kept
 from kempe.rigid import sound
@@ -343,6 +343,7 @@ def solve_held(
 
     def pieces(i: int, j: int) -> int:
         for k in range(i, j, piece):
+            check_stop()
             last = min(k + piece, j)
             if question.stopped(slice(k, last)):
                 out[k:last, :, -A.INFO + A.CODE], counts[k:last, 1] = A.UNUSED, 1

@@ -14,7 +14,6 @@ from kempe.calls import explained, flag, together
 from kempe.constraints.frame_targets import of_target
 from kempe.errors import InputError
 from kempe.kernels.base.search_layout import ANSWER, LARGEST, LINEAR, SOLVED, STATUS
-from kempe.kinematics.common.parallel import over_chunks
 from kempe.kinematics.configuration import as_start
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.kept import kept
@@ -47,7 +46,6 @@ if TYPE_CHECKING:
 
 METHODS = ("numeric", "analytic", "auto")
 TASKS, CLOSED = "tasks are requested, not a target of one frame", "method='analytic' asks for a closed form"
-CHUNK, SERIAL_BELOW = 256, 1024
 USUAL = Usual("ik", starts=MOST, iterations=ITERATIONS, time_limit=None, rng=0, threads=None)
 
 
@@ -211,7 +209,7 @@ def _run(
 ) -> tuple[FrameProblem, tuple[Array, Array, np.ndarray]]:  # fmt: skip
     """The question and what `run`, or the closed form of a plan, finds; rotations that were rounded are mended."""
     if plan is None:
-        found = run(question, seeds, threads, postpone=bool(lead) and question.time_limit is None)
+        found = run(question, seeds, threads, postpone=bool(lead))
     else:
         from kempe.solvers.analytic import ik_analytic
 
@@ -229,7 +227,8 @@ def _nearest(
     """The answer of a batch as of `run`, with what is nearest to the targets that are out of reach."""
     far = np.flatnonzero(info[:, 0] == Status.OUT_OF_REACH)
     some = seeds[far] if len(seeds) > 1 else seeds
-    q[far], residual[far], info[far] = run(question, some, threads, targets=question.targets[far])
+    anew = replace(question, end=deadline(question.time_limit))
+    q[far], residual[far], info[far] = run(anew, some, threads, targets=question.targets[far])
     return _judged(question, base, q, residual, info, lead, seeds, threads)
 
 
@@ -278,7 +277,7 @@ def run(
 ) -> tuple[Array, Array, np.ndarray]:  # fmt: skip
     """Chain configurations, residuals (N, 2) and (status, steps, starts) of all targets, in fixed chunks.
 
-    `postpone` is as in `rounds.answered`.
+    `postpone` is as in `multi_start.answered`.
     """
     chain = task.chain
     goals = task.targets if targets is None else targets
@@ -286,14 +285,7 @@ def run(
     out = np.empty((n, nq + ANSWER))
     bounds = chain.limits if limits is None else limits
 
-    def work(i: int, j: int) -> int:
-        first = seeds[i:j] if len(seeds) > 1 else seeds
-        return multi_start.answered(task, goals[i:j], first, bounds, out[i:j], postpone)
-
-    if task.time_limit is None:
-        over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
-    else:  # all targets get their first starts before one gets its last: each thread has all of its own at once
-        over_chunks(work, n, None, threads, CHUNK)
+    multi_start.answered(task, goals, seeds, bounds, out, postpone, threads)
     return out[:, :nq], out[:, nq + LINEAR : nq + STATUS], out[:, nq + STATUS :].astype(np.int64)
 
 

@@ -14,6 +14,7 @@ from kempe import spatial
 from kempe.kernels.base.search_layout import ANSWER, LINEAR, NOT_FOUND, SOLVED, STARTS, STATUS, STEPS
 from kempe.kernels.compiled import schedule
 from kempe.kernels.forward.table_layout import HAS_QUATERNION
+from kempe.kinematics.common.parallel import check_stop, over_chunks
 from kempe.model.tree.characteristic_length import characteristic_length
 from kempe.solvers.common.proofs import by_lengths
 from kempe.solvers.common.serial_chain import Chain
@@ -28,8 +29,6 @@ MOST = 1000
 """Starts before a target is given up. Most succeed with the first; one in a hundred thousand needs more than 100."""
 GLANCE = 16
 """Starts after which a batch goes on, where what is nearest to such targets can wait."""
-HARD = 8
-"""So few targets of a chunk that are not reached by then are more likely hard than out of reach: first they go on."""
 FEW = 64
 """Starts after which it is checked whether lengths put a target out of reach: then it is given up."""
 ITERATIONS = 40
@@ -37,7 +36,12 @@ ITERATIONS = 40
 TOLERANCE = (1e-6, 1e-6)
 """Largest position error [m] and rotation angle [rad] of a success."""
 ROUND = 32
-"""Starts of a round, after which one looks at the clock, where there is a time limit."""
+"""Starts of a round where there is a time limit: all targets get these before one gets more."""
+CHUNK, SERIAL_BELOW, LANES, WORK, DESCENTS = 256, 1024, 8, 4096, 64
+"""Targets of a chunk, and from how many on there are threads; the targets that are searched side by side; starts of all
+targets together, and targets whose nearest configuration is searched for, between two looks at the clock."""
+UNBEGUN = -1.0
+"""In place of the status of an answer: the time was up before."""
 LOOSE = 1e-4
 """Tolerance from which the nearest configuration may be the wrong one: another, farther off, may be within it."""
 SHARES = (1.0, 0.2, 5.0)
@@ -79,35 +83,38 @@ def rows_of(task: FrameProblem) -> np.ndarray:
 
 
 def answered(
-    task: FrameProblem, targets: Array, seeds: Array, limits: Array, out: Array, postpone: bool = False
+    task: FrameProblem, targets: Array, seeds: Array, limits: Array, out: Array, postpone: bool = False,
+    threads: int | None = 1,
 ) -> int:  # fmt: skip
     """Number of targets (N, 4, 4) not reached; writes the answers (N, n + ANSWER) as `search.reach` does.
 
     seeds: (1 or N, K, n); limits: (2, nv). With `postpone`, what is nearest to targets that lengths prove to be out of
     reach is not searched for: their status is OUT_OF_REACH.
+
+    All targets get their first starts before one gets its last. Between two pieces of the work, which take about 0.1 s,
+    Python sees an interrupt, and the clock is looked at.
     """
-    chain = task.chain
+    chain, n = task.chain, out.shape[1] - ANSWER
     head = (chain.ints, chain.floats, limits, rows_of(task), goals_of(task, targets), seeds, task.rng)
-    count = min(task.starts, FEW if task.time_limit is None else ROUND)
-    n = out.shape[1] - ANSWER
-    if postpone and count > GLANCE:
-        if not _search(chain)(*head, 0, GLANCE, task.iterations, *task.tolerance, 0.0, out):
-            return 0
-        left = np.flatnonzero(out[:, n + STATUS] == NOT_FOUND)
-        hard = len(left) <= HARD
-        left = _more(task, head, left, GLANCE, count - GLANCE, out) if hard else left
-        far = outside(task, targets[left]) > 0.0 if len(left) else np.zeros(0, dtype=bool)
-        out[left[far], n + STATUS] = Status.OUT_OF_REACH
-        left = left[~far]
-        left = left if hard else _more(task, head, left, GLANCE, count - GLANCE, out)
-        return go_on(task, targets, head, count, out) if len(left) else int(far.sum())
-    if time.monotonic() < task.end:
-        if not _search(chain)(*head, 0, count, task.iterations, *task.tolerance, 0.0, out):
-            return 0
-        return go_on(task, targets, head, count, out)
-    out[:, :n], out[:, n:] = seeds[:, 0] if seeds.shape[1] else chain.base[:, chain.q_index], 0.0
-    _end(task, targets, np.arange(len(out)), out)
-    return len(out)
+    few = FEW if task.time_limit is None else ROUND
+    count = min(task.starts, GLANCE if postpone else few)
+    out[:, n + STATUS] = UNBEGUN
+    _some(task, head, slice(None), 0, count, 0.0, out, threads, CHUNK)
+    left = np.flatnonzero(out[:, n + STATUS] != SOLVED)
+    if not left.size:
+        return 0
+    unbegun = left[out[left, n + STATUS] == UNBEGUN]
+    if unbegun.size:
+        first = seeds[:, 0] if seeds.shape[1] else chain.base[:, chain.q_index]
+        out[unbegun, :n], out[unbegun, n:] = first[unbegun] if len(first) > 1 else first, 0.0
+        _end(task, targets, unbegun, out)
+    far = 0
+    if postpone:
+        left = left[out[left, n + STATUS] == NOT_FOUND]
+        beyond = left[outside(task, targets[left]) > 0.0]
+        out[beyond, n + STATUS] = Status.OUT_OF_REACH
+        far = len(beyond)
+    return go_on(task, targets, head, count, out, threads) + far + len(unbegun)
 
 
 def goals_of(task: FrameProblem, targets: Array) -> Array:
@@ -126,65 +133,127 @@ def starts_from(task: FrameProblem, head: tuple[Any, ...], start: int, steps: in
     return found
 
 
-def go_on(task: FrameProblem, targets: Array, head: tuple[Any, ...], done: int, out: Array) -> int:
-    """Number of targets not reached in the end, of those that the first `done` starts left.
+def go_on(
+    task: FrameProblem, targets: Array, head: tuple[Any, ...], done: int, out: Array, threads: int | None = 1
+) -> int:  # fmt: skip
+    """Number of targets NOT_FOUND in `out` that are not reached in the end, after the first `done` starts.
 
     head: the first arguments of the kernels. Where tolerances are loose, starts that weigh position and orientation
     by them; more starts, unless lengths prove that they cannot help or the time is up; at last, the nearest
     configurations.
     """
-    from kempe.kernels.compiled import fallback
-
     n = out.shape[1] - ANSWER
-    left = np.flatnonzero(out[:, n + STATUS] == NOT_FOUND)
+    every = left = np.flatnonzero(out[:, n + STATUS] == NOT_FOUND)
+    if not left.size:
+        return 0
+    left, done = _up_to(task, head, left, done, min(task.starts, FEW), out, threads)  # before lengths are asked
     left = left[outside(task, targets[left]) == 0.0]
     linear, angular = task.tolerance
     if max(linear, angular) > LOOSE and any(task.mask[:3]) and any(task.mask[3:]):
         for share in SHARES:
             left = left[out[left, n + STATUS] == NOT_FOUND]
-            found = _some(task, head, left, 0, min(task.starts, 4 * FEW), share * linear / angular)
+            found = np.empty((len(left), out.shape[1]))
+            found[:, n + STATUS] = UNBEGUN
+            starts = min(task.starts, 4 * FEW)
+            _some(task, head, left, 0, starts, share * linear / angular, found, threads)
             found[:, n + STEPS :] += out[left, n + STEPS :]
             good = found[:, n + STATUS] == SOLVED
             out[left[good]] = found[good]
     left = left[out[left, n + STATUS] == NOT_FOUND]
-    while done < task.starts and len(left) and time.monotonic() < task.end:
-        count = task.starts - done if task.time_limit is None else min(ROUND, task.starts - done)
-        left, done = _more(task, head, left, done, count, out), done + count
+    left, done = _up_to(task, head, left, done, task.starts, out, threads)
     if done < task.starts and len(left):
         _end(task, targets, left, out)
+    return _nearest(task, targets, head, every[out[every, n + STATUS] == NOT_FOUND], out, threads) + int(
+        (out[every, n + STATUS] == Status.OUT_OF_TIME).sum()
+    )
+
+
+def _nearest(
+    task: FrameProblem, targets: Array, head: tuple[Any, ...], rows: np.ndarray, out: Array, threads: int | None
+) -> int:  # fmt: skip
+    """Number of these rows that are not reached by the configurations nearest to their targets either."""
+    from kempe.kernels.compiled import fallback
+
+    n, length = out.shape[1] - ANSWER, characteristic_length(task.system)
     nearest: Callable[..., int] = fallback.approach
-    out[out[:, n + STATUS] == NOT_FOUND, n + LINEAR] = np.inf  # energies in another unit: descents begin there
-    missed = nearest(*head, 0, task.starts, task.iterations, *task.tolerance, characteristic_length(task.system), out)
-    if missed and task.chain.span.wide and not task.chain.ints[HAS_QUATERNION]:
-        from kempe.solvers.one_frame.sharpen import search_again
+    out[rows, n + LINEAR] = np.inf  # energies in another unit: descents begin there
 
-        return search_again(task, targets, head, out)
-    return missed
+    def work(i: int, j: int) -> int:
+        some = rows[i:j]
+        own, found = _part(head, some), out[some]
+        if time.monotonic() >= task.end:
+            _end(task, targets, some, out)
+            return len(some)
+        missed = nearest(*own, 0, task.starts, task.iterations, *task.tolerance, length, found)
+        if missed and task.chain.span.wide and not task.chain.ints[HAS_QUATERNION]:
+            from kempe.solvers.one_frame.sharpen import search_again
+
+            missed = search_again(task, targets[some], own, found)
+        out[some] = found
+        return missed
+
+    return over_chunks(work, len(rows), DESCENTS, threads, 2 * DESCENTS) if len(rows) else 0
 
 
-def _some(task: FrameProblem, head: tuple[Any, ...], rows: np.ndarray, first: int, count: int, length: float) -> Array:
-    """Answers (k, n + ANSWER) of some starts for these rows; `head` as in `go_on`."""
+def _part(head: tuple[Any, ...], rows: Any) -> tuple[Any, ...]:
+    """The first arguments of the kernels for some rows."""
     *chain, goals, seeds, rng = head
-    own = seeds[rows] if len(seeds) > 1 else seeds
-    found = np.empty((len(rows), len(task.chain.q_index) + ANSWER))
-    search_ = _search(task.chain)
-    search_(*chain, goals[rows], own, rng, first, count, task.iterations, *task.tolerance, length, found)
-    return found
+    return (*chain, goals[rows], seeds[rows] if len(seeds) > 1 else seeds, rng)
+
+
+def _some(
+    task: FrameProblem, head: tuple[Any, ...], rows: Any, first: int, count: int, length: float, out: Array,
+    threads: int | None, chunk: int | None = None,
+) -> None:  # fmt: skip
+    """Write the answers (k, n + ANSWER) of some starts for these rows, until the time is up; `head` as in `go_on`."""
+    search, given = _search(task.chain), _part(head, rows) if isinstance(rows, np.ndarray) else head
+    piece = max(LANES, min(chunk or CHUNK, WORK // count))
+
+    def work(i: int, j: int) -> int:
+        for k in range(i, j, piece):
+            check_stop()
+            if time.monotonic() >= task.end:
+                break
+            last = min(k + piece, j)
+            search(*_part(given, slice(k, last)), first, count, task.iterations, *task.tolerance, length, out[k:last])
+        return 0
+
+    over_chunks(work, len(out), chunk or piece, threads, SERIAL_BELOW if chunk else 2 * piece)
+
+
+def _up_to(
+    task: FrameProblem, head: tuple[Any, ...], left: np.ndarray, done: int, starts: int, out: Array, threads: int | None
+) -> tuple[np.ndarray, int]:  # fmt: skip
+    """The rows that are still not reached after so many starts, or when the time is up, and how many these are."""
+    while done < starts and len(left):
+        count = starts - done if task.time_limit is None else min(ROUND, starts - done)
+        some = _more(task, head, left, done, count, out, threads)
+        if some is None:
+            break
+        left, done = some, done + count
+    return left, done
 
 
 def _more(
-    task: FrameProblem, head: tuple[Any, ...], rows: np.ndarray, first: int, count: int, out: Array
-) -> np.ndarray:
-    """The rows that are still not reached after further starts; answers that are better than the first are written."""
-    if not len(rows):
-        return rows
+    task: FrameProblem, head: tuple[Any, ...], rows: np.ndarray, first: int, count: int, out: Array, threads: int | None
+) -> np.ndarray | None:  # fmt: skip
+    """The rows that are still not reached after further starts; None where there was no time for any.
+
+    Answers that are better than the first are written.
+    """
     n = out.shape[1] - ANSWER
-    found = _some(task, head, rows, first, count, 0.0)
+    found = np.empty((len(rows), out.shape[1]))
+    found[:, n + STATUS] = UNBEGUN
+    _some(task, head, rows, first, count, 0.0, found, threads)
+    begun = found[:, n + STATUS] != UNBEGUN
+    if not begun.any():
+        return None
+    some, found = (rows, found) if begun.all() else (rows[begun], found[begun])
     found[:, n + STARTS] += first
-    found[:, n + STEPS] += out[rows, n + STEPS]
-    better = (found[:, n + STATUS] == SOLVED) | (found[:, n + LINEAR] < out[rows, n + LINEAR])
-    out[rows[better]] = found[better]
-    out[rows, n + STEPS :] = found[:, n + STEPS :]
+    found[:, n + STEPS] += out[some, n + STEPS]
+    better = (found[:, n + STATUS] == SOLVED) | (found[:, n + LINEAR] < out[some, n + LINEAR])
+    out[some[better]] = found[better]
+    out[some, n + STEPS :] = found[:, n + STEPS :]
     return rows[out[rows, n + STATUS] == NOT_FOUND]
 
 
