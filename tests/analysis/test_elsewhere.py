@@ -54,6 +54,12 @@ def test_the_sentence_names_the_input_and_its_value():
     assert path.hint == said and f"  {said}: trace(start=path.elsewhere[0])" in str(path)
 
 
+def test_the_sentence_speaks_of_the_driver_only():
+    """The rocker of a crank-rocker has other angles on the other branch: there is none with the driver's value."""
+    path = four_bar(0.3, 0.1, 0.3, 0.25).trace("D", start={"A": 0.3})
+    assert path.success and path.hint == "" and not len(path.elsewhere)
+
+
 def test_without_a_driver_the_first_coordinate_with_a_closed_form_is_taken():
     assert kempe.load("slider_crank").trace().hint.startswith("1 other assembly mode with 'A'")
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from dyad_chains import random_chain
+from dyad_chains import DYADS, random_chain
 from hypothesis import given
 from hypothesis import strategies as st
 from linkages import four_bar
@@ -19,6 +19,7 @@ from kempe.solvers.dyads.dyads import closed_form
 from kempe.solvers.modes import modes
 from kempe.solvers.modes.modes import SOLVERS, Modes, assembly_modes, by_dyads, by_starts, no_dyads
 from kempe.solvers.modes.modes_search import estimates
+from kempe.solvers.modes.same_configuration import metric_of
 
 
 def inputs(system: System, *names: str) -> dict[str, float]:
@@ -147,6 +148,155 @@ def test_followers_can_be_given():
     system = m.build()
     modes = assembly_modes(system, {"M": -2.0 * 0.7 + 0.1})
     assert len(modes) == 2 and np.abs(modes.q[:, 0] - 0.7).max() < 1e-15
+
+
+# ---- what is undetermined, however far behind it a failure to close lies
+
+
+def folded_kite(x: float, y: float, link: float, reach: float) -> tuple[System, float]:
+    """A four-bar whose crank tip lies on the rocker's pivot (x, y), and a dyad between the rocker's end and the ground;
+    the crank angle. The rocker can stand at any angle at which the dyad closes: some do where `reach` is below 2."""
+    m = Mechanism("folded kite", dim=2)
+    m.revolute("A", m.ground, m.body("crank"))
+    m.revolute("B", "crank", m.body("coupler"), at=(math.hypot(x, y), 0))
+    m.revolute("C", "coupler", m.body("rocker"), at=(link, 0), child_at=(link, 0))
+    m.revolute("D", m.ground, "rocker", at=(x, y))
+    m.revolute("E", "rocker", m.body("rod"), at=(link, 0))
+    m.revolute("F", "rod", m.body("arm"), at=(1, 0), child_at=(1, 0))
+    m.revolute("G", m.ground, "arm", at=(x, y + link + reach))
+    return m.build(), math.atan2(y, x)
+
+
+def check_folded_kite(x: float, y: float, link: float, reach: float) -> None:
+    system, angle = folded_kite(x, y, link, reach)
+    modes = system.assembly_modes({"A": angle})
+    assert not modes.complete and len(modes) and modes.freedoms.any(), modes.status
+    assert "not finite" in modes.status and "centres coincide" in modes.status
+    assert np.abs(system.loops.closure_error(modes.q)).max() < 1e-9
+
+
+def test_hunt_a_dyad_behind_a_continuum_is_no_proof(hunt):
+    """Whether the second dyad closes depends on the position that was chosen for the first."""
+    rng = hunt.rng()
+    for _ in range(hunt.cases(60)):
+        check_folded_kite(*np.round(rng.uniform(0.2, 2.0, 3), 2).tolist(), float(np.round(rng.uniform(0.5, 1.9), 2)))
+
+
+def test_a_continuum_from_which_the_rest_is_out_of_reach_is_a_proof():
+    """Wherever the rocker stands, the second dyad is more than a metre short."""
+    system, angle = folded_kite(1.0, 0.5, 0.7, 3.1)
+    modes = system.assembly_modes({"A": angle})
+    assert modes.complete and not modes and "none of the 4 branches closes" in modes.status
+
+
+def drawn(*joints: tuple[str, str, str, tuple[float, float], float | None]) -> System:
+    """A mechanism that is closed at q = 0: joints (name, parent, child, place, angle of a slide or None)."""
+    m = Mechanism("drawn", dim=2)
+    for body in sorted({b for j in joints for b in j[1:3]} - {"ground"}):
+        m.body(body)
+    for name, parent, child, place, slide in joints:
+        if slide is None:
+            m.revolute(name, parent, child, at=place, child_at=place)
+        else:
+            m.prismatic(name, parent, child, at=place, child_at=place, axis=(math.cos(slide), math.sin(slide)))
+    return m.build()
+
+
+def holds(modes: Modes, q: np.ndarray) -> bool:
+    """Whether a configuration is among the modes."""
+    return bool(len(modes) and metric_of(modes.system).distances(modes.q, q).min() < 1e-5)
+
+
+def test_hunt_a_root_at_the_square_root_of_rounding_is_kept(hunt):
+    """A slide at right angles to its link, which is a double root, then a link without length on the slider."""
+    rng = hunt.rng()
+    for _ in range(hunt.cases(80)):
+        (px, py), u, w, crank = np.round(rng.uniform(-2.0, 2.0, (2,)), 1), *np.round(rng.uniform(-2, 2, (3, 2)), 1)
+        along = np.array([1.0, -1.0]) * rng.integers(1, 4)
+        system = drawn(
+            ("A", "ground", "crank", (crank[0], crank[1]), None),
+            ("S", "crank", "slider", (u[0], u[1]), -0.25 * math.pi),
+            ("R", "slider", "link", (px, py), None),
+            ("T", "link", "ground", (px + along[0], py - along[1]), None),
+            ("U", "slider", "bar", (w[0] + 3.0, w[1]), None),
+            ("V", "bar", "point", (w[0], w[1]), None),
+            ("W", "point", "crank", (w[0], w[1]), None),
+        )
+        modes = system.assembly_modes({"A": 0.0})
+        assert not modes.complete and len(modes), modes.status
+        assert_closed(modes, {"A": 0.0})
+
+
+def integer_chain(rng: np.random.Generator) -> System:
+    """Dyads on points of a small lattice, so that points coincide, lie on lines and have the same distances."""
+    digits, scale = (0, 2.0) if rng.random() < 0.6 else (1, 1.5)
+    there, joints = ["ground", "crank"], []
+
+    def joint(name: str, parent: str, child: str, slides: bool) -> None:
+        place = tuple(np.round(rng.uniform(-scale, scale, 2), digits).tolist())
+        ends = (parent, child) if rng.random() < 0.5 else (child, parent)
+        joints.append((name, *ends, place, math.pi / 4 * int(rng.integers(8)) if slides else None))
+
+    joint("A", "ground", "crank", False)
+    for k in range(int(rng.integers(1, 4))):
+        kind = str(rng.choice(DYADS)) if rng.random() < 0.4 else "RRR"
+        one, two = f"u{k}", f"v{k}"
+        ends = [str(rng.choice(there)), one, two, str(rng.choice(there))]
+        for letter, parent, child, slides in zip("abc", ends, ends[1:], [x == "P" for x in kind], strict=False):
+            joint(f"{letter}{k}", parent, child, slides)
+        there += [one, two]
+    return drawn(*joints)
+
+
+def check_integer_chain(system: System, starts: np.random.Generator) -> int:
+    """What is called complete has the drawn configuration, and all that least squares find; 1 if it is."""
+    if no_dyads(system, ("A",)) is not None:
+        return 0
+    modes = system.assembly_modes({"A": 0.0})
+    if modes.complete:
+        assert holds(modes, system.neutral), modes.status
+        guesses = starts.uniform(-3.0, 3.0, (12, system.nq))
+        found = system.assemble({"A": np.zeros(12)}, start=guesses, limits=False)
+        for q in found.q[np.asarray(found.success)]:
+            assert holds(modes, q), (modes.status, q)
+    return modes.complete
+
+
+def test_hunt_what_is_complete_has_the_configuration_by_which_it_was_drawn(hunt):
+    rng, complete = hunt.rng(), 0
+    for _ in range(cases := hunt.cases(160)):
+        complete += check_integer_chain(integer_chain(rng), rng)
+    assert complete > cases / 3
+
+
+@pytest.mark.slow
+def test_long_hunt_for_what_is_complete_and_is_not(hunt):
+    rng, complete = hunt.rng(), 0
+    for _ in range(cases := hunt.cases(1000)):
+        complete += check_integer_chain(integer_chain(rng), rng)
+    assert complete > cases / 3
+
+
+@given(st.integers(0, 2**32))
+def test_regular_chains_are_still_complete(seed):
+    chain = random_chain(seed, most=4)
+    assert assembly_modes(chain.system(), {k: chain.values[k] for k in chain.known}).complete
+
+
+def test_whole_turns_that_move_a_wheel_are_modes():
+    """A wheel geared one to two stands otherwise after a turn of the rocker, one geared two to one does not."""
+    for ratio, count, turns in (
+        (0.5, 4, (-math.inf, math.inf)),
+        (2.0, 2, (-math.inf, math.inf)),
+        (0.5, 2, (-3.0, 3.0)),
+    ):
+        m = four_bar().mechanism
+        m.body("wheel")
+        m.revolute("W", m.ground, "wheel", at=(5, 0))
+        m.joints["D"].limits[""] = turns
+        m.gear("W", "D", ratio)
+        modes = m.build().assembly_modes({"A": 0.5})
+        assert len(modes) == count and modes.complete == (count == 2), modes.status
 
 
 # ---- by many starts

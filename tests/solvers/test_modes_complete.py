@@ -186,6 +186,46 @@ def test_an_odd_number_is_called_incomplete(monkeypatch):
     assert len(assembly_modes(f.system())) == 8, "more starts find it, since the search goes on"
 
 
+# ---- limits
+
+
+def two_rods(limits: dict[str, tuple[float, float]] | None = None) -> System:
+    """A plate on a universal joint, held by two rods from cranks beside it."""
+    m = Mechanism("plate on two rods")
+    m.universal("U", m.ground, m.body("plate"), **({"limits": limits} if limits else {}))
+    for name, y, length in (("L", 0.06, 0.27), ("R", -0.06, 0.22)):
+        m.revolute(f"m{name}", m.ground, m.body(f"crank{name}"), at=(-0.02, y, length), axis="y")
+        m.distance(f"rod{name}", f"crank{name}", "plate", length, at=(-0.06, 0, 0), child_at=(-0.08, y, 0))
+    return m.build()
+
+
+def test_without_limits_starts_are_drawn_all_over_and_inside_them_nothing_is_missing_by_parity():
+    """Where the limits hold one of several modes, their number need not be even; without limits all are found."""
+    free = two_rods()
+    q = free.q_dict(free.assemble({"U.rx": 0.05, "U.ry": 0.45}).q)
+    known = {name: q[name] for name in ("mL", "mR")}
+    every = free.assembly_modes(known)
+    bounded = two_rods({"rx": (-0.5, 0.5), "ry": (-0.8, 0.8)})
+    whole, inside = bounded.assembly_modes(known, limits=False), bounded.assembly_modes(known)
+    assert len(every) >= 4 and len(whole) == len(every) and "drawn inside" not in whole.status
+    assert len(inside) == int(whole.inside.sum()) == 1
+    assert "missing" not in inside.status and "starts were drawn inside the limits only" in inside.status
+
+
+def test_hunt_limits_hide_no_mode_from_a_search_without_them(hunt):
+    """Frameworks of four-bars in space with random limits: the same modes as without limits in the model."""
+    rng = hunt.rng()
+    for _ in range(hunt.cases(12)):
+        r = Rssr.random(rng)
+        m = rssr_system(r).mechanism
+        m.joints["D"].limits[""] = tuple(np.sort(rng.uniform(-3.0, 3.0, 2)).tolist())
+        system = m.build()
+        modes = system.assembly_modes({"A": r.angle}, frame="rocker", limits=False)
+        got = np.sort(np.angle(np.exp(1j * modes.q[:, system.coordinate_names.index("D")])))
+        assert len(got) == 2 and np.abs(np.exp(1j * got) - np.exp(1j * r.angles())).max() < 1e-6
+        assert "missing" not in system.assembly_modes({"A": r.angle}, frame="rocker").status
+
+
 # ---- what is claimed
 
 

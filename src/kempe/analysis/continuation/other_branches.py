@@ -17,11 +17,11 @@ MOST_SIGNS = 6
 
 
 def elsewhere(path: Path) -> tuple[str, Array]:
-    """A coordinate, and other configurations (k, nq) with its value at the path's start that the path does not pass.
+    """The input, and other configurations (k, nq) with its value at the path's start that the path does not pass.
 
-    They are looked for where they are in closed form, inside the limits, with one coordinate as the input: the driver,
-    and the others until there are some, since a driver need not have the same range on another branch. `held`
-    coordinates stay. Of mechanisms of many dyads there are none.
+    They are looked for where they are in closed form, inside the limits. The input is the driver; a path that has none,
+    or a driver that is not a coordinate, takes the first coordinate with which there are some. `held` coordinates stay.
+    Of mechanisms of many dyads there are none.
     """
     from kempe.solvers.dyads.dyads import Incomplete, closed_form
 
@@ -30,8 +30,7 @@ def elsewhere(path: Path) -> tuple[str, Array]:
         return nothing
     start = system.q_dict(path.q[0])
     held = {name: start[name] for name in path.held}
-    first = [path.driver] if path.driver in start else []
-    for name in dict.fromkeys([*first, *start]):
+    for name in [path.driver] if path.driver in start else start:
         plan = None if name in held else closed_form(system, (name, *held))
         if plan is not None and not isinstance(plan, Incomplete) and plan.signs <= MOST_SIGNS:
             modes = system.assembly_modes({name: start[name], **held})

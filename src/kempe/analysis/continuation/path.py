@@ -298,7 +298,7 @@ class Path(Motion):
     def elsewhere(self) -> Array:
         """Other assembly modes (k, nq) at the start of the path that it does not pass, where they have a closed form.
 
-        They have the driver's value there, or that of the first coordinate with which there are some.
+        They have the driver's value there; without a driver, that of the first coordinate with which there are some.
         """
         return self._elsewhere[1]
 

@@ -108,7 +108,8 @@ class DyadAnswer(Answer):
         if code == Status.BAD_INPUT:
             return "known values are not finite"
         if code != Status.SOLVED:
-            return f"open by {gap:.6g} m on this branch; q is where it nearly touches"
+            text = f"open by {gap:.6g} m on this branch; q is where it nearly touches"
+            return text + (f"; {counted(free, 'part')} left undetermined, which may close elsewhere" if free else "")
         return f"closed: open by {gap:.1e} m" + (f"; {counted(free, 'part')} left undetermined" if free else "")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -15,13 +15,16 @@ from kempe.kinematics.common.result import Cells
 from kempe.kinematics.configuration import as_start, home_of
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.kept import kept
+from kempe.model.tree.own_tree import own_tree
+from kempe.solvers.assembly.assembler import of_equations
 from kempe.solvers.assembly.assembly import assemble
 from kempe.solvers.assembly.ideal import tolerant
 from kempe.solvers.common.answer import Configurations
 from kempe.solvers.common.arguments import start_count
 from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, partial
 from kempe.solvers.common.problem import Choice, Problem, Solver, choose, chosen_by, takes_all
-from kempe.solvers.dyads.dyads import MOST_SIGNS, Incomplete, closed_form, source_values
+from kempe.solvers.dyads.branch_proofs import enclose
+from kempe.solvers.dyads.dyads import CLOSED, MOST_SIGNS, DyadAnswer, Incomplete, Plan, closed_form, source_values
 from kempe.solvers.dyads.held import held_at
 from kempe.solvers.modes.same_configuration import INSIDE, SAME, Clusters, metric_of
 from kempe.spatial import Array
@@ -33,6 +36,8 @@ if TYPE_CHECKING:
 
 STARTS = 4096
 """Starts of a search, at most."""
+BESIDE = 256
+"""Random starts beside a closed form that leaves branches undetermined, at most."""
 USUAL = Usual("assembly_modes", starts=STARTS, rng=0, time_limit=TIME_LIMIT, progress=None)
 
 
@@ -41,15 +46,17 @@ USUAL = Usual("assembly_modes", starts=STARTS, rng=0, time_limit=TIME_LIMIT, pro
 class Modes(Configurations):
     """Configurations `q` (k, nq) that close the mechanism for the `known` inputs, each once.
 
-    `complete` says that there are no others, proven by structure. `branches` names them where the mechanism is made of
-    dyads ('+-', see `Plan.describe`; 0 where two branches meet), else they are ''. `multiplicity` (k,) counts merged
-    roots, or, in a search, how many starts found it: 0 where only a mirror image or a mixture of others led there.
-    `freedoms` (k,) says how many freedoms are left at each with the inputs held, idle spins left out: where it is not
-    0, the configuration is one example of infinitely many. `inside` (k,) says which respect the limits; `outside`
-    counts what was dropped because it does not. Of a search, `coverage` is a lower bound, with 95 % confidence, of the
-    share of random starts that lead to what was found (Good, Biometrika 40, 1953), which is never 1, and `expected`
-    the estimated number of modes (Chao, Scand. J. Statist. 11, 1984); both are None where there is a proof.
-    A search that was `interrupted` from the keyboard, or that the time limit ended (`late`), says so.
+    `complete` says that there are no others, proven by structure: each branch of dyads either has a joint that stays
+    open whatever rounding does, or closes in one place, known to 1e-6 (radians and sizes of the mechanism). `branches`
+    names them where the mechanism is made of dyads ('+-', see `Plan.describe`; 0 where two branches meet), else they
+    are ''. `multiplicity` (k,) counts merged roots, or, in a search, how many starts found it: 0 where only a mirror
+    image or a mixture of others led there, or least squares in a branch of dyads that the closed form leaves
+    undetermined. `freedoms` (k,) says how many freedoms are left at each with the inputs held, idle spins left out:
+    where it is not 0, the configuration is one example of infinitely many. `inside` (k,) says which respect the limits;
+    `outside` counts what was dropped because it does not. Of a search, `coverage` is a lower bound, with 95 %
+    confidence, of the share of random starts that lead to what was found (Good, Biometrika 40, 1953), which is never 1,
+    and `expected` the estimated number of modes (Chao, Scand. J. Statist. 11, 1984); both are None where there is a
+    proof. A search that was `interrupted` from the keyboard, or that the time limit ended (`late`), says so.
     """
 
     __repr__ = brief
@@ -121,15 +128,18 @@ def assembly_modes(
 ) -> Modes:  # fmt: skip
     """All configurations found that close the mechanism with the `known` coordinates (or frames) held.
 
-    Planar mechanisms made of dyads are solved in closed form: then `complete` is True. Others are assembled from random
-    starts, and from mirror images and mixtures of what is found, with a bound of how much was missed; starts go on
-    while the number found is odd where it must be even. `start` (nq,) sorts the answer, the nearest first, and chooses
-    the representatives of angles (else they are near zero). With `limits` what is outside the joint limits is dropped,
-    else it is flagged by `inside`. With `frame`, configurations that put this frame at one pose count as one: legs that
-    can be turned over would multiply the modes of a platform. Without it, those that differ only by idle spins (see
-    `mobility`) are one. Of the `budget` are read: starts (4096, at most), rng (0), time_limit (120 s), progress(starts,
-    modes), called after each round of starts; the time limit leaves what was found by then, Ctrl-C as the
-    `answer` of an `Interrupted`. Errors: `UnknownNameError`, `InputError` for values that are not single numbers.
+    Planar mechanisms made of dyads are solved in closed form: then `complete` is True, but where a branch is left
+    undetermined, by centres that coincide, links without length, parallel slides, roots that merge before others, or
+    whole turns that move what is geared to them; the status names the dyad, and least squares look for what closes
+    there. Others are assembled from random starts, and from mirror images and mixtures of what is found, with a bound
+    of how much was missed; starts go on while the number found is odd where it must be even. `start` (nq,) sorts the
+    answer, the nearest first, and chooses the representatives of angles (else they are near zero). With `limits` what
+    is outside the joint limits is dropped, else it is flagged by `inside`, and random starts are drawn over whole
+    turns. With `frame`, configurations that put this frame at one pose count as one: legs that can be turned over would
+    multiply the modes of a platform. Without it, those that differ only by idle spins (see `mobility`) are one. Of the
+    `budget` are read: starts (4096, at most), rng (0), time_limit (120 s), progress(starts, modes), called after each
+    round of starts; the time limit leaves what was found by then, Ctrl-C as the `answer` of an `Interrupted`. Errors:
+    `UnknownNameError`, `InputError` for values that are not single numbers.
     """
     given: Mapping[str, Any] = {} if known is None else known
     if not isinstance(given, Mapping):
@@ -186,21 +196,79 @@ def by_dyads(question: Problem) -> Modes:
     clusters = Clusters(system, () if question.frame is None else (question.frame,))
     clusters.add(closed.q[ok], np.full(len(ok), SAME))
     groups = [ok[members] for members in clusters.members]
-    free = np.array([int(closed.undetermined[g].max()) for g in groups], dtype=np.int64)
-    all_, do = counted(len(signs), "branch"), verb(len(ok), "closes", "close")
+    q, free = closed.q[[g[0] for g in groups]], np.zeros(len(groups), dtype=np.int64)
+    branches = [_merged([names[i] for i in g]) for g in groups]
+    sizes = np.array([len(g) for g in groups], dtype=np.int64)
+    doubt = _looked_into(question, plan, numbers[0], closed, clusters)
+    if doubt.found:
+        shown = [*range(len(groups)), *doubt.found]
+        q, free = np.concatenate([q, clusters.q[list(doubt.found)]]), doubt.free[shown]
+        branches += ["".join("+" if s > 0 else "-" for s in row) for row in plan.branch_of(q[len(groups) :])]
+        sizes = np.concatenate([sizes, np.zeros(len(doubt.found), dtype=np.int64)])
+    elif len(doubt.free):
+        free = doubt.free[: len(groups)]
+    all_, do, new = counted(len(signs), "branch"), verb(len(ok), "closes", "close"), len(doubt.found)
     status = f"complete: every dyad in closed form, {len(ok)} of {all_} {do}"
-    if not len(ok):
+    if not len(q):
         status = f"complete: none of the {all_} closes; the best is open by {closed.gap.min():.3g} m"
+    if len(doubt.rows):
+        them = f"{counted(len(doubt.rows), 'branch')} {verb(len(doubt.rows), 'is', 'are')} undetermined: {doubt.why}"
+        status = f"not proven complete: {len(ok)} of {all_} {do}, and {them}"
+        if free.any():
+            moving = f"{int((free > 0).sum())} of {counted(len(q), 'configuration')}"
+            status = f"not finite: {moving} can move with these inputs held; {them}"
+        elif not len(q):
+            status = f"none found, which proves nothing: {them}"
+    if new:
+        status += f"; {counted(new, 'configuration')} found by least squares"
     if any(len(g) > 1 for g in groups):
         status += f", {counted(sum(len(g) > 1 for g in groups), 'multiple root')}"
-    if free.any():
-        status = (
-            f"not finite: {int((free > 0).sum())} of {counted(len(groups), 'configuration')} can move with these "
-            "inputs held (coinciding centres or parallel slides leave a dyad undetermined)"
-        )
-    sizes = np.array([len(g) for g in groups], dtype=np.int64)
-    branches = [_merged([names[i] for i in g]) for g in groups]
-    return _answer(question, closed.q[[g[0] for g in groups]], status, branches, sizes, free, not free.any())
+    return _answer(question, q, status, branches, sizes, free, not len(doubt.rows))
+
+
+class _Doubt(NamedTuple):
+    """The branches `rows` that discs leave undetermined, and `why`; what least squares `found` there, and the freedoms
+    `free` of all clusters (empty where nothing was looked for)."""  # fmt: skip
+
+    rows: np.ndarray
+    why: str = ""
+    found: tuple[int, ...] = ()
+    free: np.ndarray = np.zeros(0, dtype=np.int64)
+
+
+def _looked_into(question: Problem, plan: Plan, values: Array, closed: DyadAnswer, clusters: Clusters) -> _Doubt:
+    """Which branches are not proven to close nowhere, or in one place; further configurations go into the clusters.
+
+    A branch that did not close as it was computed may do so elsewhere in its discs: least squares start where it
+    nearly closed and, where a branch is undetermined, at random.
+    """
+    system, size = question.system, plan.tolerance / CLOSED
+    proof = enclose(plan, values, bool(question.limits), size)
+    layout = system.structure.layout
+    turning = np.zeros(system.nq, dtype=bool)
+    turning[layout.vector_q] = system.structure.coordinates.turning[layout.vector_v]
+    within = SAME * np.where(turning, 1.0, size)
+    wide, ok = proof.wide(within), closed.ok[proof.branch]
+    if not len(ok) or (ok & ~wide).all():
+        return _Doubt(np.zeros(0, dtype=np.int64))
+    from kempe.solvers.modes.modes_search import ModesSearch, random_starts  # its kernels are not needed before
+
+    tree, before, spend = own_tree(system), len(clusters.members), USUAL.of(question.budget)
+    bound = of_equations(tree, question.known)
+    s = ModesSearch(tree, dict(question.known), question.start, generator(spend.rng), bound, clusters, question.frame,
+                    limits=bool(question.limits))  # fmt: skip
+    s.take(closed.q[proof.branch[~ok]], False)
+    left = [k for k in np.flatnonzero(wide | ~ok).tolist()
+            if wide[k] or not proof.contain(k, clusters.q, turning, within).any()]  # fmt: skip
+    if left:
+        s.take(random_starts(s, min(BESIDE, start_count(spend.starts))), False)
+    new = np.arange(before, len(s.free))
+    found = new[s.free[new] == 0].tolist()
+    moving = new[s.free[new] > 0]
+    if len(moving) and not s.free[:before].any():
+        near = home_of(system) if question.start is None else question.start
+        found.append(int(moving[np.argmin(clusters.metric.distances(clusters.q[moving], near))]))
+    return _Doubt(proof.branch[left], proof.reason(left), tuple(found), s.free)
 
 
 def _merged(names: list[str]) -> str:
@@ -217,7 +285,8 @@ def by_starts(question: Problem) -> Modes:
 
     system, spend = question.system, USUAL.of(question.budget)
     found = search(system, dict(question.known), question.start, question.frame, generator(spend.rng),
-                   start_count(spend.starts), TimeLimit(spend.time_limit), spend.progress)  # fmt: skip
+                   start_count(spend.starts), TimeLimit(spend.time_limit), spend.progress,
+                   bool(question.limits))  # fmt: skip
     q, hits, free = found.clusters.q, found.clusters.hits, found.free
     isolated, families = np.flatnonzero(free == 0), np.flatnonzero(free > 0)
     coverage, expected = estimates(found.hits)
@@ -226,10 +295,12 @@ def by_starts(question: Problem) -> Modes:
     closed = int(hits.sum())
     status = (
         f"not proven complete: {len(isolated)} found from {counted(found.tried, 'start')}, of which {closed} closed; "
-        f"with 95 % confidence at most {_up(100.0 * (1.0 - coverage))} % of starts lead to others"
+        f"with 95 % confidence at most {_up(100.0 * (1.0 - coverage))} % of the starts that close lead to others"
     )
     if expected > len(isolated) + 0.5:
-        status += f", about {expected:.3g} in all"
+        status += f", about {expected:.3g} in all by estimate"
+    if found.bounded:
+        status += "; starts were drawn inside the limits only"
     if found.odd:
         status += "; one is missing at least, since their number is even"
     if not closed:

@@ -79,6 +79,20 @@ class ModesSearch:
     tried: int = 0
     odd: bool = False
     broken: BaseException | None = None
+    limits: bool = False
+    """Whether starts are drawn inside the limits, and only what is inside them is asked for."""
+
+    @property
+    def bounded(self) -> bool:
+        """Whether limits keep starts from a part of the configurations."""
+        if not self.limits:
+            return False
+        low, high = self.system.lower, self.system.upper
+        coordinates, period = self.system.structure.coordinates, self.clusters.metric.period
+        whole = coordinates.turning & (period > 0.0) & (high - low >= period * (1.0 - 1e-9))
+        whole |= np.isinf(low) & np.isinf(high)
+        held = np.array([n in self.bound.held for n in self.system.structure.velocity_names], dtype=bool)
+        return not bool(np.all(whole | held))
 
     @property
     def hits(self) -> np.ndarray:
@@ -153,21 +167,22 @@ class ModesSearch:
         return not self.is_odd() and (len(self.free) % 2 == 0 or bool(self.free.any()) or self.tried >= LONGER)
 
     def is_odd(self) -> bool:
-        """Whether the number of modes is odd, and must be even."""
-        return not self.free.any() and len(self.free) % 2 == 1 and must_be_even(self)
+        """Whether the number of modes is odd, and must be even: of all modes, so not where limits leave some out."""
+        return not self.bounded and not self.free.any() and len(self.free) % 2 == 1 and must_be_even(self)
 
 
 def search(
     system: System, known: dict[str, Any], near: Array | None, frame: str | None, rng: np.random.Generator, starts: int,
-    budget: TimeLimit | None = None, progress: Callable[[int, int], Any] | None = None,
+    budget: TimeLimit | None = None, progress: Callable[[int, int], Any] | None = None, limits: bool = False,
 ) -> ModesSearch:  # fmt: skip
     """Assembly modes from at most so many random starts, the first of them `near` or home.
 
-    An interrupt, or the end of the time, which is looked for after each round, leaves what the rounds before found.
+    With `limits` starts are drawn inside the limits, else all over the configurations. An interrupt, or the end of the
+    time, which is looked for after each round, leaves what the rounds before found.
     """
     system = own_tree(system)
     bound = of_equations(system, known)
-    s = ModesSearch(system, known, near, rng, bound, Clusters(system, _places(system, frame)), frame)
+    s = ModesSearch(system, known, near, rng, bound, Clusters(system, _places(system, frame)), frame, limits=limits)
     while s.tried < starts:
         before = s.copy()
         try:
@@ -192,7 +207,7 @@ def _one_round(s: ModesSearch, starts: int) -> bool:
     """Whether the search may end after one more round of starts."""
     system, near = s.system, s.near
     n = min(ROUND, starts - s.tried)
-    start = _random_starts(s, n)
+    start = random_starts(s, n)
     if s.tried == 0:
         start[0] = home_of(system) if near is None else near
     s.tried += n
@@ -215,17 +230,27 @@ def _places(system: System, frame: str | None) -> tuple[str, ...]:
     return tuple(system.body_names[1:]) if winds else ()
 
 
-def _random_starts(s: ModesSearch, n: int) -> Array:
-    """Starts (n, nq) all over the limits, angles over their period, free lengths up to two characteristic ones."""
+def random_starts(s: ModesSearch, n: int) -> Array:
+    """Starts (n, nq): angles over their period, free lengths up to two characteristic ones; inside the limits, if these
+    count, else angles run over their period all the same, and lengths up to two characteristic ones beyond the limits.
+    """
     system, metric = s.system, s.clusters.metric
+    limits: Array = system.structure.limits
+    turning, layout = system.structure.coordinates.turning, system.structure.layout
     q = random(system, s.rng, n)
-    endless = ~np.isfinite(system.structure.limits).all(axis=-1) & ~system.structure.coordinates.turning
-    slides = endless[system.structure.layout.vector_v]
-    q[:, system.structure.layout.vector_q[slides]] *= 2.0 * metric.length
-    geared = (metric.period > 6.3) & np.isinf(system.structure.limits).all(axis=-1)
-    q[:, system.structure.layout.vector_q[geared[system.structure.layout.vector_v]]] *= metric.period[geared] / (
-        2.0 * np.pi
-    )
+    endless = ~np.isfinite(limits).all(axis=-1) & ~turning
+    slides = endless[layout.vector_v]
+    q[:, layout.vector_q[slides]] *= 2.0 * metric.length
+    geared = (metric.period > 6.3) & np.isinf(limits).all(axis=-1)
+    q[:, layout.vector_q[geared[layout.vector_v]]] *= metric.period[geared] / (2.0 * np.pi)
+    if s.limits:
+        return q
+    bounded = np.flatnonzero(np.any(np.isfinite(limits), axis=-1)[layout.vector_v])
+    v, at = layout.vector_v[bounded], layout.vector_q[bounded]
+    reach = np.where(turning, np.maximum(metric.period, 2.0 * np.pi) / 2.0, 2.0 * metric.length)
+    beyond = np.where(np.isfinite(limits) & ~turning[:, None], limits, 0.0)
+    low, high = np.minimum(beyond[:, 0], 0.0) - reach, np.maximum(beyond[:, 1], 0.0) + reach
+    q[:, at] = low[v] + s.rng.random((n, len(v))) * (high - low)[v]
     return q
 
 
