@@ -324,7 +324,6 @@ PLACES = set(
 
 UNPACKED = {
     "analysis/local/local_equations.py": {"N_ROWS", "N_OUT"},
-    "analysis/spaces/curves/dyad_branches.py": {"HEADER"},
     "solvers/dyads/decompose.py": {"HEADER"},
     "solvers/tasks/effort.py": {"AT_PLACES", "AT_VARS", "PLACE_INTS"},
 }

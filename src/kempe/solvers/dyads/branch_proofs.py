@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe.kernels.dyads import dyads_layout as K
+from kempe.solvers.dyads.decompose import operations
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -212,12 +213,9 @@ class _Walk:
 
     def __init__(self, plan: Plan, values: Array, limits: bool, size: float):
         ints: list[int] = plan.program[0].tolist()
-        floats: list[float] = plan.program[1].tolist()
+        given, self.ops = operations(plan.program)
         self.plan, self.size, self.tolerance, self.limits = plan, size, plan.tolerance, limits
         self.nq, self.n_signs, self.first = ints[K.NQ], ints[K.N_SIGNS], ints[K.COORDINATES]
-        start = K.HEADER + ints[K.N_KNOWN]
-        self.ops = [(ints[start + K.OP_INTS * k :][: K.OP_INTS], floats[K.OP_FLOATS * k :][: K.OP_FLOATS])
-                    for k in range(ints[K.N_OPS])]  # fmt: skip
         self.n, self.dyads = 1, 0
         self.branch = np.zeros(1, dtype=np.int64)
         self.why, self.dyad = np.zeros(1, dtype=np.int64), np.full(1, -1)
@@ -225,8 +223,9 @@ class _Walk:
         self.poses: dict[int, Placed] = {
             K.REGISTERS + 4 * k: Placed(one, zero, zero) for k in range(ints[K.N_REGISTERS])
         }
-        self.known: dict[int, Coordinate] = {self.first + slot: Coordinate(self.constant(float(x)))
-                      for slot, x in zip(ints[K.HEADER : start], values, strict=True)}  # fmt: skip
+        self.known: dict[int, Coordinate] = {
+            self.first + slot: Coordinate(self.constant(float(x))) for slot, x in zip(given, values, strict=True)
+        }
 
     def run(self) -> Enclosed:
         """The branches that may close."""

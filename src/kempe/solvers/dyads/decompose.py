@@ -365,3 +365,13 @@ class Code:
             ints[at : at + len(i)] = i
             floats[K.OP_FLOATS * k : K.OP_FLOATS * k + len(f)] = f
         return ints, floats
+
+
+def operations(program: tuple[np.ndarray, Array]) -> tuple[list[int], list[tuple[list[int], list[float]]]]:
+    """Slots of the known coordinates of a program, and its operations: code and places, numbers."""
+    ints: list[int] = program[0].tolist()
+    floats: list[float] = program[1].tolist()
+    start = K.HEADER + ints[K.N_KNOWN]
+    each = range(ints[K.N_OPS])
+    ops = [(ints[start + K.OP_INTS * k :][: K.OP_INTS], floats[K.OP_FLOATS * k :][: K.OP_FLOATS]) for k in each]
+    return ints[K.HEADER : start], ops

@@ -21,7 +21,7 @@ from kempe.kinematics.configuration import circles
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.kept import kept
 from kempe.solvers.dyads.assur_groups import Decomposition
-from kempe.solvers.dyads.decompose import NOWHERE, parts_of
+from kempe.solvers.dyads.decompose import NOWHERE, operations, parts_of
 from kempe.solvers.dyads.dyads import CLOSED, Plan, closed_form
 from kempe.spatial import Array
 
@@ -98,14 +98,12 @@ class Walk:
     """Walks the program of a plan with enclosures; `sound` says whether it holds what is understood here, only."""
 
     def __init__(self, system: System, plan: Plan):
-        ints, floats = (a.tolist() for a in plan.program)
+        ints: list[int] = plan.program[0].tolist()
+        given, self.ops = operations(plan.program)
         self.registers, self.first = ints[K.N_REGISTERS], ints[K.COORDINATES]
         self.signs = ints[K.SIGNS]
-        self.known, *aside = (self.first + slot for slot in ints[K.HEADER : K.HEADER + ints[K.N_KNOWN]])
+        self.known, *aside = (self.first + slot for slot in given)
         self.aside = {place: float(system.mid[place - self.first]) for place in aside}
-        start = K.HEADER + ints[K.N_KNOWN]
-        self.ops = [(ints[start + K.OP_INTS * k :][: K.OP_INTS], floats[K.OP_FLOATS * k :][: K.OP_FLOATS])
-                    for k in range(ints[K.N_OPS])]  # fmt: skip
         layout = system.structure.layout
         bounds = system.structure.limits[layout.vector_v].tolist()
         self.limits = dict(zip(layout.vector_q.tolist(), bounds, strict=True))
