@@ -249,7 +249,7 @@ OWN_LOOPS = {
     "solvers/tasks/default_start.py near_target": "one move for the first task that has one",
     "solvers/velocity/least_squares.py bounded": "an active set: the problem is linear",
     "solvers/velocity/servo_closed.py closed": "bounded by limits of velocity, which move with the point",
-    "solvers/velocity/servo_pose.py least_in_box": "an active set: the problem is quadratic",
+    "solvers/velocity/least_squares.py least_in_box": "an active set: the problem is quadratic",
     "solvers/assembly/dimensions.py _fit": "over dimensions, the configurations solved for in each step",
 }
 """Functions outside the kernels whose loops solve linear equations for what their next round begins with, and why."""

@@ -11,7 +11,8 @@ from scipy.optimize import linprog, lsq_linear
 import kempe
 from kempe import Mechanism, System, spatial
 from kempe.errors import InputError
-from kempe.solvers.velocity.least_squares import bounded
+from kempe.solvers.velocity.least_squares import SHIFT, bounded
+from kempe.solvers.velocity.servo import Servo
 
 HAND = "panda_link7"
 DT = 0.01
@@ -67,15 +68,18 @@ def test_the_twist_is_had_to_first_order(panda):
 
 
 def test_limits_are_those_of_a_bounded_least_squares_problem(six):
-    rng, met = np.random.default_rng(2), 0
+    """The nearest velocities within limits, in the metric of the equations and of a little of the velocities."""
+    rng, met, dt = np.random.default_rng(2), 0, 1e-4
+    shift = SHIFT * Servo(six, HAND).near
     for q in six.random(rng, 200):
         q = np.where(rng.random(6) < 0.3, np.where(rng.random(6) < 0.5, six.lower, six.upper), q)
         J, twist = six.jacobian(q, HAND), rng.normal(size=6) * 0.5
         if np.linalg.svd(J, compute_uv=False)[-1] < 0.06:
             continue
-        s = six.ik_step(q, twist, HAND, DT, velocity_limits=0.8)
-        low, high = box(six, q, 0.8)
-        oracle = lsq_linear(J, twist, (low, high), tol=1e-15, method="bvls")
+        s = six.ik_step(q, twist, HAND, dt, velocity_limits=0.8)
+        low, high = np.maximum(-0.8, (six.lower - q) / dt), np.minimum(0.8, (six.upper - q) / dt)
+        A, b = np.concatenate([J, shift * np.eye(6)]), np.append(twist, shift * np.linalg.solve(J, twist))
+        oracle = lsq_linear(A, b, (low, high), tol=1e-15, method="bvls")
         np.testing.assert_allclose(s.velocity, oracle.x, atol=1e-6)
         np.testing.assert_allclose(s.twist, J @ s.velocity, atol=1e-12)
         assert np.all(s.q >= six.lower) and np.all(s.q <= six.upper)
@@ -97,9 +101,10 @@ def test_other_joints_take_over_where_the_arm_is_redundant(panda):
         if values[-1] < 0.06:
             continue
         s = panda.ik_step(q, twist, HAND, DT, velocity_limits=fast)
-        assert np.linalg.norm(s.twist - twist) <= np.linalg.norm(J @ oracle.x - twist) + 1e-7
-        met += np.linalg.norm(s.twist - twist) < 1e-7
-    assert met > 5  # the null space saves the whole twist
+        missed, size = np.linalg.norm(s.twist - twist), np.linalg.norm(twist)
+        assert missed < np.linalg.norm(J @ oracle.x - twist) + 0.06 * size
+        met += missed < 0.05 * size
+    assert met > 5, met  # a shorter twist would miss a tenth
 
 
 def test_the_direction_is_kept_and_the_part_of_it_the_largest(panda):
@@ -116,7 +121,7 @@ def test_the_direction_is_kept_and_the_part_of_it_the_largest(panda):
             bounds=[*zip(low, high, strict=True), (0.0, 1.0)],
         )  # fmt: skip
         np.testing.assert_allclose(s.twist, s.fraction * twist, atol=1e-5)
-        assert abs(s.fraction - best.x[-1]) < 1e-5
+        assert 0.95 * best.x[-1] - 1e-6 <= s.fraction <= best.x[-1] + 1e-6  # self-motions cost a little
         met += 0.01 < s.fraction < 0.99
     assert met > 10
 

@@ -176,6 +176,149 @@ def test_a_target_that_goes_out_of_reach_and_comes_back_is_tracked():
     assert worst < 2e-3  # near the border it is led through by damping
 
 
+# ---- no joint turns back at once
+
+
+TWELVE = ("puma560", "ur5", "ur10e", "panda", "iiwa14", "gen3", "jaco2", "xarm6", "stanford", "gen3_lite", "crx10ia",
+          "so101")  # fmt: skip
+KINDS = ("twist", "turn", "pose", "far", "turned", "position", "soft", "levels")
+
+
+def turns_at_speed(Q: np.ndarray, dt: float, speed: float) -> int:
+    """Cycles in which a joint's velocity changes its sign, above a twentieth of its limit before and after."""
+    v = np.diff(Q, axis=0) / dt
+    fast = np.abs(v) > 0.05 * speed
+    return int(((v[1:] * v[:-1] < 0.0) & fast[1:] & fast[:-1]).any(axis=1).sum())
+
+
+def start_of(s: System, rng: np.random.Generator) -> np.ndarray:
+    """A posture, mostly singular, the middle, joints at their limits, or a random configuration."""
+    kind, named = rng.choice(["posture", "mid", "limits", "random"]), s.structure.posture_names
+    q = s.random(rng)
+    if kind == "posture":
+        q = s.q(str(rng.choice(named))) if named and rng.random() < 0.7 else s.neutral
+    elif kind == "mid":
+        q = s.mid
+    elif kind == "limits":
+        q = np.where(rng.random(s.nq) < 0.4, np.where(rng.random(s.nq) < 0.5, s.lower, s.upper), q)
+    return np.clip(np.where(np.isfinite(q), q, 0.0), s.lower, s.upper)
+
+
+def asked(kind: str, s: System, frame: str, q: np.ndarray, rng: np.random.Generator):
+    """What is wanted, and of which frame: outwards, inwards, along an axis or anywhere."""
+    X = s.fk(q, frame)
+    out = X[:3, 3] / max(np.linalg.norm(X[:3, 3]), 1e-9)
+    way = [np.eye(3)[0], out, -out, rng.normal(size=3)][int(rng.integers(4))]
+    way = way / max(np.linalg.norm(way), 1e-9)
+    far = {"far": 1.5, "pose": 0.15}.get(kind, 0.15)
+    goal = X.copy()
+    goal[:3, 3] += far * way
+    if kind == "twist":
+        return np.append(0.3 * way, np.zeros(3)), frame
+    if kind == "turn":
+        return np.append(0.1 * way, 0.5 * way), frame
+    if kind == "turned":
+        goal[:3, :3] = spatial.exp_so3(1.5 * way) @ X[:3, :3]
+    if kind in ("pose", "far", "turned"):
+        return goal, frame
+    soft = None if kind == "position" else 1.0
+    first = tasks.Position(frame, goal[:3, 3], weight=soft if kind == "soft" else None)
+    rest = {"position": [], "soft": [tasks.Posture(s.mid, weight=0.05)], "levels": [tasks.Posture(s.mid, priority=1)]}
+    return [first, *rest[kind]], None
+
+
+def turns_of_a_case(s: System, rng: np.random.Generator, kinds=KINDS, cycles: int = 120) -> tuple[int, tuple]:
+    frame, kind, dt = tip(s), str(rng.choice(kinds)), float(rng.choice([0.0005, 0.001, 0.004, 0.01]))
+    q = start_of(s, rng)
+    wanted, of = asked(kind, s, frame, q, rng)
+    options = {"keep_direction": bool(rng.random() < 0.5)} if of else {}
+    Q = motion(s, q, wanted, of, dt, cycles * dt, velocity_limits=1.0, **options)
+    assert np.abs(np.diff(Q, axis=0)).max() <= dt * (1.0 + 1e-9)
+    return turns_at_speed(Q, dt, 1.0), (s.name, kind, dt, options, q.tolist())
+
+
+def test_no_joint_turns_back_at_once(hunt):
+    """Twists, poses and tasks, a direction kept or not, from singular, stretched and limited starts."""
+    rng, bad = hunt.rng(), []
+    for _ in range(hunt.cases(24)):
+        count, case = turns_of_a_case(kempe.load(str(rng.choice(TWELVE))), rng, KINDS[:5])
+        bad += [(count, case)] if count else []
+    for _ in range(hunt.cases(4)):
+        count, case = turns_of_a_case(kempe.load(str(rng.choice(TWELVE))), rng, KINDS[5:], 60)
+        bad += [(count, case)] if count else []
+    assert not bad, bad
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TWELVE)
+def test_no_joint_turns_back_at_once_often(name, hunt):
+    rng, s, bad = hunt.rng(), kempe.load(name), []
+    for k in range(hunt.cases(90)):
+        count, case = turns_of_a_case(s, rng, KINDS if k % 4 == 0 else KINDS[:5])
+        bad += [(count, case)] if count else []
+    assert not bad, bad
+
+
+@pytest.mark.parametrize(
+    ("name", "q", "twist"),
+    some(
+        [
+            ("panda", [0, -0.5, 0, -2.2, 0, 1.8, 0.8], [0.3, 0, 0]),
+            ("ur5", [0.3, -1.2, 1.4, -0.6, 0.9, 0.2], [-0.3, -0.1, 0.1]),
+            ("iiwa14", [0.3, 0.6, -0.4, -1.2, 0.5, 0.8, 0.1], [0.3, 0.1, 0]),
+        ],
+        2,
+    ),
+)
+def test_a_kept_direction_slows_down_and_stops(name, q, twist):
+    """The hand goes along the line, never back, to a singular posture: there no pose ahead is reached to 2 cm."""
+    s, frame, dt = kempe.load(name), TIPS[name], 0.01
+    Q = motion(s, q, [*twist, 0, 0, 0], frame, dt, 6.0, velocity_limits=1.0, keep_direction=True)
+    X, way = s.fk(Q, frame), np.array(twist) / np.linalg.norm(twist)
+    along = (X[:, :3, 3] - X[0, :3, 3]) @ way
+    beside = np.linalg.norm(X[:, :3, 3] - X[0, :3, 3] - along[:, None] * way, axis=1)
+    assert np.diff(along).min() > -1e-9 and beside.max() < 0.02 * along[-1] + 2e-3
+    assert np.abs(np.diff(Q[-20:], axis=0)).max() / dt < 0.01  # at rest
+    values = np.linalg.svd(s.jacobian(Q[-1], frame), compute_uv=False)
+    at_limit = (Q[-1] <= s.lower + 1e-6) | (Q[-1] >= s.upper - 1e-6)
+    assert values[-1] < 5e-3 or at_limit.any()
+
+
+@pytest.mark.parametrize("name", some(["iiwa14", "ur5", "gen3", "jaco2"], 2))
+def test_the_hand_travels_from_singular_postures(name):
+    s = kempe.load(name)
+    q = np.clip(s.q("up") if name == "ur5" else s.mid, s.lower, s.upper)
+    frame, way = tip(s), np.eye(3)[0]
+    goes = motion(s, q, [0.1, 0, 0, 0, 0, 0], frame, 0.01, 1.0, velocity_limits=1.0)
+    kept = motion(s, q, [0.1, 0, 0, 0, 0, 0], frame, 0.01, 1.0, velocity_limits=1.0, keep_direction=True)
+    X = s.fk(np.array([goes[-1], kept[-1], q]), frame)[:, :3, 3]
+    assert (X[0] - X[2]) @ way > 0.095
+    # stretched: a straight way across leaves the sphere of reach at once, as far as a direction is kept to 1 %
+    assert 0.005 < (X[1] - X[2]) @ way < 0.05 and np.linalg.norm((X[1] - X[2])[1:]) < 0.002
+
+
+@pytest.mark.parametrize("k", some(range(5), 2), ids=["hard", "soft", "levels", "soft pair", "look at"])
+def test_saddle_points_are_left_towards_tasks(k):
+    """A straight arm, its target inside on the same ray; an axis that points away from what it is to look at."""
+    s, q = arm(), np.array([0.2, 0.0])
+    P = s.fk(q, "tip")[:3, 3] * 0.8
+    wanted = [
+        [tasks.Position("tip", P)],
+        [tasks.Position("tip", P, weight=1.0)],
+        [tasks.Position("tip", P), tasks.Posture(np.array([0.0, 1.0]), priority=1)],
+        [tasks.Position("tip", P, weight=1.0), tasks.Posture(np.array([0.2, 0.0]), weight=1e-3)],
+        [tasks.LookAt("tip", s.fk(q, "tip")[:3, 3] * 0.4)],
+    ][k]
+    Q = motion(s, q, wanted, None, 0.02, 4.0, velocity_limits=2.0)
+    assert np.abs(np.diff(Q, axis=0)).max() <= 0.04 * (1.0 + 1e-9) and turns_at_speed(Q, 0.02, 2.0) == 0
+    X = s.fk(Q[-1], "tip")
+    if k < 4:
+        assert np.linalg.norm(X[:3, 3] - P) < (1e-2 if k == 3 else 1e-6)
+    else:
+        line = s.fk(q, "tip")[:3, 3] * 0.4 - X[:3, 3]
+        assert X[:2, 0] @ line[:2] > (1.0 - 1e-9) * np.linalg.norm(line)
+
+
 # ---- speeds
 
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from kempe.calls import brief, explained, explained_methods
+from kempe.constraints.contacts import NoSideslip, Rolls
 from kempe.errors import InputError
 from kempe.kernels.forward.table_layout import BALL, TURN
 from kempe.kinematics.common.result import by_code
@@ -24,8 +25,8 @@ from kempe.rigid import arrays, sound
 from kempe.solvers.common.answer import Answer
 from kempe.solvers.common.serial_chain import chain_of, obstacle
 from kempe.solvers.common.slip import rolls
-from kempe.solvers.velocity.least_squares import NEAR, damped, scaled
-from kempe.solvers.velocity.servo_pose import Approach, error
+from kempe.solvers.velocity.least_squares import NEAR, SHIFT, Bend, damped, scaled, wish
+from kempe.solvers.velocity.servo_pose import DIFFERENCE, Approach, error
 from kempe.spatial import Array
 from kempe.status import Status
 
@@ -38,6 +39,8 @@ WHOLE = 1.0 - 1e-3
 NONE, EYE = np.zeros(0), np.eye(3)
 TURNING, SLIDING = math.pi, 1.0
 """Largest speeds of joints that the description gives none, in rad/s and m/s."""
+SLOW, SHORTER = 0.0499, 5
+"""Part of its speed above which no joint turns back from one cycle to the next; halvings of a step for that."""
 SKEW = 1e-5
 """Sum of what a rotation's product with its transpose may miss."""
 BESIDE = 1e-12
@@ -51,12 +54,14 @@ class IkStep(Answer):
 
     For tasks, `twist` are the rates (m,) of the equations of the hard ones, in radians and characteristic lengths.
     `fraction` is the part of the wanted twist in that, 1 where it is had in full; `saturated` names the coordinates
-    that are at a limit of position or velocity.
+    that are at a limit of position or velocity, `default_speed` those of them whose limit of velocity is the default
+    one, since neither the system nor the call has one. `blocked_by` names the velocity constraints, such as wheels that
+    do not slip sideways, that prevent the rest of the wanted motion.
     """
 
     __repr__ = brief
 
-    also = ("velocity", "twist", "fraction", "saturated")
+    also = ("velocity", "twist", "fraction", "saturated", "blocked_by")
 
     q: Array
     velocity: Array
@@ -64,6 +69,8 @@ class IkStep(Answer):
     fraction: float
     saturated: tuple[str, ...]
     system: System = field(repr=False)
+    default_speed: tuple[str, ...] = ()
+    blocked_by: tuple[str, ...] = ()
 
     success = by_code
 
@@ -73,12 +80,43 @@ class IkStep(Answer):
         return Status.SOLVED if self.fraction >= WHOLE else Status.PARTLY
 
     def _sentence(self, index: tuple[int, ...]) -> str:
-        had = "all" if self.success else f"{self.fraction:.3g}"
-        at = f"; at a limit: {', '.join(map(repr, self.saturated))}" if self.saturated else ""
-        return f"{had} of what was wanted is had{at}"
+        if self.success:
+            text, default = "The wanted motion in full", ()
+        else:
+            none = "Nothing of the wanted motion" if self.velocity.any() else "No motion"
+            text = f"{self.fraction:.3g} of the wanted motion" if self.fraction > 0.0 else none
+            default = self.default_speed
+        why = [_prevents(self.system, name) for name in self.blocked_by]
+        if limited := [name for name in self.saturated if name not in self.default_speed]:
+            why.append(f"at a limit: {', '.join(map(repr, limited))}")
+        if default:
+            why.append(f"at the default speed (pi rad/s, {SLIDING:.3g} m/s): {', '.join(map(repr, default))}")
+        return f"{text}: {'; '.join(why)}" if why else text
 
     def _claimed(self) -> np.ndarray:
         return np.array(False)  # a step is of first order: how far it leads away is its residual
+
+
+def _prevents(system: System, name: str) -> str:
+    """What a velocity constraint prevents, as text."""
+    of = system.mechanism.constraints[name].of
+    if isinstance(of, NoSideslip):
+        return f"the wheels of {name!r} do not slip sideways"
+    return f"{name!r} does not slip" if isinstance(of, Rolls) else f"the velocity constraint {name!r} prevents the rest"
+
+
+class Move(NamedTuple):
+    """Velocities (n,) of a chain at a configuration, their box, the Jacobian (6, n), and the twist that is wanted.
+
+    `calm` says that no joint turns back after the step, by a bound on second derivatives.
+    """
+
+    velocity: Array
+    low: Array
+    high: Array
+    J: Array
+    twist: Array
+    calm: bool
 
 
 class Servo:
@@ -101,6 +139,9 @@ class Servo:
             system.upper[own],
             system.structure.velocity_limits[self.v],
         )
+        self.upcoming: tuple[Any, Any] = None, None
+        """A move that was computed ahead, after what asks for it: the next cycle mostly does."""
+        self.unbounded = np.full(len(self.v), math.inf)
         self.plain = len(limited) == len(self.v)
         self.ahead, self.behind = np.arange(2 * len(self.v)).reshape(2, -1)
         self.names = [system.structure.velocity_names[int(i)] for i in self.v]
@@ -109,6 +150,37 @@ class Servo:
         self.metric = np.array([1.0 / length] * 3 + [1.0] * 3)
         """What weighs the error of a pose as `ik` does."""
         self.unit = np.where(slides, length, 1.0)
+
+    def move(
+        self, q: Array, x: Array, dt: float, fastest: Array, damping: float, direction: bool, weights: Array | None
+    ) -> Move:  # fmt: skip
+        """The velocities for a twist (6,) or towards a pose (4, 4), at a configuration (nq,)."""
+        pose, J = self.query.pose_and_jacobian(q)
+        J, w = J[:, self.v], weights
+        low, high = self.box(q, dt, fastest)
+        if x.ndim == 2:
+            approach = Approach(self, q, x, pose, J, dt, w, SLOW * float(fastest.min(initial=math.inf)))
+            own = approach.go(low, high, damping, w, direction)
+            return Move(own, low, high, J, approach.e / dt, approach.calm)
+        A, b = (J, x) if w is None else (w[:, None] * J, w * x)
+        wished = wish(A, b, damping, self.near)
+        if len(wished.s) and wished.s[-1] >= self.near and (not direction or len(A) <= len(wished.s)):
+            own = wished.x  # regular
+            if (own >= low).all() and (own <= high).all():
+                bound = dt * math.sqrt(len(own)) * float(wished.s[0] * (own @ own) / wished.s[-1])
+                calm = bound <= SLOW * float(fastest.min()) and self.roomy(q, own, dt)
+                return Move(own, low, high, J, x, calm)
+        bend = self.bend(q, w)
+        if direction:
+            own = scaled(A, b, low, high, dt, bend, near=self.near)
+        else:
+            own = damped(A, b, low, high, damping, near=self.near, bend=bend, shift=SHIFT, wished=wished)
+        return Move(own, low, high, J, x, False)
+
+    def roomy(self, q: Array, velocity: Array, dt: float) -> bool:
+        """Whether no limit of position is met in two such steps."""
+        x = q[self.at_q] + 2.0 * dt * velocity[self.at_v]
+        return bool((x >= self.lower).all() and (x <= self.upper).all())
 
     def box(self, q: Array, dt: float, speed: Array) -> tuple[Array, Array]:
         """Least and largest velocities (n,) for which limits of position and speed hold after dt.
@@ -120,6 +192,20 @@ class Servo:
         low[self.at_v] = np.minimum(np.maximum(low[self.at_v], (self.lower - x) / dt), speed[self.at_v])
         high[self.at_v] = np.maximum(np.minimum(high[self.at_v], (self.upper - x) / dt), -speed[self.at_v])
         return low, high
+
+    def bend(self, q: Array, weights: Array | None) -> Bend:
+        """Derivatives (k, 6, n) of the Jacobian, its rows weighted, along directions (k, n), as central differences."""
+
+        def along(ways: Array) -> Array:
+            size = np.abs(ways / self.unit).max(axis=1)
+            steps = np.zeros((len(ways), self.system.nv))
+            steps[:, self.v] = (DIFFERENCE / np.where(size > 0.0, size, 1.0))[:, None] * ways
+            ends = self.system.structure.layout.integrate(q, np.concatenate([steps, -steps]))
+            J = self.query.pose_and_jacobian(ends)[1][:, :, self.v]
+            out = (J[: len(ways)] - J[len(ways) :]) * (size / (2.0 * DIFFERENCE))[:, None, None]
+            return out if weights is None else weights[:, None] * out
+
+        return along
 
     def spread(self, velocity: Array) -> Array:
         """Velocities (nv,) of the system, those of the chain (n,) given, the others zero."""
@@ -164,15 +250,23 @@ def ik_step(
     count) and, among those that do, their own size; near singularities the directions that are hard to move in are
     damped, by at most `damping` (Maciejewski and Klein, 1988). They stay in `velocity_limits` (a number or (nv,);
     default: those of the system, and where it has none pi rad/s and 1 m/s of all that a coordinate turns or slides;
-    `math.inf` lifts them), and no coordinate leaves its limits within dt: bounds are met by an active set, so
-    that other joints take over (Stark and Parker, 1995). With `keep_direction` the twist is scaled instead of bent:
-    what is had is the largest part of it that the limits allow, from 0 to 1, and that takes the place of damping.
+    `math.inf` lifts them), and no coordinate leaves its limits within dt. Where a twist asks for more, other joints
+    take over, and the velocities change gradually where they do: so a little of the twist that a bounded least-squares
+    problem would give is left. A singular configuration from which a twist leads to second order only is left.
+
+    With `keep_direction` the twist is scaled instead of bent: what is had is the largest part of it that the limits
+    allow, from 0 to 1, but for a few percent that self-motions cost. Towards a singular configuration the part
+    falls to zero, and the motion comes to rest there: it never goes back. Close to one, the direction is kept to 1 %.
 
     A pose or tasks that cannot be had within dt, since they are far, out of reach or beyond limits, are approached:
-    where a step of first order does not halve the error, its second order counts (Newton), and a step must lower the
-    error as promised. So cycles that ask for the same come to rest, at a local minimum of the error, in radians and
-    characteristic lengths as in `ik`; with `keep_direction` where the straight way ends. Of a twist only the caller
-    knows where it leads.
+    limits of speed shorten the step, so all joints arrive together. Where a step of first order does not lower the
+    error, its second order counts (Newton); saddle points of the error are left. So cycles that ask for the same
+    come to rest, at a local minimum of the error, in radians and characteristic lengths as in `ik`; with
+    `keep_direction` where the straight way ends. Of a twist only the caller knows where it leads.
+
+    In cycles that ask for the same, no joint turns back from one cycle to the next at more than a twentieth of its
+    limit of speed: the velocities of the next cycle are computed, too, and the step is shortened where one changes its
+    sign. What is asked for decides alone: no velocity of an earlier call counts.
 
     Loops and relations of several coordinates stay closed, those of the whole system for tasks and for a frame that
     they move: to first order by the velocities, and then in `q`, which is closed again (q may be open a little, as by
@@ -186,30 +280,73 @@ def ik_step(
         raise InputError(f"q has shape {q.shape}, dt is {dt!r}, damping {damping!r}; needed are one configuration "
                          f"({system.nq},), a positive time and a number not negative")  # fmt: skip
     speed = speeds(system) if velocity_limits is None else _numbers(velocity_limits, system.nv, "velocity_limits")
+    default = ~np.isfinite(system.structure.velocity_limits) if velocity_limits is None else None
     w = _numbers(weights, 6, "weights", True) if weights is not None else None
     if frame is None:
         if keep_direction or w is not None:
             raise InputError("keep_direction and weights are for the twist of a frame; tasks have weights of their own")
-        return _held_step(system, q, wanted, None, dt, speed, damping, False, None)
+        return _held_step(system, q, wanted, None, dt, speed, default, damping, False, None)
     name = system.structure.frame_name(frame)
     if rolls(system) or obstacle(system, name) or one_sided_rows(system).declared:
-        return _held_step(system, q, wanted, name, dt, speed, damping, keep_direction, w)
-    servo = _servo(system, name)
-    pose, J = servo.query.pose_and_jacobian(q)
-    J = J[:, servo.v]
-    x = _motion(wanted)
-    low, high = servo.box(q, dt, speed[servo.v])
-    approach = Approach(servo, q, x, pose, J, dt, w) if x.ndim == 2 else None
-    twist = x if approach is None else approach.e / dt
-    A, b = (J, twist) if w is None else (w[:, None] * J, w * twist)
-    if approach is not None:
-        own = approach.go(low, high, damping, w, keep_direction)
-    else:
-        own = scaled(A, b, low, high) if keep_direction else damped(A, b, low, high, damping, near=servo.near)
-    velocity = servo.spread(own)
+        return _held_step(system, q, wanted, name, dt, speed, default, damping, keep_direction, w)
+    servo, x = _servo(system, name), _motion(wanted)
+    fastest = speed[servo.v]
+    case = x.tobytes(), dt, fastest.tobytes(), damping, keep_direction, None if w is None else w.tobytes()
+
+    def law(q: Array) -> Move:
+        if servo.upcoming[0] == (case, q.tobytes()):
+            return servo.upcoming[1]
+        return servo.move(q, x, dt, fastest, damping, keep_direction, w)
+
+    def after(part: float) -> Array:
+        there = servo.after(q, servo.spread(part * own), dt)
+        move = law(there)
+        servo.upcoming = (case, there.tobytes()), move
+        return move.velocity
+
+    own, low, high, J, twist, calm = law(q)
+    if not calm:
+        own = own * steady(after, own, fastest)
+    velocity, had = servo.spread(own), J @ own
+    part = _part(had, twist) if w is None else _part(w * had, w * twist)
     at = ((own <= low) | (own >= high)).nonzero()[0]
     names = tuple(servo.names[int(i)] for i in at)
-    return IkStep(servo.after(q, velocity, dt), velocity, J @ own, _part(A @ own, b), names, system)
+    return IkStep(servo.after(q, velocity, dt), velocity, had, part, names, system,
+                  _at_default(system, names, velocity, speed, default))  # fmt: skip
+
+
+def _at_default(
+    system: System, saturated: tuple[str, ...], velocity: Array, speed: Array, default: np.ndarray | None
+) -> tuple[str, ...]:  # fmt: skip
+    """Those of the saturated coordinates that move at a default speed (nv,)."""
+    if not saturated or default is None:
+        return ()
+    fast: list[bool] = np.logical_and(default, np.abs(velocity) >= speed * (1.0 - BESIDE)).tolist()
+    return tuple(name for name, is_so in zip(system.structure.velocity_names, fast, strict=True)
+                 if is_so and name in saturated)  # fmt: skip
+
+
+def steady(after: Callable[[float], Array], velocity: Array, fastest: Array) -> float:
+    """The part of the step by which no joint turns back at once, at more than `SLOW` of its speed (n,).
+
+    `after` gives the velocities (n,) that follow a part of the step. Where a joint turns back, a shorter step leads
+    nearer to where its speed passes zero, and one at `SLOW` of the speeds across.
+    """
+    least = SLOW * fastest
+    part = 1.0
+    for _ in range(SHORTER):
+        moved = part * velocity
+        big = np.abs(moved) > least
+        if not big.any():
+            break
+        then = after(part)
+        if not (big & (np.abs(then) > least) & (moved * then < 0.0)).any():
+            break
+        part *= 0.5
+    else:
+        big = np.abs(velocity) > least
+        part = float((least[big] / np.abs(velocity[big])).min(initial=1.0))
+    return part
 
 
 @kept
@@ -218,21 +355,34 @@ def _servo(system: System, frame: str) -> Servo:
 
 
 def _held_step(
-    system: System, q: Array, wanted: Any, frame: str | None, dt: float, speed: Array, damping: float, direction: bool,
-    weights: Array | None,
+    system: System, q: Array, wanted: Any, frame: str | None, dt: float, speed: Array, default: np.ndarray | None,
+    damping: float, direction: bool, weights: Array | None,
 ) -> IkStep:  # fmt: skip
     """A step for a frame, or for tasks, while the system's loops and relations stay closed."""
     if not np.isfinite(q).all():
         refuse_bad(system, q)
     closed = _closed(system)
-    at, J = _wanted(system, closed, q, wanted, frame, dt, np.ones(6) if weights is None else weights)
+    at, J, asked = _wanted(system, closed, q, wanted, frame, dt, np.ones(6) if weights is None else weights)
     low, high = closed.box(q, dt, speed)
-    stages = at(q)
-    if frame is not None and np.ndim(wanted) == 1:
-        u = closed.velocity(closed.free(q, dt), stages, low, high, damping, direction)
-        after, u = closed.after(q, u, dt, low, high)
-    else:
-        after, u = closed.towards(q, stages, low, high, damping, direction, dt, at)
+    slow = SLOW * float((speed / closed.scale).min(initial=math.inf))
+    law = closed.twisted if frame is not None and np.ndim(wanted) == 1 else closed.towards
+
+    case = asked, dt, speed.tobytes(), damping, direction, None if weights is None else weights.tobytes()
+
+    def step(x: Array) -> tuple[Array, Array, bool]:
+        if closed.upcoming[0] == (case, x.tobytes()):
+            return closed.upcoming[1]
+        return law(x, at(x), *closed.box(x, dt, speed), damping, direction, dt, at, slow)
+
+    def then(part: float) -> Array:
+        there = after if part == 1.0 else closed.after(q, part * u, dt, low, high)[0]
+        found = step(there)
+        closed.upcoming = (case, there.tobytes()), found
+        return found[1]
+
+    stages, (after, u, calm) = at(q), step(q)
+    if not calm and (part := steady(then, u, speed / closed.scale)) < 1.0:
+        after, u = closed.after(q, part * u, dt, low, high)
     velocity = u * closed.scale
     near = BESIDE * np.maximum(1.0, np.abs(u))
     at = ((u <= low + near) | (u >= high - near)).nonzero()[0]
@@ -240,25 +390,34 @@ def _held_step(
     had = np.concatenate([NONE, *(s.A @ u for s in stages if s.hard)])
     twist = had if frame is None else J @ velocity
     names = tuple(system.structure.velocity_names[int(i)] for i in at)
-    return IkStep(after, velocity, twist, _part(had, requested), names, system)
+    part = _part(had, requested)
+    blocked = closed.blocking(q, stages, u, low, high) if part < WHOLE and closed.rolls else ()
+    return IkStep(after, velocity, twist, part, names, system,
+                  _at_default(system, names, velocity, speed, default), blocked)  # fmt: skip
 
 
 def _wanted(
     system: System, closed: ConstrainedSteps, q: Array, wanted: Any, frame: str | None, dt: float, weights: Array
-) -> tuple[Callable[[Array], list[Stage]], Array]:  # fmt: skip
-    """What is required at a configuration (nq,), as a function of it, and the Jacobian (6, nv) of the frame, if any."""
+) -> tuple[Callable[[Array], list[Stage]], Array, tuple[Any, ...]]:  # fmt: skip
+    """What is required at configurations (..., nq), as a function of them; the Jacobian (6, nv) of the frame, if any;
+    and all that the function depends on, for comparisons."""
     from kempe.solvers.velocity.servo_closed import posed, stages_of
 
     if frame is None:
         problem = posed(system, wanted, q)
-        return lambda x: stages_of(problem, x, dt), NONE
+        levels, strengths, *_ = problem.levels
+        asked = problem.packed, problem.pins.tobytes(), np.asarray(levels).tobytes(), np.asarray(strengths).tobytes()
+        return lambda x: stages_of(problem, x, dt), NONE, asked
     goal, query = _motion(wanted), system.query(frame)
 
     def at(x: Array) -> list[Stage]:
         pose, J = query.pose_and_jacobian(x)
-        return [closed.twist(J, goal if goal.ndim == 1 else error(goal, pose) / dt, weights)]
+        if goal.ndim == 1:
+            return [closed.twist(J, np.broadcast_to(goal, (*x.shape[:-1], 6)), weights)]
+        missing = np.array([error(goal, X) for X in pose.reshape(-1, 4, 4)]).reshape(*x.shape[:-1], 6)
+        return [closed.twist(J, missing / dt, weights)]
 
-    return at, query.jacobian(q)
+    return at, query.jacobian(q), (frame, goal.tobytes())
 
 
 @kept

@@ -18,10 +18,20 @@ import numpy as np
 from kempe.errors import InputError
 from kempe.kinematics.closure_rows import evaluate, full
 from kempe.kinematics.one_sided import one_sided_rows
+from kempe.kinematics.velocity.velocity import row_names
 from kempe.solvers.common.freedoms import null
 from kempe.solvers.common.slip import at_rest, hard_rows, rolls
-from kempe.solvers.velocity.least_squares import LEAST, NEAR, bounded, damped, scaled
-from kempe.solvers.velocity.servo_pose import BLIND, FLAT, STILL, TAKEN, TRIALS
+from kempe.solvers.velocity.least_squares import (
+    LEAST,
+    NEAR,
+    SHIFT,
+    Bend,
+    bounded,
+    damped,
+    part_within,
+    scaled,
+)
+from kempe.solvers.velocity.servo_pose import ASIDE, BLIND, FLAT, LARGEST, SADDLE, STILL, TAKEN, TRIALS
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -42,6 +52,8 @@ DIFFERENCE = 1e-5
 """Step of the differences of Jacobians, in radians and characteristic lengths."""
 ROUNDING = 1e-14
 """Length of what is missed that rounding makes."""
+PREVENTS = 1e-6
+"""Part of what is missed that a velocity constraint takes, where it is named as the reason."""
 EPSILON = 1e-15
 """Part of a coordinate by which it is at a limit."""
 BEYOND = 1e-12
@@ -98,6 +110,8 @@ class ConstrainedSteps:
         self.at_v, self.at_q = layout.vector_v, layout.vector_q
         self.lower, self.upper = system.lower[self.at_v], system.upper[self.at_v]
         self.bounds = one_sided_rows(system)
+        self.upcoming: tuple[Any, Any] = None, None
+        """A step that was computed ahead, after what asks for it."""
 
     def box(self, q: Array, dt: float, speed: Array) -> tuple[Array, Array]:
         """Least and largest scaled velocities (nv,) for which limits of position and speed hold after dt.
@@ -150,61 +164,172 @@ class ConstrainedSteps:
         return np.concatenate([error, more]), np.concatenate([C, G])
 
     def velocity(
-        self, free: Left, stages: list[Stage], low: Array, high: Array, damping: float, direction: bool,
-        model: Array | None = None,
+        self, free: Left, stages: list[Stage], low: Array, high: Array, damping: float, *,
+        speeds: tuple[Array, Array] | None = None, twist: Twist | None = None, model: Array | None = None,
     ) -> Array:  # fmt: skip
         """Scaled velocities (nv,) of the stages, in order, within the box; what is left `free` as from there.
 
-        `model` (k, k), where given, is the Hessian that counts for the last stage.
+        `speeds`, least and largest velocities within the box, shorten what a stage asks for, before others take over.
+        `twist` says that the stage is a twist, or has a direction that is kept. `model` (k, k), where given, is the
+        Hessian that counts for the last stage.
         """
         N, rest, rows, least, most = free
-        some, own = _Descent(N), np.isfinite(low) | np.isfinite(high)
+        some, own = _Descent(N, speeds), np.isfinite(low) | np.isfinite(high)
         rows = np.concatenate([np.eye(len(low))[own], rows])
         box = Stage(N.T[:0], low[:0], rows, np.append(low[own], least), np.append(high[own], most))
-        some.take(box.beside(rest), 0.0, False)
+        some.take(box.beside(rest), 0.0)
         for k, stage in enumerate(stages):
-            some.take(stage.beside(rest), damping, direction, model if k + 1 == len(stages) else None)
-        return np.minimum(np.maximum(rest + N @ some.z, low), high)
+            some.take(stage.beside(rest), damping, twist, model if k + 1 == len(stages) else None)
+        least, most = speeds or (low, high)
+        return np.minimum(np.maximum(rest + N @ some.z, least), most)
+
+    def blocking(self, q: Array, stages: list[Stage], u: Array, low: Array, high: Array) -> tuple[str, ...]:
+        """Names of the velocity constraints that prevent what velocities u (nv,) miss: by their multipliers."""
+        pull = sum((s.A.T @ (s.b - s.A @ u) for s in stages if s.hard), np.zeros(len(u)))
+        C, A = evaluate(self.system, q, True, True)[1], hard_rows(self.system, q, self.scale)[0]
+        bounds = np.eye(len(u))[(u <= low) | (u >= high)]
+        forces = np.linalg.lstsq(np.concatenate([A, C, bounds]).T, pull, rcond=1e-9)[0][: len(A)]
+        some = np.abs(forces) > PREVENTS * math.sqrt(float(pull @ pull))
+        return tuple(
+            dict.fromkeys(name for (name, _), is_so in zip(row_names(self.system), some, strict=True) if is_so)
+        )
+
+    def twisted(
+        self, q: Array, stages: list[Stage], low: Array, high: Array, damping: float, direction: bool, dt: float,
+        at: Callable[[Array], list[Stage]], slow: float,
+    ) -> tuple[Array, Array, bool]:  # fmt: skip
+        """The configuration (nq,) after dt, the scaled velocities (nv,) of a twist, and whether the motion is calm."""
+        free = self.free(q, dt)
+        twist = Twist(dt, self.bend(q, free.basis, stages[0], at), direction)
+        return *self.after(q, self.velocity(free, stages, low, high, damping, twist=twist), dt, low, high), False
 
     def towards(
         self, q: Array, stages: list[Stage], low: Array, high: Array, damping: float, direction: bool, dt: float,
-        at: Callable[[Array], list[Stage]],
-    ) -> tuple[Array, Array]:  # fmt: skip
-        """The configuration (nq,) after dt, and the scaled velocities (nv,), towards goals.
+        at: Callable[[Array], list[Stage]], slow: float,
+    ) -> tuple[Array, Array, bool]:  # fmt: skip
+        """The configuration (nq,) after dt, the scaled velocities (nv,) towards goals, and whether the motion is calm.
 
-        The first stage that a step of first order does not halve takes one of second order, which must lower the
-        error as promised, else a shorter one; stages after it do not count. `at` gives the stages at a configuration.
+        The first stage that a step of first order does not lower as promised takes one of second order, which must
+        do so, else a shorter one; stages after it do not count. Limits of speed shorten these steps. `at` gives the
+        stages at a configuration. The motion is calm where the step arrives, and the next one makes good only what
+        second derivatives have left: then no joint turns back.
         """
         free = self.free(q, dt)
-        u = self.velocity(free, stages, low, high, damping, direction)
+        if direction:
+            return *self.straight(q, free, stages, low, high, dt, at), False
+        wide, speeds = (low, high), None
+        if not free.rest.any() and (low <= 0.0).all() and (high >= 0.0).all():
+            least, most = self.box(q, dt, np.full(len(low), math.inf))
+            wide, speeds = (np.maximum(least, -LARGEST / dt), np.minimum(most, LARGEST / dt)), (low, high)
+        u = self.velocity(free, stages, *wide, damping)
         size, requested = dt * float(u @ u), [s.missed() for s in stages]
-        if size * dt <= ENOUGH**2:
-            return self.after(q, np.minimum(np.maximum(0.0, low), high), dt, low, high)
-        left = [s.missed(u) for s in stages]
+        still = size * dt <= ENOUGH**2
+        whole, left = speeds is None or part_within(u, low, high) == 1.0, [s.missed(u) for s in stages]
+        if not (whole or still):  # far away
+            left = [s.missed() for s in at(self.after(q, u, dt, *wide)[0])]
         k = next((k for k, had in enumerate(requested) if left[k] > max(HALF * had, ENOUGH / dt)), None)
         if (
             k is None
             or (k and max(requested[:k]) > BUSY * size)
             or (k and requested[k] ** 2 - left[k] ** 2 > 2.0 * BUSY * size * left[k])
         ):  # earlier ones move it, by more than it disturbs them; or curvature is little beside what is gained
-            return self.after(q, u, dt, low, high)
-        first, own, before = stages[:k], stages[: k + 1], requested[k]
-        model = None if direction else self.curvature(q, free.basis, own, u, low, high, dt, at)
-        more = 0.0
+            if still:
+                u = np.minimum(np.maximum(0.0, low), high)
+            elif not whole:
+                u = self.velocity(free, stages, *wide, damping, speeds=speeds)
+            next_speed = size * math.sqrt(len(u)) / max(NEAR, damping)
+            calm = whole and max(left, default=0.0) <= ENOUGH / dt and damping >= NEAR and next_speed <= slow
+            return *self.after(q, u, dt, low, high), calm
+        own, before = stages[: k + 1], requested[k]
+        model, more = self.curvature(q, free.basis, own, u, *wide, dt, at), 0.0
         for _ in range(TRIALS):
-            if model is not None:
-                u = self.velocity(free, own, low, high, damping, False, model + more * np.eye(len(model)))
-            found = self.after(q, u, dt, low, high)
-            promise = before**2 - own[k].missed(found[1]) ** 2
+            convex = model + more * np.eye(len(model))
+            u = self.velocity(free, own, *wide, damping, model=convex)
+            promise = before**2 - own[k].missed(u) ** 2
+            if promise <= BLIND * before**2 and (way := self.aside(free, own, u, *wide, dt, model)) is not None:
+                u, promise = way
+                speeds, convex = (low, high) if speeds is None else speeds, None
             if 0.0 <= promise <= STILL * before**2 + (ROUNDING / dt) ** 2:
                 break
-            if 0.0 < promise <= BLIND * before**2:
+            if promise > 0.0 and (
+                promise <= BLIND * before**2
+                or at(self.after(q, u, dt, *wide)[0])[k].missed() ** 2 <= before**2 - TAKEN * promise
+            ):
+                if convex is None:
+                    u = part_within(u, low, high) * u
+                elif speeds is not None:
+                    u = self.velocity(free, own, *wide, damping, speeds=speeds, model=convex)
+                return *self.after(q, u, dt, low, high), False
+            more = 4.0 * more if more else 1e-2 * float(np.abs(model).max())
+        u = self.velocity(free, stages[:k], *wide, damping, speeds=speeds)
+        return *self.after(q, u, dt, low, high), False
+
+    def straight(
+        self, q: Array, free: Left, stages: list[Stage], low: Array, high: Array, dt: float,
+        at: Callable[[Array], list[Stage]],
+    ) -> tuple[Array, Array]:  # fmt: skip
+        """The configuration (nq,) after dt, and the scaled velocities (nv,), towards a pose, its direction kept.
+
+        The step is halved until it lowers what is missed by half of what it promises; if it never does, there is none.
+        """
+        twist, before = Twist(dt, self.bend(q, free.basis, stages[0], at), True), stages[0].missed()
+        u = self.velocity(free, stages, low, high, 0.0, twist=twist)
+        for _ in range(HALVINGS if before > ENOUGH / dt else 0):
+            promise = before**2 - stages[0].missed(u) ** 2
+            if promise <= STILL * before**2:
+                break
+            found = self.after(q, u, dt, low, high)
+            if at(found[0])[0].missed() ** 2 <= before**2 - HALF * promise:
                 return found
-            if promise > 0.0 and at(found[0])[k].missed() ** 2 <= before**2 - TAKEN * promise:
-                return found
-            more = 4.0 * more if more else 1e-2 * float(np.abs(model).max()) if model is not None else 0.0
             u = 0.5 * u
-        return self.after(q, self.velocity(free, first, low, high, damping, direction), dt, low, high)
+        return self.after(q, np.minimum(np.maximum(0.0, low), high), dt, low, high)
+
+    def aside(
+        self, free: Left, stages: list[Stage], u: Array, low: Array, high: Array, dt: float, model: Array
+    ) -> tuple[Array, float] | None:
+        """Velocities (nv,) that leave a saddle point of what the last stage misses, and the decrease that they promise.
+
+        Their direction is that of the least curvature, where it is negative, among those that earlier stages and
+        bounds leave; None where there is no such direction.
+        """
+        N = free.basis
+        held = np.eye(len(u))[(u <= low) | (u >= high)] @ N
+        own = null(np.concatenate([held, *(s.A @ N for s in stages[:-1])]))
+        if not own.shape[1]:
+            return None
+        values, W = np.linalg.eigh(own.T @ model @ own)
+        if values[0] >= -SADDLE * float(np.abs(model).max()):
+            return None
+        way = N @ (own @ W[:, 0])
+        way = way if float(way @ (stages[-1].A.T @ stages[-1].b)) >= 0.0 else -way
+        rows, ends = [np.eye(len(u)), free.rows], [(low, high), (free.low, free.high)]
+        for s in stages:
+            kept = (s.low <= 0.0) & (s.high >= 0.0)
+            rows.append(s.inequalities[kept])
+            ends.append((s.low[kept], s.high[kept]))
+        least, most = (np.concatenate(x) for x in zip(*ends, strict=True))
+        step = ASIDE / dt * way
+        step = part_within(np.concatenate(rows) @ step, least, most) * step
+        return step, -float(values[0]) * float(step @ step)
+
+    def bend(self, q: Array, N: Array, stage: Stage, at: Callable[[Array], list[Stage]]) -> Bend:
+        """Derivatives (k, m, n) of a stage's equations over the free velocities N along directions (k, n) of these.
+
+        Loops stay closed to second order.
+        """
+
+        def along(ways: Array) -> Array:
+            size = np.abs(ways).max(axis=1)
+            moves = (DIFFERENCE / np.where(size > 0.0, size, 1.0))[:, None] * (ways @ N.T)
+            ends = self.system.structure.layout.integrate(q, np.concatenate([moves, -moves]) * self.scale)
+            per, k = (size / (2.0 * DIFFERENCE))[:, None, None], len(ways)
+            A, C = at(ends)[0].A, evaluate(self.system, ends, True, True)[1]
+            A, C = (A[:k] - A[k:]) * per, (C[:k] - C[k:]) * per
+            if C.shape[-2]:
+                A = A - stage.A @ np.linalg.pinv(evaluate(self.system, q, True, True)[1], rcond=1e-8) @ C
+            return A @ N
+
+        return along
 
     def curvature(
         self, q: Array, N: Array, stages: list[Stage], u: Array, low: Array, high: Array, dt: float,
@@ -214,26 +339,22 @@ class ConstrainedSteps:
         earlier stages stay as they are: that of the Lagrangian, by differences."""
 
         def push(x: Array, requested: list[Stage]) -> tuple[Array, Array]:
-            """What the last stage pulls at (nv,), and the rows (m, nv) that stay, at a configuration."""
-            C = evaluate(self.system, x, True, True)[1]
-            s = requested[-1]
+            """What the last stage pulls at (..., nv), and the rows (..., m, nv) that stay, at configurations."""
+            C, s = evaluate(self.system, x, True, True)[1], requested[-1]
             out = np.maximum(s.low, 0.0) + np.minimum(s.high, 0.0)
-            return dt * (s.b @ s.A + out @ s.inequalities), np.concatenate([C, *(t.A for t in requested[:-1])])
+            pull = np.einsum("...i,...ij->...j", s.b, s.A) + np.einsum("...i,...ij->...j", out, s.inequalities)
+            return dt * pull, np.concatenate([C, *(t.A for t in requested[:-1])], axis=-2)
 
         pull, rows = push(q, stages)
         at_bound = np.eye(len(u))[(u <= low) | (u >= high)]
         rolling = hard_rows(self.system, q, self.scale)[0] if self.rolls else at_bound[:0]
         held = np.concatenate([rows, rolling, at_bound])
         forces = np.linalg.lstsq(held.T, pull, rcond=1e-9)[0][: len(rows)] if len(held) else np.zeros(0)
-        slopes: list[Array] = []
-        for way in N.T:
-            ends: list[Array] = []
-            for h in (DIFFERENCE, -DIFFERENCE):
-                x = self.system.structure.layout.integrate(q, h * way * self.scale)
-                pulled, kept = push(x, at(x)[: len(stages)])
-                ends.append(pulled - forces @ kept)
-            slopes.append((ends[1] - ends[0]) / (2.0 * DIFFERENCE))
-        H = np.array(slopes).reshape(N.shape[1], len(u)) @ N
+        moves = DIFFERENCE * N.T * self.scale
+        ends = self.system.structure.layout.integrate(q, np.concatenate([moves, -moves]))
+        pulled, kept = push(ends, at(ends)[: len(stages)])
+        pulled = pulled - np.einsum("i,...ij->...j", forces, kept)
+        H = (pulled[len(moves) :] - pulled[: len(moves)]) @ N / (2.0 * DIFFERENCE)
         return 0.5 * (H + H.T)
 
     def after(self, q: Array, u: Array, dt: float, low: Array, high: Array) -> tuple[Array, Array]:
@@ -280,14 +401,23 @@ class ConstrainedSteps:
         return x
 
 
+class Twist(NamedTuple):
+    """What a twist needs beside its equations: the time of the step, their derivatives, and whether it is kept."""
+
+    dt: float
+    bend: Bend
+    kept: bool
+
+
 class _Descent:
     """Velocities N z, lowered stage by stage: what earlier stages reached stays."""
 
-    def __init__(self, N: Array):
+    def __init__(self, N: Array, speeds: tuple[Array, Array] | None = None):
         self.N, self.z, self.free = N, np.zeros(N.shape[1]), np.eye(N.shape[1])
         self.G, self.low, self.high = np.zeros((0, N.shape[1])), np.zeros(0), np.zeros(0)
+        self.speeds = speeds
 
-    def take(self, stage: Stage, damping: float, direction: bool, model: Array | None = None) -> None:
+    def take(self, stage: Stage, damping: float, twist: Twist | None = None, model: Array | None = None) -> None:
         """Do for a stage what can be done; `model` (k, k), where given, is the Hessian that counts for it."""
         A, b, G = stage.A @ self.N, stage.b, stage.inequalities @ self.N
         value = G @ self.z
@@ -301,19 +431,34 @@ class _Descent:
         low, high = self.low - self.G @ self.z, self.high - self.G @ self.z
         low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)  # rounding
         if len(wish) and free.shape[1]:
-            if direction:
-                y = scaled(equations, wish, low, high, self.G @ free)
+            if twist is not None and twist.kept:
+                y = scaled(equations, wish, low, high, twist.dt, twist.bend, self.G @ free, None)
+            elif twist is not None:
+                y = damped(equations, wish, low, high, damping, self.G @ free, None, twist.bend, SHIFT)
             else:
                 if model is not None:
                     pull = free.T @ (A.T @ b + G[out].T @ np.clip(value, stage.low, stage.high)[out] - model @ self.z)
                     equations, wish = convex(free.T @ model @ free, pull, equations, damping)
                     damping = 0.0
                 y = damped(equations, wish, low, high, damping, self.G @ free, None)
-            self.z = self.z + free @ y
+            self.z = self.z + free @ (y if self.speeds is None else self._slowed(y, equations, low, high))
         if stage.hard and out.any():
             value = G[out] @ self.z
             self._bound(G[out], np.minimum(stage.low[out], value), np.maximum(stage.high[out], value))
         self.free = free @ null(A @ free)
+
+    def _slowed(self, y: Array, equations: Array, low: Array, high: Array) -> Array:
+        """y (k,) of the free velocities, shortened until limits of speed alone hold, then the nearest that is left."""
+        assert self.speeds is not None
+        rows, (least, most), now = self.N @ self.free, self.speeds, self.N @ self.z
+        y = part_within(rows @ y, least, most) * y
+        value, least, most = rows @ y, np.minimum(least - now, 0.0), np.maximum(most - now, 0.0)
+        if (value >= least).all() and (value <= most).all():
+            return y
+        G, low, high = np.concatenate([rows, self.G @ self.free]), np.append(least, low), np.append(most, high)
+        weak = SHIFT * NEAR * (float(np.linalg.norm(equations, 2)) or 1.0)
+        metric = np.concatenate([equations, weak * np.eye(len(y))])
+        return bounded(metric, metric @ y, low, high, np.zeros(len(y)), G)
 
     def _bound(self, G: Array, low: Array, high: Array) -> None:
         self.G = np.concatenate([self.G, G])
@@ -335,7 +480,7 @@ def convex(H: Array, pull: Array, J: Array, damping: float) -> tuple[Array, Arra
 
 
 def stages_of(problem: Demands, q: Array, dt: float) -> list[Stage]:
-    """What tasks ask of the velocities at q (nq,), level by level: that what they miss is gone after dt."""
+    """What tasks ask of the velocities at q (..., nq), level by level: that what they miss is gone after dt."""
     packed, loops = problem.packed, problem.packed.loops
     error, J = packed.evaluate(q, problem.pins)
     levels, strengths, *_ = problem.levels
@@ -344,11 +489,13 @@ def stages_of(problem: Demands, q: Array, dt: float) -> list[Stage]:
     level, hard = (np.repeat(x, counts)[own] for x in levels.reshape(2, -1))
     weight = np.repeat(np.sqrt(strengths[:, 0]), counts)[own]
     low, high = ends_of_rows(packed)
+    equal = low == high
     J, low, high = weight[:, None] * J, weight * (low - error) / dt, weight * (high - error) / dt
     out: list[Stage] = []
     for s in range(1, int(level.max(initial=0)) + 1):
-        equal, between = (level == s) & (low == high), (level == s) & (low < high)
-        out.append(Stage(J[equal], low[equal], J[between], low[between], high[between], bool(hard[level == s][0])))
+        same, between = (level == s) & equal, (level == s) & ~equal
+        ends = low[..., between], high[..., between]
+        out.append(Stage(J[..., same, :], low[..., same], J[..., between, :], *ends, bool(hard[level == s][0])))
     return out
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe import spatial
-from kempe.solvers.velocity.least_squares import INWARD, scaled, wish
+from kempe.solvers.velocity.least_squares import NOISE, SHIFT, damped, least_in_box, part_within, scaled, wish
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -24,8 +24,11 @@ if TYPE_CHECKING:
 
 ENOUGH = 1e-26
 """Square of the error that counts as zero: 1e-13 of a length."""
-HALF = 0.25
-"""Part of the square of the error down to which a step of first order must bring it."""
+RESIDUAL = 0.5
+"""Damping as a part of the error (Levenberg and Marquardt; Sugihara, 2011)."""
+ENOUGH_GAIN, LITTLE_GAIN = 0.75, 0.25
+"""Decreases of the error, as parts of what a straight way would give, from which a step of first order counts alone,
+and up to which one of second order does; between them they are mixed."""
 DIFFERENCE = 1e-5
 """Step of the differences of the Jacobian, in radians and characteristic lengths."""
 LARGEST, ASIDE = 0.5, 0.05
@@ -40,8 +43,6 @@ ROUNDING = 1e-28
 """Promised decrease below which one rests, however small the error is."""
 LITTLE = 0.01
 """Least decrease of the error, as a part of what the joints move, for which a direction is kept."""
-NOISE = 1e-9
-"""Part of the largest velocity up to which one is rounding."""
 TRIALS, HALVINGS = 16, 6
 """Steps tried in one cycle, each shorter than the one before; halvings of a step in a direction that is kept."""
 
@@ -65,8 +66,12 @@ def error(goal: Array, pose: Array) -> Array:
 class Approach:
     """One step towards a pose, from a configuration q (nq,): `velocity` (n,) of the chain, and `q` after it."""
 
-    def __init__(self, servo: Servo, q: Array, goal: Array, pose: Array, J: Array, dt: float, weights: Array | None):
+    def __init__(
+        self, servo: Servo, q: Array, goal: Array, pose: Array, J: Array, dt: float, weights: Array | None, slow: float
+    ):  # fmt: skip
         self.servo, self.before, self.goal, self.dt = servo, q, goal, dt
+        self.slow, self.calm = slow, False
+        """A speed that no joint exceeds in the next cycle, where it is `calm`."""
         self.e, self.J = error(goal, pose), J
         self.metric = servo.metric if weights is None else servo.metric * weights
         self.missing = self.metric * self.e
@@ -76,17 +81,45 @@ class Approach:
         self.square = float(self.missing @ self.missing)
 
     def go(self, low: Array, high: Array, damping: float, weights: Array | None, direction: bool) -> Array:
-        """Velocities (n,) in the box from `low` to `high`."""
-        twist = self.e / self.dt
+        """Velocities (n,) in the box from `low` to `high`.
+
+        Limits of speed shorten the step that limits of position leave: so all joints arrive together.
+        """
+        twist, rest = self.e / self.dt, np.minimum(np.maximum(0.0, low), high)
         A, b = (self.J, twist) if weights is None else (weights[:, None] * self.J, weights * twist)
         if self.square <= ENOUGH or not len(low):
-            return np.minimum(np.maximum(0.0, low), high)
+            return rest
         if direction:
-            return self.shortened(scaled(A, b, low, high))
-        x, damped = wish(A, b, damping, self.servo.near)
-        if (x >= low).all() and (x <= high).all() and self.left(x) <= HALF * self.square:
-            return x
-        return self.second_order(low, high, damped)
+            return self.shortened(scaled(A, b, low, high, self.dt, self.servo.bend(self.before, weights),
+                                         near=self.servo.near))  # fmt: skip
+        near = self.servo.near
+        wished = wish(A, b, damping, near, RESIDUAL * math.sqrt(self.square))
+        x = wished.x
+        least, most = self.servo.box(self.before, self.dt, self.servo.unbounded)
+        if whole := bool((x >= least).all() and (x <= most).all()):
+            part = part_within(x, low, high)
+        else:
+            x = damped(A, b, least, most, damping, near=near, shift=SHIFT, wished=wished)
+            part = 0.0 if rest.any() else part_within(x, low, high)
+        part = min(part, LARGEST / max(float(np.abs(x * self.dt / self.servo.unit).max()), 1e-300))
+        left = self.left(part * x) if part else self.square
+        gain = (1.0 - math.sqrt(left / self.square)) / part if part else 0.0
+        if gain >= ENOUGH_GAIN:
+            self.calm = whole and part == 1.0 and self.arrived(left, wished.s[-1], weights)
+            return part * x
+        y = self.second_order(least, most, wished.rows)
+        if rest.any():
+            return np.minimum(np.maximum(y, low), high)
+        y = part_within(y, low, high) * y
+        share = max(0.0, (gain - LITTLE_GAIN) / (ENOUGH_GAIN - LITTLE_GAIN))
+        return share * part * x + (1.0 - share) * y
+
+    def arrived(self, left: float, smallest: float, weights: Array | None) -> bool:
+        """Whether the square of the error that is left is so small that the next velocities are, too."""
+        servo = self.servo
+        if weights is not None or smallest < servo.near:
+            return False
+        return 2.0 * math.sqrt(left) * max(1.0, 1.0 / servo.metric[0]) <= smallest * self.dt * self.slow
 
     def left(self, velocity: Array) -> float:
         """Square of the error after velocities (n,)."""
@@ -111,7 +144,7 @@ class Approach:
             velocity, slope = 0.5 * velocity, 0.5 * slope
         return 0.0 * velocity
 
-    def second_order(self, low: Array, high: Array, damped: Array) -> Array:
+    def second_order(self, low: Array, high: Array, damping: Array) -> Array:
         """The velocities (n,) in the box that make the error's second order least, if they lower the error itself."""
         unit, dt = self.servo.unit, self.dt
         least, most = np.maximum(low * dt / unit, -LARGEST), np.minimum(high * dt / unit, LARGEST)
@@ -119,7 +152,7 @@ class Approach:
         push, H = self.A.T @ self.missing, self.hessian()
         strength = np.abs(H).max(axis=1)
         idle = strength <= FLAT * strength.max()
-        weak = damped * unit
+        weak = damping * unit
         model, more = H + weak.T @ weak if len(weak) else H, 0.0
         for _ in range(TRIALS):
             z, curvature, way = newton(model, push, least, most)
@@ -202,36 +235,6 @@ def newton(H: Array, push: Array, low: Array, high: Array) -> tuple[Array, float
     way = np.zeros(len(z))
     way[own] = W[:, 0]
     return z, min(float(some[0]) + SADDLE * most, 0.0), way
-
-
-def least_in_box(H: Array, push: Array, low: Array, high: Array) -> tuple[Array, np.ndarray]:
-    """The z (n,) in a box that makes z H z / 2 - push z least, of a positive H, and which entries are at no bound."""
-    z: Array = np.asarray(np.linalg.solve(H, push), dtype=float)
-    free = (low < z) & (z < high)
-    if free.all():
-        return z, free
-    z = np.minimum(np.maximum(z, low), high)
-    for _ in range(10 * len(z)):
-        own = free.nonzero()[0]
-        step = np.zeros(len(z))
-        step[own] = np.linalg.solve(H[own[:, None], own], (push - H @ z)[own])
-        ahead = z + step
-        over = free & ((ahead < low) | (ahead > high))
-        if over.any():
-            room = np.where(step < 0.0, low - z, high - z)[over] / step[over]
-            which = over.nonzero()[0][int(np.argmin(room))]
-            z = np.minimum(np.maximum(z + float(room.min()) * step, low), high)
-            z[which] = low[which] if step[which] < 0.0 else high[which]
-            free[which] = False
-            continue
-        z = ahead
-        slope = push - H @ z
-        pull = np.where(free | (low >= high), 0.0, np.where(z <= low, slope, -slope))
-        worst = int(np.argmax(pull))
-        if pull[worst] <= INWARD * float(np.abs(push).max()):
-            break
-        free[worst] = True
-    return z, free
 
 
 def aside(z: Array, way: Array, low: Array, high: Array) -> Array:
