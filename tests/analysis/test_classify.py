@@ -466,3 +466,33 @@ def test_rows_that_lose_rank_at_one_place() -> None:
     assert (found.velocity_dof, found.growth, found.reachable_dimension) == (3, None, None)
     assert "lose rank at q" in str(found)
     assert system.classify([0.5, 0.3, 0.1]).growth == (2, 2)
+
+
+def test_scales_of_coordinates_and_rows_do_not_change_the_kind_unless_it_is_doubtful(hunt: Hunt) -> None:
+    """The contact form dz = y dx, its coordinates and its row scaled by powers of ten, at places far away."""
+    rng = hunt.rng()
+    plain = "nonholonomic, motions reach every configuration around"
+    for _ in range(hunt.cases(60)):
+        a, b, row, far = (10.0 ** rng.uniform([-6, -6, -6, 0], [6, 6, 6, 12])).tolist()
+        rows = [[f"{-a * row!r}*y", 0, f"{b * row!r}"]]
+        found = sliding(("x", "y", "z"), rows).classify([0.3, rng.choice([-1, 1]) * far, 0.2])
+        assert found.doubtful or plain in found.status, (a, b, row, far, found.status)
+        if found.doubtful:
+            assert "beyond the digits" in found.status and found.constraints["law"].doubtful
+            assert "beyond the digits" in found.constraints["law"].sentence
+
+
+def test_far_places_of_what_is_integrable_are_not_said_to_reach_more(hunt: Hunt) -> None:
+    """The exact forms d(x^2 + c y) and d(x y z), scaled and far away: never more than functions of position allow."""
+    rng = hunt.rng()
+    for _ in range(hunt.cases(40)):
+        scale, far = (10.0 ** rng.uniform([-6, 0], [6, 9])).tolist()
+        rows = [[f"{2 * scale!r}*x", f"{scale!r}", 0]] if rng.random() < 0.5 else [["y*z", "x*z", "x*y"]]
+        found = sliding(("x", "y", "z"), rows).classify(far * rng.uniform(0.5, 1.0, 3))
+        assert found.reachable_dimension == 2 and "every configuration" not in found.status
+
+
+@pytest.mark.parametrize("y", [1e7, 1e9, 1e12])
+def test_a_contact_form_far_away_is_not_said_to_be_integrable(y: float) -> None:
+    found = sliding(("x", "y", "z"), [["-y", 0, 1]]).classify([0.3, y, 0.2])
+    assert found.doubtful and "integrable" not in found.status.replace("whether it is integrable", "")

@@ -315,3 +315,22 @@ def test_it_is_saved_and_drawn_like_other_paths(tmp_path):
         path.at(path.duration + 1.0)
     ax = path.system.plot(path=path, ghosts=3)
     assert ax.figure is not None
+
+
+def test_what_does_not_roll_is_told_what_holds_on_the_way():
+    m = Mechanism("arm", dim=2)
+    last = m.ground
+    for i in range(4):
+        m.revolute(f"j{i}", last, m.body(f"L{i}"), at=(0.4, 0) if i else (0, 0))
+        last = f"L{i}"
+    m.frame("tip", last, at=(0.3, 0))
+    free = m.build()
+    with pytest.raises(UnsupportedError, match="nothing keeps it from going straight there"):
+        free.manoeuvre(free.neutral, free.neutral)
+    with pytest.raises(UnsupportedError, match="limits or one-sided constraints hold on the way.*path"):
+        free.with_limits({"j1": (-1.0, 1.0)}).manoeuvre(free.neutral, free.neutral)
+    m.constrain(kempe.constraints.OnLine("tip", [0, 0.5], [1, 0]), "rail")
+    railed = m.build()
+    q = railed.assemble({}, start=np.ones(4)).q
+    with pytest.raises(UnsupportedError, match="'rail' holds positions on the way.*configuration_space.path"):
+        railed.manoeuvre(q, q)

@@ -511,3 +511,18 @@ def test_what_has_no_coordinates_does_not_move():
     assert len(m.build().trace()) == 1
     m.fixed("F", m.ground, m.body("block"))
     assert "cannot move" in m.build().trace().status
+
+
+def test_a_trace_without_a_start_begins_where_one_sided_constraints_hold():
+    m = kempe.Mechanism("slot", dim=2)
+    crank, link = m.body("crank"), m.body("link")
+    m.revolute("A", m.ground, crank)
+    m.revolute("B", m.ground, link, at=(0.5, 0))
+    m.frame("pin", crank, at=(0.3, 0))
+    m.point_on_line("slot", link, "pin", axis=(1, 0))
+    m.constrain(kempe.constraints.InBox("pin", [0.1, -1], [0.75, 1], other=link), "ends")
+    system = m.build()
+    path, other = system.trace(), system.trace(start=system.assemble({"A": 0.7}).q)
+    assert path and path.length == pytest.approx(other.length, rel=1e-6)
+    assert all("'ends x, upper end'" in end for end in path.ends)
+    assert not system.trace(start=system.neutral), "a start that is given is taken as it is"

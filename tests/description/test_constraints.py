@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from kempe import Mechanism, System
+from kempe import Mechanism, System, constraints
 from kempe.description.constrain import between
 from kempe.description.toml.toml import read_toml
 from kempe.description.toml.toml_writer import write_toml
@@ -168,3 +168,13 @@ def test_length_follows_parameters():
     assert rod.length(m.parameters) == 1.0
     with pytest.raises(DescriptionError, match=r"constraint 'rod': its length is -0.5 \(length = l - 1\)"):
         m.build().with_parameters(l=0.5).assemble()
+
+
+def test_a_posture_is_refused_for_what_it_is_and_not_for_a_weight_that_nobody_gave():
+    m = Mechanism("arm", dim=2)
+    m.revolute("j", m.ground, m.body("link"))
+    for posture in (constraints.Posture({"j": 0.3}), constraints.Posture({"j": 0.3}, weight=None)):
+        with pytest.raises(DescriptionError, match="requested in one call of ik.*lock, couple"):
+            m.constrain(posture)
+    with pytest.raises(DescriptionError, match="weight is what ik reads"):
+        m.constrain(constraints.Posture({"j": 0.3}, weight=2.0))

@@ -162,3 +162,50 @@ def test_bad_input_is_refused_and_no_start_is_said():
     for targets, options in refused:
         with pytest.raises(InputError):
             s.ik_path(targets, "tip", **options)
+
+
+@pytest.mark.parametrize("every", [6, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("name", "frame"), [("iiwa14", "tool"), ("panda", "panda_hand_tcp"), ("gen3", "tool")])
+def test_lines_of_joints_of_redundant_arms_are_followed(name, frame, every):
+    """Targets of a straight line of joints inside the limits: a continuous answer exists, and no status denies it."""
+    system, followed = kempe.load(name), 0
+    for k in range(0, 30, every):
+        rng = np.random.default_rng(k)
+        a, e = np.array(system.random(rng)), np.array(system.random(rng))
+        X = system.fk(a + (e - a) * np.linspace(0, 1, 81)[:, None], frame)
+        p = system.ik_path(X, frame, a)
+        followed += bool(p)
+        if p:
+            assert (p.q >= system.lower - 1e-9).all() and (p.q <= system.upper + 1e-9).all()
+            assert np.abs(system.fk(p.q, frame) - X).max() < 1e-8
+            big = int(np.argmax(np.abs(np.diff(p.q, axis=0)).max(axis=1)))
+            A, B = X[big], X[big + 1]
+            s = np.linspace(0, 1, 129)[:, None]
+            turn = spatial.exp_so3(s * spatial.log_so3(A[:3, :3].T @ B[:3, :3]))
+            fine = system.ik_path(spatial.pose(A[:3, :3] @ turn, A[:3, 3] + s * (B - A)[:3, 3]), frame, p.q[big])
+            assert fine and np.abs(np.diff(fine.q, axis=0)).max() < 0.2, "its largest step is followed in small ones"
+        else:
+            assert "whether a way without a jump exists is not known" in p.status
+    assert followed >= (28 if every == 1 else 4)
+
+
+def test_an_ik_path_names_the_constraint_that_the_targets_leave(hunt):
+    """The tip of an arm is on a rail; targets beside it are refused by the rail's name, not by a singularity."""
+    rng = hunt.rng()
+    m = Mechanism("arm", dim=2)
+    last = m.ground
+    for i in range(4):
+        m.revolute(f"j{i}", last, m.body(f"L{i}"), at=(0.4, 0) if i else (0, 0))
+        last = f"L{i}"
+    m.frame("tip", last, at=(0.3, 0))
+    m.constrain(kempe.constraints.OnLine("tip", [0, 0.5], [1, 0]), "rail")
+    system = m.build()
+    for _ in range(hunt.cases(12)):
+        q = system.assemble({}, start=rng.uniform(-1, 1, 4)).q
+        if np.linalg.svd(system.jacobian(q, "tip")[:2])[1][-1] < 0.2:
+            continue
+        X = system.fk(q, "tip")[:3, 3]
+        p = system.ik_path(X + [[0, 0, 0], [0, 0.02, 0], [0, 0.04, 0]], "tip", start=q)
+        assert not p and "'rail' does not let it follow" in p.status and "singular" not in p.status
+        along = system.ik_path(X + [[0, 0, 0], [0.01, 0, 0], [0.02, 0, 0]], "tip", start=q)
+        assert along or "'rail' does not let" not in along.status

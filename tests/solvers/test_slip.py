@@ -208,3 +208,37 @@ def test_inputs_that_leave_freedoms_and_limits():
     assert not stopped and "'pose.x' would be beyond its limit" in stopped.status and stopped.q[-1, 0] <= 0.5
     held = wheels.coin().drive({"roll": t}, t, np.zeros(4), hold={"pose.rz": 0.0})
     assert held and held.q[-1] == pytest.approx([0.5, 0, 0, 1])
+
+
+def cart(*axles: tuple[float, float, float]) -> kempe.System:
+    """A body in the plane on axles, each at a place (x, y) and turned by an angle."""
+    m = Mechanism("cart", dim=2)
+    m.planar("pose", m.ground, m.body("body"))
+    for k, (x, y, turn) in enumerate(axles):
+        m.frame(f"wheel{k}", "body", at=(x, y), angle=turn)
+        m.no_sideslip(f"axle{k}", f"wheel{k}")
+    return m.build()
+
+
+def test_ik_speaks_of_a_manoeuvre_only_where_brackets_show_one(hunt):
+    """One axle is a car; two in parallel, or not, leave one freedom: a line or a circle, and no manoeuvre."""
+    rng = hunt.rng()
+    for _ in range(hunt.cases(20)):
+        first, second = rng.uniform(-1, 1, (2, 3))
+        if rng.random() < 0.5:
+            second[2] = first[2]
+        target = kempe.spatial.pose(kempe.spatial.rot_z(rng.uniform(-2, 2)), [*rng.uniform(-2, 2, 2), 0.0])
+        one, two = cart(first).ik(target, "body"), cart(first, second).ik(target, "body")
+        assert one and "going there is a manoeuvre ('axle0' holds on the way)" in one.status
+        assert two and "is a manoeuvre" not in two.status
+        assert "'axle0', 'axle1' hold on the way, where 2 functions of position keep their values" in two.status
+
+
+def test_a_coin_on_a_rail_has_no_manoeuvre():
+    m = Mechanism("coin on a rail")
+    m.prismatic("x", m.ground, m.body("yoke"), at=(0, 0, 0.3), axis="x")
+    m.revolute("roll", "yoke", m.body("disc"), axis="y")
+    m.rolls("floor", "disc", radius=0.3, shape="disc")
+    system = m.build()
+    answer = system.ik(system.fk(system.q({"x": 1.0, "roll": 0.2}), "disc"), "disc")
+    assert "1 function of position keeps its value" in answer.status and "is a manoeuvre" not in answer.status

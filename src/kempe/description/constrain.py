@@ -47,7 +47,8 @@ def declare(mechanism: Mechanism, given: object, name: str, where: Where | None 
         name = name or given.name or given.label
     subject = f"constraint {name!r}"
     mechanism._free_joint_name(checks.name(name, "constraint"), subject, where)
-    demands = [f for f in ("weight", "priority", "tolerance") if getattr(given, f) != getattr(Constraint, f)]
+    names = ("weight", "priority", "tolerance")
+    demands = [f for f in names if getattr(given, f) not in (getattr(Constraint, f), getattr(type(given), f))]
     if demands:
         checks.refuse(subject, f"{demands[0]} is what ik reads of a wish", where,
                       "a mechanism always holds it: leave it out")  # fmt: skip

@@ -68,3 +68,70 @@ def test_wrong_calls():
 def test_what_is_no_task_is_refused(wrong):
     with pytest.raises(InputError, match="is no task; see kempe.tasks"):
         kempe.load("bennett").task_space(wrong)
+
+
+def arm(size: float, held: bool = False, offset: float = 0.0, at: float = 0.0) -> kempe.System:
+    """A chain of three hinges in the plane of this size, far from the origin by `at`, whose wrist may be held."""
+    m = kempe.Mechanism("arm", dim=2)
+    last, place = m.ground, (at, 0.3 * at)
+    for k in range(3):
+        m.revolute(f"j{k}", last, m.body(f"L{k}"), at=place)
+        last, place = f"L{k}", (size, 0.2 * size)
+    m.frame("end", last, at=(0.7 * size, offset * size))
+    m.frame("hub", "L0", at=(offset * size, 0.0))
+    if held:
+        m.constrain(tasks.Position("end", [at + 1.2 * size, 0.3 * at + 0.9 * size]), "held")
+    return m.build()
+
+
+@pytest.mark.parametrize("size", [1e-3, 0.1, 1.0, 30.0, 1e3, 1e6])
+@pytest.mark.parametrize("at", [0.0, 10.0])
+def test_rounding_is_no_rank(size, at):
+    """A point that is held does not move; one on an axis, at any place and of any size, neither."""
+    still = arm(size, held=True, at=at * size).task_space("end", task="position", budget=Budget(starts=16))
+    assert (still.n, still.rank, still.generic_rank) == (1, 0, 0), still.status
+    turned = arm(size, held=True, at=at * size).task_space("end", task="pose", budget=Budget(starts=16))
+    assert (turned.rank, turned.generic_rank) == (1, 1)
+    free = arm(size, at=at * size)
+    assert free.task_space("hub", task="position").generic_rank == 0
+    assert free.task_space("hub", task="pose").generic_rank == 1
+    assert free.task_space("end", task="pose").generic_rank == 3
+
+
+@pytest.mark.parametrize("offset", [1e-9, 1e-6, 1e-3])
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e6])
+def test_a_frame_beside_its_axis_moves(size, offset):
+    assert arm(size, offset=offset).task_space("hub", task="position").generic_rank == 1
+
+
+def scaled(rng: np.random.Generator, f: float) -> tuple[kempe.System, int]:
+    """A random chain in space of hinges and slides, its lengths times f, and the rank of its pose by numpy."""
+    m, last, drawn = kempe.Mechanism("chain"), "ground", []
+    n = int(rng.integers(1, 7))
+    for k in range(n):
+        kind = "prismatic" if rng.random() < 0.3 else "revolute"
+        at, axis = rng.choice([0.0, 0.3, 0.5], 3), rng.choice(["x", "y", "z"])
+        m.joint(f"j{k}", kind, m.ground if k == 0 else last, m.body(f"b{k}"), at=tuple(f * at), axis=axis,
+                limits=(-f, f) if kind == "prismatic" else None)  # fmt: skip
+        last = f"b{k}"
+        drawn.append((kind, at, axis))
+    return m.build(), n
+
+
+def test_ranks_do_not_depend_on_the_unit_of_length(hunt):
+    """The same chain in units of length from 1e-3 to 1e6: the same ranks, those of the columns by numpy at size 1."""
+    rng = hunt.rng()
+    for _ in range(hunt.cases(24)):
+        seed = int(rng.integers(2**31))
+        found = []
+        for f in (1.0, 1e-3, 1e3, 1e6):
+            system, n = scaled(np.random.default_rng(seed), f)
+            space = [
+                system.task_space(f"b{n - 1}", task=task, budget=Budget(starts=8)) for task in ("pose", "position")
+            ]
+            found.append([(s.rank, s.generic_rank) for s in space])
+            if f == 1.0:
+                J = np.asarray(system.jacobian(system.random(np.random.default_rng(1), 8), f"b{n - 1}"))
+                ranks = [max(np.linalg.matrix_rank(j, 1e-9) for j in part) for part in (J, J[:, :3])]
+                assert [s.generic_rank for s in space] == ranks
+        assert all(x == found[0] for x in found), found

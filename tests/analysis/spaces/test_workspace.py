@@ -303,3 +303,23 @@ def test_a_box_where_nothing_is_reached(kind):
 def test_an_unknown_frame():
     with pytest.raises(UnknownNameError, match="tip"):
         two_bars(0.5, 0.3).workspace("tipp")
+
+
+def test_a_workspace_under_a_narrow_constraint():
+    """The tip of a chain must be in a disc that 0.1 % of configurations reach: its area, and no refusal."""
+    m = kempe.Mechanism("arm", dim=2)
+    last = m.ground
+    for i in range(3):
+        m.revolute(f"j{i}", last, m.body(f"L{i}"), at=(1, 0) if i else (0, 0), limits=(-3.2, 3.2))
+        last = f"L{i}"
+    m.frame("tip", last, at=(1, 0))
+    m.inequality("near", lambda x: 0.09**2 - _tip_distance(x), of=("j0", "j1", "j2"))
+    system = m.build()
+    found = system.workspace("tip", n=100_000, cells=6)
+    assert found.area[0] == pytest.approx(np.pi * 0.09**2, rel=0.35)
+    assert found.contains([1.5, 0.0])
+
+
+def _tip_distance(x):
+    a, b, c = x["j0"], x["j0"] + x["j1"], x["j0"] + x["j1"] + x["j2"]
+    return (np.cos(a) + np.cos(b) + np.cos(c) - 1.5) ** 2 + (np.sin(a) + np.sin(b) + np.sin(c)) ** 2

@@ -34,6 +34,8 @@ SAME_RATIO = 1e-12
 """How near a factor must be to a ratio of whole numbers to be that ratio."""
 RESTS = 1e-6
 """Share of the driver in a direction below which it rests."""
+SEED, STARTS = 1837, 16
+"""Random starts from which a configuration within one-sided constraints is looked for."""
 LONGEST = 0.1
 """Longest step unless the caller says otherwise, in radians and characteristic lengths over all coordinates."""
 
@@ -112,7 +114,22 @@ def begin(system: System, start: Any, hold: Mapping[str, float]) -> tuple[Closur
         if not answer.success:  # what is one-sided is then reported
             answer = of_equations(system, {**hold, **known})({**hold, **known}, near)
         q = close(fixed, answer.q) if answer.success else None
+    if start is None and q is not None and one_sided_rows(system).beyond(q, declared=True).any():
+        q = _within(system, hold, fixed, near, q)
     return equations, q
+
+
+def _within(system: System, hold: Mapping[str, float], fixed: Closure, near: Array, q: Array) -> Array:
+    """A closed configuration (nq,) that one-sided constraints allow, where nobody says which; else q as it is."""
+    from kempe.solvers.assembly.assembly import assemble
+
+    rows, rng = one_sided_rows(system), np.random.default_rng(SEED)
+    for start in (near, *random(system, rng, (STARTS,))):
+        answer = assemble(system, dict(hold), start)
+        found = close(fixed, answer.q) if answer.success else None
+        if found is not None and not rows.beyond(found).any():
+            return found
+    return q
 
 
 def why_open(system: System, start: Any, hold: Mapping[str, float]) -> str:

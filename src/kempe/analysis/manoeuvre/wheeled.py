@@ -18,6 +18,7 @@ from kempe.analysis.first_order.null_space import null_space
 from kempe.errors import UnsupportedError
 from kempe.kinematics import closure_rows
 from kempe.kinematics.configuration import random
+from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.velocity.velocity import rates
 from kempe.spatial import Array
 
@@ -191,6 +192,12 @@ class Wheeled:
 def wheeled(system: System, q: Array) -> Wheeled:
     """What of the system is steered like a car, beside its configuration q (nq,). Errors: `UnsupportedError`."""
     A, b = rates(system, q)
+    if not A.shape[-2] and (held := binding(system, q)):
+        raise UnsupportedError(f"{system.name} has no velocity constraints; {held!r} holds positions on the way: "
+                               "system.configuration_space.path(start, goal)")  # fmt: skip
+    if not A.shape[-2] and len(one_sided_rows(system)):
+        raise UnsupportedError(f"{system.name} has no velocity constraints; limits or one-sided constraints hold on "
+                               "the way: system.configuration_space.path(start, goal)")  # fmt: skip
     if not A.shape[-2]:
         raise UnsupportedError(f"{system.name} has no velocity constraints: nothing keeps it from going straight there "
                                "(system.configuration_space.interpolate)")  # fmt: skip

@@ -54,6 +54,8 @@ class ConstraintKind(InWords):
     integrable: int = 0
     reaches: int | None = None
     growth: tuple[int, ...] | None = None
+    doubtful: bool = False
+    """Whether rounding decides that brackets reach no more: then `reaches` is the least."""
     touching: bool = False
     """Whether its rows of velocity hold only while it touches something."""
 
@@ -232,10 +234,11 @@ class _Classifier:
                 name, HOLONOMIC if held else UNILATERAL, names, others.null_space().dimension - whole if held else 0
             )  # fmt: skip
         alone = place.null_space(which)
-        found = growth(alone, self.rng, whole, False).dimensions
+        grown = growth(alone, self.rng, whole, False)
+        found = grown.dimensions
         kind = INTEGRABLE if found[-1] == alone.dimension else NONHOLONOMIC
         extra = place.extra
         return ConstraintKind(
             name, kind, names, whole - alone.dimension, whole - found[-1], found[-1] - extra,
-            tuple(d - extra for d in found), any(rows[i].sided for i in own),
+            tuple(d - extra for d in found), grown.doubtful and found[-1] < whole, any(rows[i].sided for i in own),
         )  # fmt: skip

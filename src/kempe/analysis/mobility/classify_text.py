@@ -59,6 +59,9 @@ def _of_one(c: ConstraintKind) -> str:
     if not c.independent:
         return "integrable: its velocities are zero by what holds positions, it takes no freedom"
     growth = vector(c.growth or ())
+    if c.doubtful:
+        least = f"alone, brackets of its velocities reach at least {counted(c.reaches or 0, 'dimension')}, {growth}"
+        return f"{least}; whether it is integrable is beyond the digits of numbers"
     if c.kind == "integrable":
         held, stay = counted(c.independent, "function"), counted(c.reaches or 0, "dimension")
         alone = f"integrable: alone, brackets of its velocities add nothing, {growth}"
@@ -127,6 +130,7 @@ def data(c: Classification) -> dict[str, Any]:
         "one_sided": None if c.one_sided is None else c.one_sided.data(),
         "constraints": {
             k: {"kind": x.kind, "rows": list(x.rows), "independent": x.independent, "integrable": x.integrable,
+                "doubtful": x.doubtful,
                 "reaches": x.reaches, "growth": None if x.growth is None else list(x.growth), "sentence": x.sentence}
             for k, x in c.constraints.items()},
     }  # fmt: skip

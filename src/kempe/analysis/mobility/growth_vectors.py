@@ -21,6 +21,8 @@ ROUNDING = 30.0
 """How many times its estimated rounding a direction must be long to count."""
 SEEN, DOUBT = 3.0, 300.0
 """Between how many times its rounding a direction is doubtful, whether it counts or not."""
+EXACT = 1e-15
+"""How far a configuration is from where it should be, in units, up to which all error of brackets is their rounding."""
 SHARE = 1e-3
 """The least part of an estimate of rounding that is believed."""
 BLIND = 1e-6
@@ -181,6 +183,8 @@ class _GrowingSpan:
         """
         sizes = np.linalg.norm(words, axis=0)
         real = sizes > ROUNDING * np.maximum(noise, self.least)
+        if not known and self.least <= EXACT:  # too short to count, and longer than its own rounding
+            self.doubtful |= bool(np.any(~real & (sizes > SEEN * noise) & (sizes > 0.0)))
         words, noise = words[:, real] / sizes[real], noise[real] / sizes[real]
         if not words.size:
             return 0

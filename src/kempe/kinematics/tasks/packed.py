@@ -192,6 +192,13 @@ def count(system: System, constraint: Constraint) -> int:
 
 
 @explained
+def units(system: System, constraint: Constraint) -> tuple[str, ...]:
+    """The unit of each equation of `error`: "m", "rad" or "1"."""
+    alone = _alone(system, constraint)
+    return tuple(unit for unit, row in zip(alone.loops.units, alone.rows, strict=True) if row >= 0)
+
+
+@explained
 def miss(system: System, constraint: Constraint, q: Any) -> tuple[Array, Array]:
     """How far (...) a constraint is missed at q (..., nq), in metres and in radians, judged by the forward model.
 

@@ -18,6 +18,7 @@ from kempe.kernels.base.search_layout import SOLVED
 from kempe.kinematics.tasks.packed import refuse
 from kempe.reals import reals
 from kempe.rigid import arrays, sound
+from kempe.solvers.assembly.assembly import assemble
 from kempe.solvers.assembly.ideal import ideal_of
 from kempe.solvers.common import wording
 from kempe.solvers.common.answer import Configurations
@@ -43,6 +44,10 @@ ROUNDING = 1e-12
 """How far outside its limits a coordinate may seem to be."""
 ROUNDED = 1e-3
 """Largest tolerance that is named where targets seem to be rounded."""
+SAME = 1e-9
+"""Smallest singular value, as a part of the largest, at which rows are dependent."""
+AVOIDING = (0.02, 0.2)
+"""Strengths with which paths keep away from limits that are tried where the shortest steps end."""
 TRIED = 16
 """Seeds that are tried where another start or a way on is looked for."""
 
@@ -112,8 +117,10 @@ def ik_path(
     exponential map) is halved. Near a singularity it goes on as before where it can, and a turn of the joints that
     leaves the targets' way alone is no jump. A `tolerance` above the usual 1e-10 m and rad is for rounded targets: what
     a singularity cannot give is then left out within it.
-    Where the smallest part of it cannot be gone, the path must jump: it stops, or, with `restart`, goes on from the
-    nearest configuration found at the next target that can be reached; joints that the targets do not ask for stay.
+    Where the smallest part of it cannot be gone, the path from the start is tried once more, if the targets leave
+    freedoms, with small self-motions away from limits. Where that ends, too, it stops, or, with `restart`, goes on from
+    the nearest configuration found at the next target that can be reached; joints that the targets do not ask for stay.
+    That it stops is no proof that no continuous path exists.
     Where there are velocity constraints, a path that slips (by more than the bend between targets explains) is refused
     with the place; where targets leave freedoms, one that rolls is led from the first target on instead.
     With `branches`, paths from several start configurations are tried, those of `ik_all` among them where it applies:
@@ -158,12 +165,12 @@ def by_steps(problem: Problem) -> IkPath:
         status = f"the path does not begin: target {begin} is {judge(way.rows[begin], q0, info).status}"
         return IkPath(system, np.full((n, system.nq), np.nan), np.zeros(n, dtype=bool), (), status, demands)
     if not options["branches"]:
-        return way.rolled(way.path(q0[0], restart, begin), begin)
+        return way.rolled(way.best(q0[0], restart, begin), begin)
     further = _all(problem, way.rows[begin], begin, q0[0])
     begins = _distinct([q0[0], *way.elsewhere(begin, q0[0]), *further])
     paths: list[IkPath] = []
     for q in begins:
-        paths.append(way.path(q, restart, begin))
+        paths.append(way.best(q, restart, begin))
         if paths[-1].interrupted or paths[-1].late:
             break
     paths = [way.rolled(p, begin) for p in paths]
@@ -183,7 +190,9 @@ def _held(system: System, targets: Any, frame: FrameLike) -> Constraint:
 
 
 class _FollowedPath(PathSteps):
-    """The way of targets, and the path along it."""
+    """The way of targets, and the path along it, with self-motions away from limits where `avoids` is not 0."""
+
+    avoids = 0.0
 
     def reason(self, i: int, q: Array, part: float) -> str:
         """What ends the path at q, a fraction `part` of the way to target i: limits, a singularity, or neither."""
@@ -192,9 +201,31 @@ class _FollowedPath(PathSteps):
         if free is not None and (names := outside_limits(self.system, free, ROUNDING, False)):
             return wording.limits_of(names, " and of ")
         ratio = self.first_order(ahead, q).ratio
+        if ratio < SINGULAR and (name := self.forbidding(ahead, q)):
+            return f"a point from which {name!r} does not let it follow"
         if ratio < SINGULAR:
             return f"a singularity (ratio of singular values {ratio:.1g})"
         return "a point from which it cannot be followed"
+
+    def forbidding(self, problem: Demands, q: Array) -> str:
+        """The name of what holds always and repeats a row of the targets, at q and elsewhere; '' where nothing does."""
+        packed, name = problem.packed, ""
+        if not packed.closed:
+            return ""
+        ties = [t.name for t in packed.loops.ties for _ in t.rows]
+        names = [t for t, row in zip(ties, packed.rows, strict=True) if row == -1]
+        aside = 0.2 * np.random.default_rng(0).normal(size=self.system.nv)
+        near = self.system.structure.layout.integrate(q, aside * self.scale)
+        other = assemble(self.system, start=near)
+        for x in (q, other.q) if other.success else ():
+            J = self.missing(problem, x)[1]
+            U, s, _ = np.linalg.svd(J)
+            tasks = len(J) - len(names)
+            alone = np.linalg.svd(J[:tasks], compute_uv=False)
+            if s[-1] > SAME * s[0] or len(J) > J.shape[1] or alone[-1] < SINGULAR * alone[0]:
+                return ""
+            name = names[int(np.argmax(np.abs(U[tasks:, -1])))]
+        return name
 
     def hint(self, i: int, q: Array, before: Array) -> str:
         """The tolerance with which a path would go on through a singularity as before, where there is a small one."""
@@ -218,6 +249,30 @@ class _FollowedPath(PathSteps):
         return sorted(
             good, key=lambda x: float(np.linalg.norm(self.system.structure.layout.difference(q, x) / self.scale))
         )
+
+    def best(self, q: Array, restart: bool, begin: int = 0) -> IkPath:
+        """The path from q by the shortest steps; where that ends, and freedoms are left, one that keeps from limits."""
+        path = self.path(q, restart, begin)
+        if path or path.interrupted or path.late or rolls(self.system) or not self.free(begin, q):
+            return path
+        for self.avoids in AVOIDING:
+            other = self.path(q, restart, begin)
+            if _farthest(other) > _farthest(path):
+                path = other
+            elif other.interrupted or other.late:
+                broken = partial(other.interrupted, other.late).strip(" ()")
+                said = f"{path.reason}; another way was looked for, {broken}"
+                path = replace(path, interrupted=other.interrupted, late=other.late, reason=said)
+            if path or path.interrupted or path.late:
+                break
+        self.avoids = 0.0
+        return path
+
+    def free(self, i: int, q: Array) -> bool:
+        """Whether target i leaves freedoms of joints that it asks for, and there are limits."""
+        J = self.missing(self.rows[i], q)[1]
+        used = int((np.abs(J) > 0.0).any(axis=0).sum()) if J.size else 0
+        return self.rows[i].limits and used > int(np.linalg.matrix_rank(J)) if J.size else False
 
     def path(self, q: Array, restart: bool, begin: int = 0) -> IkPath:
         """The path from q, which holds target `begin`; those before cannot be reached."""
@@ -277,7 +332,7 @@ class _FollowedPath(PathSteps):
             if way > STAYS:  # else the target stays, and one goes on as before it
                 moved = self.system.structure.layout.difference(q, found) / self.scale
                 before, last = moved if not before.any() else moved + self.calm * (before - moved), way
-            q = found
+            q = self.away(i, found, self.avoids) if self.avoids else found
             out[i] = q
             if self.progress is not None:
                 self.progress(i + 1)
@@ -297,7 +352,9 @@ def _sentence(system: System, i: int, why: str, q: Array, others: list[Array], r
         return f"{where}; target {i} was not reached from {TRIED} other starts either"
     change = np.abs(system.structure.layout.difference(q, others[0]))
     far = int(np.argmax(change))
-    return f"{where}; target {i} is reached by a jump of {change[far]:.3g} in {system.structure.velocity_names[far]!r}"
+    name = system.structure.velocity_names[far]
+    known = "" if restart else "; whether a way without a jump exists is not known"
+    return f"{where}; target {i} is reached by a jump of {change[far]:.3g} in {name!r}{known}"
 
 
 def _all(problem: Problem, row: Demands, begin: int, q: Array) -> list[Array]:

@@ -17,6 +17,7 @@ from kempe.kernels.base.search_layout import SOLVED
 from kempe.solvers.common.clock import TimeLimit
 from kempe.solvers.common.serial_chain import inside
 from kempe.solvers.tasks.ik_tasks import Demands, judge
+from kempe.solvers.tasks.uninvolved import apart
 from kempe.spatial import Array
 
 TOLERANCE = 1e-10
@@ -45,6 +46,8 @@ UNEVEN = 0.5
 """Part by which the ways to two targets may differ that count as equal steps of one motion."""
 STAYS = 1e-9
 """Length of a way below which a target stays where it was."""
+AVOID = 0.1
+"""Self-motion at most at one target, in radians and characteristic lengths, that leads away from limits."""
 TRUNCATED = 6
 """Steps that leave out what is singular."""
 
@@ -196,6 +199,35 @@ class PathSteps:
                 <= BESIDE * order.way for part in (0.25, 0.5, 0.75)):  # fmt: skip
                 return x
         return None
+
+    def away(self, i: int, q: Array, strength: float) -> Array:
+        """The configuration (nq,) at target i, near q, to which a small self-motion away from limits leads.
+
+        It is the motion that lowers the sum of 1 / distance over all limits the fastest, distances as parts of ranges;
+        its size is the rate of that times `strength`, and `AVOID` at most.
+        """
+        system, limits = self.system, self.system.lower
+        at, v = system.structure.layout.vector_q, system.structure.layout.vector_v
+        wide = system.upper[v] - limits[v]
+        bounded = np.isfinite(wide) & (wide > 0.0)
+        at, v, wide = at[bounded], v[bounded], wide[bounded]
+        low, high = ((np.maximum(x, 1e-3 * wide)) / wide for x in (q[at] - limits[v], system.upper[v] - q[at]))
+        pull = np.zeros(system.nv)
+        pull[v] = (1.0 / low**2 - 1.0 / high**2) / wide * self.scale[v]
+        pull[v[np.isin(at, np.flatnonzero(apart(self.problem.packed, self.problem.pins)))]] = 0.0
+        J = self.missing(self.rows[i], q)[1]
+        _, s, Vt = np.linalg.svd(J, full_matrices=True)
+        N = Vt[int(np.sum(s > 1e-6 * s.max(initial=0.0))) :]
+        way = N.T @ (N @ pull)
+        size = float(np.linalg.norm(way))
+        if size < 1e-9:
+            return q
+        for step in (AVOID, 0.25 * AVOID):
+            moved = way * (min(step, strength * size) / size)
+            found, whole = self.land(self.rows[i], q, moved)
+            if found is not None and np.linalg.norm(whole - moved) <= 0.5 * np.linalg.norm(moved):
+                return found
+        return q
 
     def land(self, problem: Demands, q: Array, ahead: Array) -> tuple[Array | None, Array]:
         """The configuration (nq,) found from q plus the scaled step `ahead` (nv,), or None; the scaled step there."""

@@ -16,7 +16,7 @@ from kempe.constraints.base import Constraint
 from kempe.errors import InputError, shown
 from kempe.kinematics.common.result import Cells, Report
 from kempe.kinematics.configuration import as_q, has_loops, random
-from kempe.kinematics.tasks.packed import count, jacobian
+from kempe.kinematics.tasks.packed import count, jacobian, units
 from kempe.solvers.common.arguments import start_count
 from kempe.spatial import Array
 from kempe.words import counted, verb
@@ -122,7 +122,9 @@ def task_space(
     if at.shape != (system.nq,) or not np.isfinite(at).all():
         raise InputError(f"q has shape {at.shape}; it must be one configuration ({system.nq},) of finite numbers")
     every, m = np.concatenate([at[None], drawn]), sum(count(system, t) for t in wanted)
-    ranks, n = image_ranks(system, every, np.concatenate([jacobian(system, t, every) for t in wanted], axis=-2))
+    metres = np.array([unit == "m" for t in wanted for unit in units(system, t)])
+    rates = np.concatenate([jacobian(system, t, every) for t in wanted], axis=-2)
+    ranks, n = image_ranks(system, every, rates, metres)
     rank, generic = int(ranks[0]), int(ranks.max())
     image, p = dict[str, tuple[float, float]](), np.empty((0, 3))
     if frame is not None:

@@ -38,6 +38,8 @@ PART, SLOW_PART, TRIED_PART = 10**8, 10**5, 10**4
 GOLDEN = 0.6180339887498949
 PILOT, SLOW_PILOT = 2**17, 2**11
 """Samples whose positions say where the box is."""
+NARROW_PILOT, ENOUGH = (2**18, 2**14), 64
+"""Samples at most, of trees and with loops, that are drawn for that until there are enough within constraints."""
 FEW_SAMPLES = 10**5, 10**7
 """Samples where none are requested: with loops or constraints, and without."""
 AFTER = 2
@@ -246,11 +248,18 @@ def pilot_positions(system: System, frame: str, seed: int) -> Array:
         table = chain_table(system, frame)
         lane_positions.random_positions(*table, keys_of(seed, system.nq), bounds_of(system), 0, points)
         return points
-    points = np.concatenate([slow_positions(system, frame, seed, k) for k in range(SLOW_PILOT // SLOW_PIECE)])
-    points = points[~np.isnan(points[:, 0])]
+    found, most = list[Array](), NARROW_PILOT[has_loops(system)]
+    for k in range(most // SLOW_PIECE):
+        if k >= SLOW_PILOT // SLOW_PIECE and sum(map(len, found)) >= ENOUGH:
+            break
+        points = slow_positions(system, frame, seed, k)
+        found.append(points[~np.isnan(points[:, 0])])
+    points = np.concatenate(found)
     if not len(points):
-        raise InputError(f"of {SLOW_PILOT} random configurations of {system.name!r} none could be closed within "
-                         "the limits and constraints")  # fmt: skip
+        raise InputError(
+            f"of {most} random configurations of {system.name!r} none could be closed within the limits and "
+            "constraints, and a map counts random ones: narrower limits make more of them hold"
+        )
     return points
 
 

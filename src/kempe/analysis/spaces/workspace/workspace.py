@@ -143,7 +143,7 @@ class Workspace(Report):
         if self.kind != REACHABLE or not good.any():
             return most
         rates = self.system.jacobian(q[good], self.frame)[..., :3, :]
-        return min(most, int(image_ranks(self.system, q[good], rates)[0].max()))
+        return min(most, int(image_ranks(self.system, q[good], rates, np.ones(3, dtype=bool))[0].max()))
 
     @property
     def thin(self) -> bool:
