@@ -191,5 +191,5 @@ def test_a_part_of_the_tests_with_the_lowest_versions(floors, tmp_path):
 def test_the_lowest_versions_are_read():
     """Each requirement has one; scipy's and matplotlib's can be installed with numpy's."""
     found = lowest()
-    extras = {"matplotlib", "sympy", "xacrodoc", "viser", "trimesh"}
+    extras = {"matplotlib", "sympy", "xacrodoc", "viser", "trimesh", "pycollada"}
     assert {"numpy", "scipy", "typer", "rich", *extras, *TESTERS} == set(found)

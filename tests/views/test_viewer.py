@@ -93,7 +93,8 @@ def test_importing_loads_no_viewer():
 
 def test_what_is_missing_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
-    monkeypatch.delitem(sys.modules, "kempe.views.viewer.live", raising=False)
+    for name in ("live", "server"):
+        monkeypatch.delitem(sys.modules, f"kempe.views.viewer.{name}", raising=False)
     with pytest.raises(kempe.KempeError, match=r"viser.*kempe\[view\].*pip install"):
         kempe.load("two_link").show(browser=False)
 
@@ -124,7 +125,7 @@ def test_wrong_calls_of_the_viewer_are_refused(tmp_path):
 def test_a_viewer_is_on_this_machine_only_and_ends():
     """It listens on 127.0.0.1, and on nothing any more after it was closed."""
     with kempe.load("two_link").show(port=0, browser=False) as viewer:
-        port = int(viewer.url.rpartition(":")[2])
+        port = viewer.server.get_port()
         assert viewer.url.startswith("http://127.0.0.1:") and viewer.server.get_host() == "127.0.0.1"
         viewer.q = {"q1": 0.5}
         assert viewer.q[0] == 0.5

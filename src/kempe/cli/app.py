@@ -249,7 +249,10 @@ def drawn(
     if film is not None and film in files:
         system.animate(way, film, frames=options.get("frames", ()))
     if page is not None and page in files:
-        system.save_html(page, path=way)
+        from kempe.views.viewer.pages import write_page
+
+        if said := write_page(system, page, path=way).lost_sentence:
+            remark(said)
     return [path for path in (plot, film, page) if path is not None and path in files]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import webbrowser
 from pathlib import Path
 from typing import Annotated
 
@@ -22,6 +23,7 @@ from kempe.cli.app import (
     app,
     load,
     option,
+    remark,
     say_written,
 )  # fmt: skip
 from kempe.views.terminal import guarded, print_json
@@ -51,15 +53,28 @@ def view(
 
     start = None if q is None and posture is None else rows.configuration(system, q, posture, deg)
     if html is not None:
-        system.save_html(html, start)
-        say_written(html, json)
-        return
-    with system.show(start, frame=frame, port=port, browser=not no_browser) as viewer:
+        from kempe.views.viewer.pages import write_page
+
+        drawn = write_page(system, html, start)
         if json:
-            print_json({"system": system.name, "url": viewer.url})
+            print_json({"written": str(html), "not_drawn": drawn.lost})
+            return
+        say_written(html, json)
+        if drawn.lost:
+            remark(drawn.lost_sentence)
+        return
+    from kempe.views.viewer.live import serve
+
+    with serve(system, start, frame=frame, port=port, deg=deg) as viewer:
+        if json:
+            print_json({"system": system.name, "url": viewer.url, "not_drawn": viewer.drawn.lost})
         else:
             print(f"{system.name}: {viewer.url} (Ctrl-C ends it)")
+            if viewer.drawn.lost:
+                remark(viewer.drawn.lost_sentence)
         sys.stdout.flush()
+        if not no_browser:
+            webbrowser.open(viewer.url)
         viewer.wait()
 
 

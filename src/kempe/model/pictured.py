@@ -46,12 +46,12 @@ class Pictured:
     @explained
     def show(
         self: Any, q: Any = None, *, frame: FrameLike | None = None, path: Any = None, share: bool = False,
-        port: int | None = None, browser: bool = True,
+        port: int | None = None, browser: bool = True, deg: bool = False,
     ) -> Viewer:  # fmt: skip
         """A page on this machine in which the system can be moved; see `kempe.views.viewer.live.show`."""
         from kempe.views.viewer.live import show
 
-        return show(self, q, frame=frame, path=path, share=share, port=port, browser=browser)
+        return show(self, q, frame=frame, path=path, share=share, port=port, browser=browser, deg=deg)
 
     @explained
     def save_html(

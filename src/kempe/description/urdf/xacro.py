@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
-import json
-import math
-import os
 import re
-import signal
-import subprocess
-import sys
-import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import IO
 
+from kempe.description.limited import last_words, run_limited
 from kempe.description.source import SIZE_LIMIT, fail, folders_of
-from kempe.errors import DescriptionError, MissingExtraError, UnsupportedError, Where
+from kempe.errors import DescriptionError, MissingExtraError, Where
 
 SECONDS = 20
 """Seconds that an expansion may take, of waiting and so of processor time, too; large robots take about two."""
@@ -29,32 +22,10 @@ XACRO_ADVICE = (
 )
 """What to do with a xacro file that was given in place of URDF."""
 
-_KEPT = (
-    "PATH",
-    "HOME",
-    "LANG",
-    "LC_ALL",
-    "PYTHONPATH",
-    "VIRTUAL_ENV",
-    "ROS_PACKAGE_PATH",
-    "AMENT_PREFIX_PATH",
-    "ROS_ROOT",
-    "ROS_DISTRO",
-    "TMPDIR",
-)
-
 _PACKAGE = re.compile(r"PackageNotFoundError\W+(?:Package not found: )?([\w.-]+)")
-_EXCEPTION = re.compile(r"[\w.]+(Error|Exception)\b")
 
-# The limits stand before the imports, so that nothing of xacro runs without them.
 _WORKER = """
-import json, os, resource, sys
-s = json.loads(sys.argv[1])
-for name, amount in s["limits"].items():
-    limit = getattr(resource, name)
-    hard = resource.getrlimit(limit)[1]
-    amount = amount if hard == resource.RLIM_INFINITY else min(amount, hard)
-    resource.setrlimit(limit, (amount, amount))
+import os
 import xacrodoc
 os.chdir(os.path.dirname(s["path"]))
 if s["package_dirs"]:
@@ -93,40 +64,24 @@ def expand_xacro(
     """
     if importlib.util.find_spec("xacrodoc") is None:
         raise MissingExtraError("xacrodoc", "xacro")
-    if importlib.util.find_spec("resource") is None:
-        raise UnsupportedError("xacro is expanded on Linux and macOS only, where a process can be limited")
     where, path, package_dirs = Where(str(path)), Path(path).resolve(), folders_of(package_dirs)
     settings = {
         "path": str(path),
         "arguments": {str(k): str(v) for k, v in (arguments or {}).items()},
         "package_dirs": [str(Path(d).resolve()) for d in package_dirs],
-        "limits": {
-            "RLIMIT_CPU": math.ceil(seconds),
-            "RLIMIT_AS": MEMORY,
-            "RLIMIT_FSIZE": SIZE_LIMIT,
-            "RLIMIT_CORE": 0,
-            "RLIMIT_NOFILE": 256,
-        },
     }
-    environment = {k: v for k, v in os.environ.items() if k in _KEPT}
-    with tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as complaints:
-        command = [sys.executable, "-c", _WORKER, json.dumps(settings)]
-        code = _run(command, environment, output, complaints, seconds)
-        output.seek(0)
-        complaints.seek(0)
-        text = output.read(SIZE_LIMIT + 1).decode("utf-8", "replace")
-        said = complaints.read(SIZE_LIMIT).decode("utf-8", "replace").strip()
-    if code in (None, -signal.SIGXCPU, -signal.SIGKILL):
+    ended = run_limited(_WORKER, settings, seconds=seconds, memory=MEMORY, output=SIZE_LIMIT)
+    if ended.reason == "time":
         raise fail(f"xacro did not finish in {seconds:g} s", where, "it may call itself without end")
-    if code == -signal.SIGXFSZ or "File too large" in said:
+    if ended.reason == "output":
         raise fail(f"xacro wrote more than {SIZE_LIMIT >> 20} MiB", where, "it may call itself without end")
-    if "MemoryError" in said:
+    if ended.reason == "memory":
         raise fail(f"xacro needs more than {MEMORY >> 30} GiB of memory", where, "it may call itself without end")
-    if "RecursionError" in said:
+    if "RecursionError" in ended.said:
         raise fail("xacro calls itself without end (RecursionError)", where, "look for a macro that calls itself")
-    if code != 0:
-        raise _failed(_last(said), where, package_dirs)
-    return text
+    if ended.reason:
+        raise _failed(last_words(ended.said), where, package_dirs)
+    return ended.output.decode("utf-8", "replace")
 
 
 def _failed(said: str, where: Where, package_dirs: tuple[str | Path, ...]) -> DescriptionError:
@@ -140,32 +95,3 @@ def _failed(said: str, where: Where, package_dirs: tuple[str | Path, ...]) -> De
         where,
         "name by package_dirs a folder that holds one of this name, with or without a package.xml",
     )
-
-
-def _run(
-    command: list[str], environment: dict[str, str], output: IO[bytes], complaints: IO[bytes], seconds: float
-) -> int | None:
-    """Exit code of a command, or None where it took too long and was stopped, with its children."""
-    with subprocess.Popen(
-        command,
-        env=environment,
-        stdin=subprocess.DEVNULL,
-        stdout=output,
-        stderr=complaints,
-        start_new_session=True,
-    ) as process:
-        try:
-            return process.wait(timeout=seconds)
-        except subprocess.TimeoutExpired:
-            return None
-        finally:
-            if process.poll() is None:  # an interrupt, too, ends it: it is in a session of its own
-                os.killpg(process.pid, signal.SIGKILL)
-                process.wait()
-
-
-def _last(said: str) -> str:
-    """The lines of a traceback that say what happened."""
-    lines = [line.strip() for line in said.splitlines() if line.strip()]
-    first = next((i for i in reversed(range(len(lines))) if _EXCEPTION.match(lines[i])), len(lines) - 1)
-    return " ".join(lines[first:])[:300] or "it says nothing"

@@ -5,37 +5,27 @@ Importing it needs the extra [view]. Errors: `MissingExtraError` without viser o
 
 from __future__ import annotations
 
-import contextlib
 import copy
-import io
 import socket
 import threading
 import webbrowser
-from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from kempe.calls import flag
-from kempe.errors import InputError, MissingExtraError
+from kempe.errors import InputError, warn
 from kempe.reals import is_whole
 from kempe.spatial import Array
 from kempe.views.viewer.live_page import Page
 from kempe.views.viewer.scene_nodes import Drawn
+from kempe.views.viewer.server import HOST, PageServer, quiet
 from kempe.views.viewer.session import Session
-
-try:
-    import trimesh  # noqa: F401
-    import viser
-except ImportError as error:
-    raise MissingExtraError(error.name or "viser", "view") from None
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
 
-HOST = "127.0.0.1"
-"""Pages are for this machine only."""
 PORT = 8080
 """The first port that is tried; of those that follow, the first that is free is taken."""
 PANEL = 324
@@ -50,34 +40,44 @@ SAME_VIEW = 1e-4
 
 def show(
     system: System, q: Any = None, *, frame: FrameLike | None = None, path: Any = None, share: bool = False,
-    port: int | None = None, browser: bool = True,
+    port: int | None = None, browser: bool = True, deg: bool = False,
 ) -> Viewer:  # fmt: skip
     """A `Viewer`: the page at its `url`, on this machine only, where the system is seen and moved with the mouse.
 
     `q` (nq,) or dict: the configuration, by default as for `plot`; loops that are open there are closed from it.
     `frame`: the one that the gizmo drags (default: the last one declared). `path`: configurations (n, nq), or an answer
     that has them as `.q`, to play. Each page that is opened has a configuration of its own, with `share` all have one.
-    `port`: that of the page, by default 8080 or the next that is free. `browser`: open one. The page is there until
-    `close`, the end of a ``with``, or the end of Python. Errors: `InputError` for shapes and a port that is in use;
-    `UnknownNameError` for a frame.
+    `port`: that of the page, by default 8080 or the next that is free. `browser`: open one. `deg`: pages begin with
+    angles in degrees; a switch on the page changes that. The page is there until `close`, the end of a ``with``, or the
+    end of Python. A `UserWarning` names the meshes that are not drawn. Errors: `InputError` for shapes and a port that
+    is in use; `UnknownNameError` for a frame.
     """
-    shared, opened = flag(share, "share"), flag(browser, "browser")
-    session = Session(system, q, frame, path)
-    viewer = Viewer(session, shared, _checked(port))
+    opened, viewer = flag(browser, "browser"), serve(system, q, frame, path, share, port, deg)
+    if said := viewer.drawn.lost_sentence:
+        warn(said, UserWarning)
     if opened:
         webbrowser.open(viewer.url)
     return viewer
 
 
+def serve(
+    system: System, q: Any = None, frame: FrameLike | None = None, path: Any = None, share: bool = False,
+    port: int | None = None, deg: bool = False,
+) -> Viewer:  # fmt: skip
+    """A `Viewer` as `show` makes it, without a browser and without a warning about meshes."""
+    shared, degrees = flag(share, "share"), flag(deg, "deg")
+    return Viewer(Session(system, q, frame, path), shared, _checked(port), degrees)
+
+
 class Viewer:
     """A page that is served: `url` is its address, `q` (nq,) the configuration of the page that was moved last."""
 
-    def __init__(self, session: Session, share: bool, port: int):
-        self.session, self.share, self.system = session, share, session.system
+    def __init__(self, session: Session, share: bool, port: int, deg: bool = False):
+        self.session, self.share, self.system, self.deg = session, share, session.system, deg
         self.drawn = Drawn(session.system, session.q, None if session.motion is None else session.motion.q)
         self.pages: dict[int, Page] = {}
         self._last, self._closed = session, threading.Event()
-        self.server = quiet(lambda: viser.ViserServer(host=HOST, port=port, label=self.system.name, verbose=False))
+        self.server = PageServer(port, self.system.name)
         self.server.gui.main_panel.dock_right()
         self.server.scene.set_up_direction("+y" if self.system.dim == 2 else "+z")
         self.drawn.look_from(self.server.initial_camera)
@@ -86,8 +86,8 @@ class Viewer:
 
     @property
     def url(self) -> str:
-        """The address of the page."""
-        return f"http://{HOST}:{self.server.get_port()}"
+        """The address of the page; it has a token without which the page answers nothing."""
+        return self.server.url
 
     @property
     def q(self) -> Array:
@@ -158,12 +158,6 @@ class Viewer:
 
     def __repr__(self) -> str:
         return f"Viewer of {self.system.name!r} at {self.url}" + (", closed" if self._closed.is_set() else "")
-
-
-def quiet(action: Callable[[], Any]) -> Any:
-    """What an action gives that would print."""
-    with contextlib.redirect_stdout(io.StringIO()):
-        return action()
 
 
 def _checked(port: Any) -> int:

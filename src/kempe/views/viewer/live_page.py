@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import html
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -21,7 +22,6 @@ from kempe.views.viewer.overlays import Overlay, offered, rounds
 from kempe.views.viewer.player import Player
 from kempe.views.viewer.scene_nodes import Drawn, Nodes, poses_as
 from kempe.views.viewer.session import KINDS, Session, Slider
-from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.views.viewer.live import Viewer
@@ -34,6 +34,11 @@ PAUSE = 0.25
 """Seconds of rest after which the slower sentences are said."""
 SEES = 1.85
 """Height of the picture, in parts of the farthest that shall be in it."""
+DEGREE = np.pi / 180.0
+ROUNDING = 1e-12
+"""How far [rad] a limit in degrees may be from the limit by rounding."""
+PARAGRAPH = '<p style="margin:0;padding:0 .75rem .6rem;font-size:14px;overflow-wrap:anywhere">{}</p>'
+"""How a sentence looks in the panel."""
 QUICK = 0.1
 """Seconds that a search may take which is repeated while a target is dragged."""
 
@@ -52,6 +57,7 @@ class Page:
         self.revision = -1
         self.nodes = Nodes(client.scene, drawn, session.q)
         self.sliders: dict[str, Any] = {}
+        self.made: tuple[tuple[str, str], ...] = ()
         self.arrived = self.slid = 0.0
         self.searches, self.overlays = Beside(self.post, self._say), Beside(self.post, self._say)
         self.follow = False
@@ -126,17 +132,20 @@ class Page:
             if self.dragging != "gizmo":
                 self.gizmo.wxyz, self.gizmo.position = poses_as(session.pose)
             self._miss()
-            said = fitting(session.said())
+            said = as_html(fitting(session.said()))
             if self.said.content != said:
                 self.said.content = said
 
     def _slide(self) -> None:
         """Put the sliders where the coordinates are, but for the one that is dragged."""
         self.slid = time.perf_counter()
-        for slider in self.session.sliders:
+        for slider in map(self._in_units, self.session.sliders):
             handle = self.sliders.get(slider.name)
-            if handle is not None and slider.name != self.dragging and abs(handle.value - slider.value) > 1e-9:
-                handle.value = min(max(slider.value, handle.min), handle.max)
+            if handle is None or slider.name == self.dragging or abs(handle.value - slider.value) <= 1e-9:
+                continue
+            if not handle.min <= slider.value <= handle.max:  # an angle without limits: the slider goes along
+                handle.min, handle.max = slider.low, slider.high
+            handle.value = slider.value
 
     def _miss(self) -> None:
         """Draw the way from the frame to a target that it does not reach."""
@@ -153,8 +162,8 @@ class Page:
         gui, session = self.client.gui, self.session
         gui.configure_theme(show_logo=False, show_share_button=False)
         gui.set_panel_label(session.system.name)
-        self.counted = gui.add_markdown("")
-        self.said = gui.add_markdown("")
+        self.counted = gui.add_html("")
+        self.said = gui.add_html("")
         self.folder = gui.add_folder("coordinates")
         gos = {name: lambda n=name: session.go(n) for name in session.postures}
         self.buttons("go to", {"random": session.random} | gos)
@@ -168,14 +177,16 @@ class Page:
             self.boxes = {name: gui.add_checkbox(name, False) for name in offered(session)}
             self.names = gui.add_checkbox("names", False)
             self.axes = gui.add_checkbox("axes of frames", False)
+            self.degrees = gui.add_checkbox("degrees", self.viewer.deg)
         self.player = Player(self)
         if drawn.lost:
-            gui.add_markdown(f"{counted(len(drawn.lost), 'mesh')} could not be shown, such as {drawn.lost[0]}")
+            gui.add_html(as_html(fitting(drawn.lost_sentence)))
         self.frame.on_update(self.by_hand("frame", lambda: self._aim(self.frame.value)))
         self.task.on_update(self.by_hand("task", lambda: self._aim(self.frame.value, self.task.value)))
         for name, box in self.boxes.items():
             box.on_update(self.by_hand(name, lambda n=name: self._lay(n)))
         self.names.on_update(self.by_hand("names", lambda: self.nodes.name(self.names.value)))
+        self.degrees.on_update(self.by_hand("degrees", self._make_sliders))
         self.axes.on_update(self.by_hand("axes", lambda: self.nodes.mark(self.axes.value)))
 
     def buttons(self, label: str, actions: dict[str, Action]) -> Any:
@@ -200,9 +211,11 @@ class Page:
     def _make_sliders(self) -> None:
         session, gui = self.session, self.client.gui
         self.revision = session.revision
-        wanted = session.sliders
-        if tuple(s.name for s in wanted) == tuple(self.sliders):
+        wanted = tuple(map(self._in_units, session.sliders))
+        made = tuple((s.name, s.unit) for s in wanted)
+        if made == self.made:
             return
+        self.made = made
         for handle in self.sliders.values():
             handle.remove()
         self.sliders = {}
@@ -210,7 +223,22 @@ class Page:
             for s in wanted:
                 handle = gui.add_slider(f"{shortened(s.name)} [{s.unit}]", s.low, s.high, _step(s), s.value)
                 self.sliders[s.name] = handle
-                handle.on_update(self.by_hand(s.name, lambda n=s.name, h=handle: session.set(n, float(h.value))))
+                handle.on_update(self.by_hand(s.name, lambda n=s.name, u=s.unit, h=handle: self._set(n, u, h.value)))
+
+    def _set(self, name: str, unit: str, value: float) -> None:
+        """Set a coordinate to the value of its slider; an end of a slider in degrees is the limit, without rounding."""
+        if unit == "deg":
+            ends = (s for s in self.session.sliders if s.name == name)
+            value = next(
+                (x for s in ends for x in (s.low, s.high) if abs(value * DEGREE - x) < ROUNDING), value * DEGREE
+            )
+        self.session.set(name, float(value))
+
+    def _in_units(self, slider: Slider) -> Slider:
+        """A slider as the page shows it: angles in degrees where these are wanted."""
+        if slider.unit != "rad" or not self.degrees.value:
+            return slider
+        return Slider(slider.name, "deg", *(x / DEGREE for x in slider[2:]))
 
     def _gizmo(self) -> None:
         session, flat = self.session, self.session.system.dim == 2
@@ -280,7 +308,7 @@ class Page:
 
         def work(session: Session) -> Iterator[Action]:
             text = session.mobility()
-            yield lambda: setattr(self.counted, "content", text)
+            yield lambda: setattr(self.counted, "content", as_html(fitting(text)))
 
         self._beside(self.searches, "freedoms", work)
 
@@ -357,6 +385,14 @@ class Page:
         if np.linalg.norm(away) < far:
             camera.position = at + away * (far / np.linalg.norm(away))
             camera.look_at = at
+
+
+def as_html(text: str) -> str:
+    """A text as HTML that shows it letter by letter; empty lines part its paragraphs.
+
+    Names come from files, and viser's Markdown would run what HTML is in them.
+    """
+    return "".join(PARAGRAPH.format(html.escape(part)) for part in text.split("\n\n") if part)
 
 
 def _step(slider: Slider) -> float:

@@ -1,45 +1,138 @@
-"""Meshes that a model names for its bodies, read where they exist inside the model's folders; others are left out."""
+"""Meshes that a model names for its bodies, read where they exist inside the model's folders; others are left out.
+
+Files of meshes are not trusted: archives and XML unpack to a thousand times their size, and readers raise and run out
+of memory in their own ways. They are read in a process with limits, which hands back triangles as GLB.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import importlib.util
+import io
+import tempfile
+import time
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from kempe import spatial
+from kempe.description.limited import last_words, run_limited
 from kempe.description.meshes import resolve_mesh
 from kempe.description.urdf.xml import parse_xml
-from kempe.errors import KempeError
+from kempe.errors import KempeError, requirement
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from kempe.description.urdf.xml import XmlElement
     from kempe.model.system import System
 
 LARGEST = 200_000_000
-"""Bytes of a mesh file, at most."""
-LOST = (ImportError, ValueError, KeyError, IndexError, TypeError, AttributeError, NotImplementedError, OSError)
-"""What readers of meshes raise for a file that they cannot read, or for a format that is not installed."""
+"""Bytes of a mesh: of its file, of what an archive unpacks to, and of its triangles, at most."""
+MOST = 500_000_000
+"""Bytes of triangles of all meshes of a model, at most."""
+MEMORY = 2 * 2**30
+"""Bytes of memory that may be used to read one mesh."""
+EACH, ALL = 20, 120.0
+"""Seconds of processor time for one mesh, and seconds for all of a model, at most."""
+TEXTURE = 2048
+"""Pixels of a texture along an edge; larger ones are made smaller."""
+READERS = {".dae": {"collada": "pycollada"}, ".zae": {"collada": "pycollada"},
+           ".3mf": {"lxml": "lxml", "networkx": "networkx"}}  # fmt: skip
+"""Modules that trimesh needs for some kinds of files, with the packages that have them."""
+_WORKER = """
+import io, os, zipfile
+import numpy as np
+import trimesh
+
+
+class Refused(Exception):
+    pass
+
+
+def read(path):
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            size = sum(x.file_size for x in archive.infolist())
+        if size > s["largest"]:
+            raise Refused(f"it unpacks to {size} bytes; {s['largest']} are allowed")
+    mesh = trimesh.load_mesh(path, process=False)
+    if not len(mesh.faces):
+        raise Refused("it has no triangles")
+    if not np.isfinite(mesh.vertices).all():
+        raise Refused("some of its points are not finite")
+    material = getattr(mesh.visual, "material", None)
+    for name in ("image", "baseColorTexture"):
+        if getattr(material, name, None) is not None:
+            getattr(material, name).thumbnail((s["texture"], s["texture"]))
+    return mesh.export(file_type="glb")
+
+
+for k in range(s["first"], len(s["paths"])):
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    soft, hard = int(used.ru_utime + used.ru_stime) + 1 + s["each"], resource.getrlimit(resource.RLIMIT_CPU)[1]
+    resource.setrlimit(resource.RLIMIT_CPU, (soft if hard == resource.RLIM_INFINITY else min(soft, hard), hard))
+    try:
+        data, kind = read(s["paths"][k]), "glb"
+        if len(data) > s["largest"]:
+            raise Refused(f"its triangles take {len(data)} bytes; {s['largest']} are allowed")
+    except MemoryError:
+        data, kind = f"reading it takes more than {s['memory']} bytes of memory".encode(), "txt"
+    except Refused as error:
+        data, kind = str(error).encode(), "txt"
+    except BaseException as error:
+        text = " ".join(str(error).split())
+        data, kind = f"it cannot be read ({type(error).__name__}: {text})"[:300].encode("utf-8", "replace"), "txt"
+    part = os.path.join(s["folder"], "part")
+    with open(part, "wb") as file:
+        file.write(data)
+    os.replace(part, os.path.join(s["folder"], f"{k}.{kind}"))
+"""
+
+
+class _File(NamedTuple):
+    """A mesh of a file, scaled by (3,) and then placed by (4, 4)."""
+
+    name: str
+    path: Path
+    scale: Array
+    X: Array
 
 
 def meshes_of(system: System) -> tuple[dict[str, list[Any]], list[str]]:
     """Meshes (trimesh) by body, in the body's frame, and a sentence for each that could not be shown."""
     mechanism = system.mechanism
-    found: dict[str, list[Any]] = {}
+    wanted: list[tuple[str, Any]] = []
     lost: list[str] = []
     for name, body in mechanism.bodies.items():
         for text in body.visuals:
             try:
-                found.setdefault(name, []).extend(_of_visual(text, mechanism.roots))
-            except (KempeError, *LOST) as error:
+                wanted += [(name, one) for one in _of_visual(text, mechanism.roots)]
+            except (KempeError, ValueError) as error:
                 lost.append(f"{name}: {error}")
-    return {name: meshes for name, meshes in found.items() if meshes}, lost
+    read = read_meshes(one.path for _, one in wanted if isinstance(one, _File))
+    found: dict[str, list[Any]] = {}
+    total = 0
+    for name, one in wanted:
+        if not isinstance(one, _File):
+            found.setdefault(name, []).append(one)
+            continue
+        mesh = read[one.path]
+        if not isinstance(mesh, str):
+            total += mesh.vertices.nbytes + mesh.faces.nbytes
+            if total > MOST:
+                mesh = f"the meshes of this model together have more than {MOST} bytes of triangles"
+        if isinstance(mesh, str):
+            lost.append(f"{name}: mesh {one.name}: {mesh}")
+            continue
+        made = mesh.copy()
+        made.apply_scale(one.scale)
+        found.setdefault(name, []).append(_placed(made, one.X))
+    return found, lost
 
 
 def _of_visual(text: str, roots: tuple[str, ...]) -> Iterator[Any]:
-    """The meshes of one <visual> element. Errors: `InputError`, and what readers raise."""
+    """The meshes of one <visual> element, and the files of others. Errors: `KempeError`, `ValueError`."""
     import trimesh
 
     visual = parse_xml(text, "visual")
@@ -47,11 +140,7 @@ def _of_visual(text: str, roots: tuple[str, ...]) -> Iterator[Any]:
     for geometry in visual.of("geometry"):
         for mesh in geometry.of("mesh"):
             path = resolve_mesh(mesh.attributes.get("filename", ""), roots)
-            if path.stat().st_size > LARGEST:
-                raise ValueError(f"mesh {path.name}: it is larger than {LARGEST} bytes")
-            made = trimesh.load_mesh(path, process=False)
-            made.apply_scale(_numbers(mesh.attributes.get("scale"), 3, 1.0))
-            yield _placed(made, X)
+            yield _File(path.name, path, _numbers(mesh.attributes.get("scale"), 3, 1.0), X)
         for box in geometry.of("box"):
             yield _placed(trimesh.creation.box(_numbers(box.attributes.get("size"), 3)), X)
         for ball in geometry.of("sphere"):
@@ -59,6 +148,69 @@ def _of_visual(text: str, roots: tuple[str, ...]) -> Iterator[Any]:
         for tube in geometry.of("cylinder"):
             radius, length = (_numbers(tube.attributes.get(key), 1)[0] for key in ("radius", "length"))
             yield _placed(trimesh.creation.cylinder(radius, length, 24), X)
+
+
+# ---- files
+
+
+def read_meshes(paths: Iterable[Path]) -> dict[Path, Any]:
+    """The mesh (trimesh) of each file, or the reason why it could not be read, as text.
+
+    Where a file ends the process, the next one reads those that are left.
+    """
+    found: dict[Path, Any] = {}
+    for path in paths:
+        if path not in found:
+            found[path] = _refused(path)
+    left = [path for path, said in found.items() if not said]
+    first, end = 0, time.monotonic() + ALL
+    with tempfile.TemporaryDirectory() as folder:
+        while first < len(left):
+            seconds = end - time.monotonic()
+            if seconds <= 0.0:
+                found.update((path, f"the meshes of this model take more than {ALL:g} s") for path in left[first:])
+                break
+            settings = {"paths": list(map(str, left)), "first": first, "folder": folder, "largest": LARGEST,
+                        "each": EACH, "memory": MEMORY, "texture": TEXTURE}  # fmt: skip
+            ended = run_limited(_WORKER, settings, seconds=seconds, cpu=ALL, memory=MEMORY, output=LARGEST)
+            while first < len(left) and (said := _handed_back(Path(folder), first)) is not None:
+                found[left[first]] = said
+                first += 1
+            if first < len(left):
+                found[left[first]] = {
+                    "time": f"reading it takes more than {EACH} s",
+                    "memory": f"reading it takes more than {MEMORY} bytes of memory",
+                    "output": f"its triangles take more than {LARGEST} bytes",
+                }.get(ended.reason, f"reading it ended the process: {last_words(ended.said)}")
+                first += 1
+    return found
+
+
+def _refused(path: Path) -> str:
+    """Why a file is not even opened; '' where it is."""
+    if path.stat().st_size > LARGEST:
+        return f"the file has more than {LARGEST} bytes"
+    missing = [package for module, package in READERS.get(path.suffix.lower(), {}).items()
+               if importlib.util.find_spec(module) is None]  # fmt: skip
+    if missing:
+        return f"{path.suffix} files need: pip install {' '.join(repr(requirement(p)) for p in missing)}"
+    return ""
+
+
+def _handed_back(folder: Path, k: int) -> Any:
+    """The mesh of file `k`, or the text about it; None where the process wrote neither."""
+    import trimesh
+
+    if (said := folder / f"{k}.txt").exists():
+        return said.read_text(encoding="utf-8", errors="replace")
+    if not (made := folder / f"{k}.glb").exists():
+        return None
+    mesh = trimesh.load_mesh(io.BytesIO(made.read_bytes()), file_type="glb", process=False)
+    made.unlink()
+    return mesh
+
+
+# ---- geometry
 
 
 def _placed(mesh: Any, X: Array) -> Any:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import html
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.errors import InputError, shown
+from kempe.errors import InputError, shown, warn
 from kempe.reals import reals
-from kempe.views.viewer.live import HOST, quiet, viser
 from kempe.views.viewer.scene_nodes import Drawn, Nodes
+from kempe.views.viewer.server import POLICY, PageServer, quiet
 from kempe.views.viewer.session import Session
 
 if TYPE_CHECKING:
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 
 FRAMES = 30.0
 """Frames a second of the motion."""
+META = f'<meta http-equiv="Content-Security-Policy" content="{POLICY.format(connect="")}"/>'
+"""What keeps a browser that shows the page from requests, whatever is in it."""
 NOTE = (
     '<div style="position:fixed;left:1em;bottom:{bottom};z-index:9;font:13px system-ui,sans-serif;color:#59646e;'
     'pointer-events:none">'
@@ -30,15 +33,24 @@ def save_html(system: System, file: Any, q: Any = None, *, path: Any = None, sec
     """Write a page of one file that opens from disk, without network: the system in space, to be turned by mouse.
 
     `q` (nq,) or dict: the configuration, by default as for `plot`. `path`: configurations (n, nq), or an answer that
-    has them as `.q`, played over and over in `seconds`. Sliders and targets need the live page: `System.show`. Errors:
-    `InputError` for shapes, an ending that is not .html, and a folder that does not exist.
+    has them as `.q`, played over and over in `seconds`. Sliders and targets need the live page: `System.show`. A
+    `UserWarning` names the meshes that are not drawn. Errors: `InputError` for shapes, an ending that is not .html, and
+    a folder that does not exist.
     """
+    if said := write_page(system, file, q, path, seconds).lost_sentence:
+        warn(said, UserWarning)
+
+
+def write_page(system: System, file: Any, q: Any = None, path: Any = None, seconds: float = 6.0) -> Drawn:
+    """Write a page as `save_html` does, and return what was drawn, which knows which meshes are not."""
     out = page_file(file)
     seconds = float(reals(seconds, "seconds"))
     if not 0.0 < seconds <= 600.0:
         raise InputError(f"seconds is {seconds:g}; it must be more than 0, and 600 at most")
     session = Session(system, q, None, path)
-    out.write_text(_page(session, seconds), encoding="utf-8")
+    drawn = Drawn(session.system, session.q, None if session.motion is None else session.motion.q)
+    out.write_text(_page(session, drawn, seconds), encoding="utf-8")
+    return drawn
 
 
 def page_file(file: Any) -> Path:
@@ -53,10 +65,9 @@ def page_file(file: Any) -> Path:
     return out
 
 
-def _page(session: Session, seconds: float) -> str:
+def _page(session: Session, drawn: Drawn, seconds: float) -> str:
     """The text of the page: viser's own, with the scene and its motion inside."""
-    drawn = Drawn(session.system, session.q, None if session.motion is None else session.motion.q)
-    server = quiet(lambda: viser.ViserServer(host=HOST, port=0, verbose=False))
+    server = PageServer(port=0)
     try:
         server.scene.set_up_direction("+y" if session.system.dim == 2 else "+z")
         drawn.look_from(server.initial_camera)
@@ -70,8 +81,6 @@ def _page(session: Session, seconds: float) -> str:
         text = record.as_html()
     finally:
         quiet(server.stop)
-    note = NOTE.format(
-        bottom=".7em" if motion is None else "4em", name=session.system.name.replace("&", "&amp;").replace("<", "&lt;")
-    )
+    note = NOTE.format(bottom=".7em" if motion is None else "4em", name=html.escape(session.system.name))
     head, end, rest = text.rpartition("</body>")
-    return head + note + end + rest
+    return (head + note + end + rest).replace("<head>", f"<head>{META}", 1)

@@ -6,20 +6,28 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
-import trimesh
 
 from kempe import spatial
+from kempe.errors import MissingExtraError
 from kempe.spatial import Array
 from kempe.views.drawing import style
 from kempe.views.drawing.scene import Scene, look
 from kempe.views.drawing.solids import rgb
 from kempe.views.viewer.mesh_files import meshes_of
 from kempe.views.viewer.rigid_parts import RigidPart, RigidParts
+from kempe.words import counted
+
+try:
+    import trimesh
+except ImportError:
+    raise MissingExtraError("trimesh", "view") from None
 
 if TYPE_CHECKING:
     from kempe.model.system import System
     from kempe.views.viewer.overlays import Overlay
 
+SAID = 3
+"""Meshes that could not be shown that are named in one sentence."""
 GHOST, SEEN = 0.4, 0.25
 """How much is seen of a ghost, and of a surface that is laid over a system."""
 ABOVE = 3.0
@@ -78,6 +86,14 @@ class Drawn:
                 covered.add(link.number)
         bare = (p for p in self.rigid.parts if p.carrier not in covered)
         return out + [Shape(p.carrier, _mesh(p), float(p.colours[:, 3].min())) for p in bare]
+
+    @property
+    def lost_sentence(self) -> str:
+        """Which meshes are not drawn, and why, in one sentence; '' where all are."""
+        if not self.lost:
+            return ""
+        more = f"; and {len(self.lost) - SAID} more" if len(self.lost) > SAID else ""
+        return f"{counted(len(self.lost), 'mesh')} not drawn: {'; '.join(self.lost[:SAID])}{more}"
 
     @cached_property
     def files(self) -> tuple[bytes, ...]:
@@ -214,10 +230,10 @@ class Nodes:
             return
         (scene, X), r = self.drawn.seen, self.drawn.rigid.r
         for link in scene.links:
-            for name, Y in (link.bodies | link.frames).items():
+            for k, Y in enumerate((link.bodies | link.frames).values()):
                 quat, place = poses_as(X[link.number] @ Y)
                 self.axes.append(self.scene.add_frame(
-                    f"/system/{link.number}/axes/{name}", axes_length=style.MARK * r, axes_radius=0.2 * r,
+                    f"/system/{link.number}/axes/{k}", axes_length=style.MARK * r, axes_radius=0.2 * r,
                     origin_radius=0.3 * r, wxyz=quat, position=place))  # fmt: skip
 
     def lay(self, name: str, overlay: Overlay | None) -> None:

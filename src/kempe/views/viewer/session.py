@@ -386,7 +386,7 @@ class Session:
         return ""
 
     def said(self) -> str:
-        """The live sentences: residual, singularity, and what the last thing done led to; Markdown."""
+        """The live sentences: residual, singularity, and what the last thing done led to, in paragraphs."""
         closed = f"closed to {self.residual():.1e}" if self._closes else ""
         return "\n\n".join(line for line in (closed, self.singular(), self.status) if line)
 

@@ -1,0 +1,112 @@
+"""Python code for a file that is not trusted, run in a process with limits of time, memory and output."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import math
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+from typing import Any, NamedTuple
+
+from kempe.errors import UnsupportedError
+
+MOST_SAID = 1 << 20
+"""Bytes of complaints that are read."""
+_KEPT = (
+    "PATH",
+    "HOME",
+    "LANG",
+    "LC_ALL",
+    "PYTHONPATH",
+    "VIRTUAL_ENV",
+    "ROS_PACKAGE_PATH",
+    "AMENT_PREFIX_PATH",
+    "ROS_ROOT",
+    "ROS_DISTRO",
+    "TMPDIR",
+)
+_EXCEPTION = re.compile(r"[\w.]+(Error|Exception)\b")
+
+# The limits stand before all other imports, so that nothing of another package runs without them.
+_LIMITED = """
+import json, resource, sys
+s = json.load(sys.stdin)
+for name, amount in s["limits"].items():
+    limit = getattr(resource, name)
+    hard = resource.getrlimit(limit)[1]
+    amount = amount if hard == resource.RLIM_INFINITY else min(amount, hard)
+    resource.setrlimit(limit, (amount, amount))
+"""
+
+
+class Ended(NamedTuple):
+    """How a process ended: `reason` is "" where it did what it should, else "time", "memory", "output" or "failed".
+
+    `output` and `said` are what it wrote, `code` is its exit code: None where it was stopped.
+    """
+
+    reason: str
+    output: bytes
+    said: str
+    code: int | None
+
+
+def run_limited(
+    code: str, settings: dict[str, Any], *, seconds: float, memory: int, output: int, cpu: float | None = None
+) -> Ended:
+    """Run Python `code`, which has the `settings` as `s`, with little environment, and say how it ended.
+
+    It may take `seconds` of waiting, and of processor time `cpu` (by default as many), `memory` bytes, and write files
+    of `output` bytes. Errors: `UnsupportedError` on systems where a process cannot be limited.
+    """
+    if importlib.util.find_spec("resource") is None:
+        raise UnsupportedError("files are read in a process with limits, which Linux and macOS have")
+    limits = {
+        "RLIMIT_CPU": math.ceil(seconds if cpu is None else cpu),
+        "RLIMIT_AS": memory,
+        "RLIMIT_FSIZE": output,
+        "RLIMIT_CORE": 0,
+        "RLIMIT_NOFILE": 256,
+    }
+    environment = {k: v for k, v in os.environ.items() if k in _KEPT} | {"OPENBLAS_NUM_THREADS": "1"}
+    with tempfile.TemporaryFile() as given, tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as complaints:
+        given.write(json.dumps({**settings, "limits": limits}).encode())
+        given.seek(0)
+        command = [sys.executable, "-P", "-c", _LIMITED + code]
+        with subprocess.Popen(
+            command, env=environment, stdin=given, stdout=out, stderr=complaints, start_new_session=True
+        ) as process:
+            try:
+                ended = process.wait(timeout=seconds)
+            except subprocess.TimeoutExpired:
+                ended = None
+            finally:
+                if process.poll() is None:  # an interrupt, too, ends it: it is in a session of its own
+                    os.killpg(process.pid, signal.SIGKILL)
+                    process.wait()
+        out.seek(0)
+        complaints.seek(0)
+        text, said = out.read(output + 1), complaints.read(MOST_SAID).decode("utf-8", "replace").strip()
+    return Ended(_reason(ended, said), text, said, ended)
+
+
+def _reason(code: int | None, said: str) -> str:
+    if code in (None, -signal.SIGXCPU, -signal.SIGKILL):
+        return "time"
+    if code == -signal.SIGXFSZ or "File too large" in said:
+        return "output"
+    if "MemoryError" in said:
+        return "memory"
+    return "failed" if code != 0 else ""
+
+
+def last_words(said: str) -> str:
+    """The lines of a traceback that say what happened, in 300 letters."""
+    lines = [line.strip() for line in said.splitlines() if line.strip()]
+    first = next((i for i in reversed(range(len(lines))) if _EXCEPTION.match(lines[i])), len(lines) - 1)
+    return " ".join(lines[first:])[:300] or "it says nothing"
