@@ -86,6 +86,16 @@ def test_what_is_missing_in_a_table_is_left_out():
         from_dh({"a": [0.1, float("nan")], "d": [0, 0]})
 
 
+@pytest.mark.parametrize("x", [6.68283349819805572, -6.4421, 12.2, -11.93])
+def test_calibrated_angles_may_be_beyond_a_turn(x):
+    """Controllers count turns: an offset, or theta, of more than one is an angle in radians."""
+    within = x - 2.0 * np.pi * np.round(x / (2.0 * np.pi))
+    for name in ("offset", "theta"):
+        here, same = (from_dh([{"a": 0.3, "d": 0.1, "alpha": 0.2, name: y}]).build() for y in (x, within))
+        q = np.linspace(-3.0, 3.0, 7)[:, None]
+        np.testing.assert_allclose(here.fk(q, "tool"), same.fk(q, "tool"), atol=1e-14)
+
+
 def test_columns_name_another_order():
     corke = [(theta, d, a, alpha) for a, alpha, d, theta in TABLE]
     m = from_dh(corke, columns=("theta", "d", "a", "alpha"))
@@ -99,6 +109,9 @@ def test_columns_name_another_order():
         (lambda: from_dh([(0, 90, 0.4, 0)]), "row 1: alpha is 90, which is 14.3 turns in radians; .*deg=True"),
         (lambda: from_dh([(0, 0, 0.4, 0), (0, 0, 0, -180)]), "row 2: theta is -180, .* deg=True"),
         (lambda: from_dh([{"offset": 45}]), "row 1: offset is 45, .* deg=True"),
+        (lambda: from_dh([{"offset": 7.5}]), "offset is 7.5, .* deg=True; if it is in radians, the same angle is 1.21681"),
+        (lambda: from_dh([{"offset": 90.123}]), "offset is 90.123, .* deg=True; .* the same angle is 2.15840"),
+        (lambda: from_dh([{"alpha": 6.6828}]), "alpha is 6.6828, .* deg=True; .* the same angle is 0.399614"),
         (lambda: from_dh([{"limits": (-170, 170)}]), "row 1: limits hold -170, .* deg=True"),
         (lambda: from_dh([(0, np.pi / 2, 0.4, 0)], deg=True), "alpha is 1.5708 with deg=True.* 90 degrees: leave"),
         (lambda: from_dh([{"theta": -3.14159265}], deg=True), "theta is -3.14159 with deg=True"),

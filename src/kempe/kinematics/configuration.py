@@ -247,16 +247,15 @@ def integrate(system: System, q: Any, v: ArrayLike) -> Array:
 
 @explained
 def difference(system: System, q0: Any, q1: Any) -> Array:
-    """Tangent vector (..., nv) that `integrate` needs to go from `q0` to `q1`; rotations go the short way."""
+    """Shortest tangent vector (..., nv) from `q0` to `q1`: quaternions and unlimited joints go the short way.
+
+    `integrate` leads from `q0` by it to `q1`, up to whole turns of unlimited joints; those that a constraint tells apart
+    count.
+    """
     a, b = as_q(system, q0), as_q(system, q1)
     if a.shape != b.shape:
         together({"q0": a.shape[:-1], "q1": b.shape[:-1]})
-    return system.structure.layout.difference(a, b)
-
-
-def _tangent(system: System, q0: Any, q1: Any) -> Array:
-    """Shortest tangent vector from q0 to q1: unlimited joints turn by at most pi."""
-    return by_short_turns(difference(system, q0, q1), circles(system))
+    return by_short_turns(system.structure.layout.difference(a, b), circles(system))
 
 
 def by_short_turns(v: Array, circle: np.ndarray) -> Array:
@@ -280,7 +279,7 @@ def winding_angles(system: System) -> np.ndarray:
 @explained
 def interpolate(system: System, q0: Any, q1: Any, t: ArrayLike) -> Array:
     """Configuration (..., nq) at fraction `t` (...) of the way; quaternions and unlimited joints go the short way."""
-    t, v = numbers(t, "t"), _tangent(system, q0, q1)
+    t, v = numbers(t, "t"), difference(system, q0, q1)
     together({"t": t.shape, "q0 and q1": v.shape[:-1]})
     return integrate(system, q0, t[..., None] * v)
 
@@ -288,4 +287,4 @@ def interpolate(system: System, q0: Any, q1: Any, t: ArrayLike) -> Array:
 @explained
 def distance(system: System, q0: Any, q1: Any) -> Array:
     """Euclidean length (...) of the shortest tangent vector, angles in radians and lengths in metres."""
-    return np.linalg.norm(_tangent(system, q0, q1), axis=-1)
+    return np.linalg.norm(difference(system, q0, q1), axis=-1)

@@ -23,7 +23,9 @@ ORDER = ("a", "alpha", "d", "theta")
 DEGREE = math.pi / 180.0
 
 LARGEST_TURN = 2.0 * math.pi + 1e-3
-"""Angles of a table beyond this many radians are no angles in radians: one turn says all."""
+"""Angles of a table beyond this many radians are taken for degrees: one turn says all.
+
+Calibrated values of theta and offset may be up to twice as large, unless they are whole or half numbers."""
 
 LARGEST_LIMIT = 10.0 * math.pi
 """The same for limits, of joints that may turn some times."""
@@ -159,9 +161,11 @@ def _angle(given: Value | str, what: str, deg: bool) -> Value:
             raise InputError(f"{what} is {x.text!r} with deg=True, where angles are degrees: leave deg out, or pi")
         return Expression(f"radians({x.text})")
     if not deg:
-        if abs(x) > LARGEST_TURN:
+        winds = not what.endswith("alpha") and abs(x) <= 2.0 * LARGEST_TURN and (2.0 * x) % 1.0 != 0.0
+        if abs(x) > LARGEST_TURN and not winds:
+            same = x - 2.0 * math.pi * round(x / (2.0 * math.pi))
             raise InputError(f"{what} is {x:g}, which is {abs(x) / (2.0 * math.pi):.1f} turns in radians; "
-                             "for degrees give deg=True")  # fmt: skip
+                             f"for degrees give deg=True; if it is in radians, the same angle is {same:.12g}")  # fmt: skip
         return x
     quarters = x / (0.5 * math.pi)
     if 0.5 < abs(quarters) < 4.5 and abs(quarters - round(quarters)) < QUARTER:

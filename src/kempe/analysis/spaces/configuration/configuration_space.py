@@ -59,7 +59,10 @@ class ConfigurationSpace(Report):
         return integrate(self.system, q, v)
 
     def difference(self, q0: Any, q1: Any) -> Array:
-        """Tangent vector (..., nv) from `q0` to `q1`: ``integrate(q0, difference(q0, q1)) == q1``."""
+        """Shortest tangent vector (..., nv) from `q0` to `q1`, whose length is the `distance`.
+
+        ``integrate(q0, difference(q0, q1))`` is `q1`, up to whole turns of unlimited joints.
+        """
         return difference(self.system, q0, q1)
 
     def interpolate(self, q0: Any, q1: Any, t: ArrayLike) -> Array:
