@@ -109,7 +109,7 @@ def test_columns_name_another_order():
         (lambda: from_dh([(0, 90, 0.4, 0)]), "row 1: alpha is 90, which is 14.3 turns in radians; .*deg=True"),
         (lambda: from_dh([(0, 0, 0.4, 0), (0, 0, 0, -180)]), "row 2: theta is -180, .* deg=True"),
         (lambda: from_dh([{"offset": 45}]), "row 1: offset is 45, .* deg=True"),
-        (lambda: from_dh([{"offset": 7.5}]), "offset is 7.5, .* deg=True; if it is in radians, the same angle is 1.21681"),
+        (lambda: from_dh([{"offset": 7.5}]), "offset is 7.5, .* deg=True; .* the same angle is 1.21681"),
         (lambda: from_dh([{"offset": 90.123}]), "offset is 90.123, .* deg=True; .* the same angle is 2.15840"),
         (lambda: from_dh([{"alpha": 6.6828}]), "alpha is 6.6828, .* deg=True; .* the same angle is 0.399614"),
         (lambda: from_dh([{"limits": (-170, 170)}]), "row 1: limits hold -170, .* deg=True"),

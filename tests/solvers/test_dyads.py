@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 import kempe
 from kempe import Mechanism
-from kempe.errors import InputError, UnknownNameError
+from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.kinematics import closure_rows
 from kempe.solvers.dyads.dyads import Incomplete, Plan, closed_form, on_branch
 
@@ -112,6 +112,18 @@ def test_five_bar_with_both_cranks_known():
         by_hand = [p + half + 1j * side * half / abs(half) * math.sqrt(4 - abs(half) ** 2) for side in (1, -1)]
         assert {complex(*np.round(t[:2], 12)) for t in pair} == {complex(np.round(z, 12)) for z in by_hand}
     assert isinstance(closed_form(system, ["A"]), Incomplete)
+
+
+@pytest.mark.parametrize("name", ["bennett", "rssr", "delta_uu"])
+def test_what_has_no_closed_form_says_so_when_it_is_used(name):
+    """All that a plan has: the reason, and what to ask in its place."""
+    system = kempe.load(name)
+    none = closed_form(system, [system.coordinate_names[0]])
+    assert isinstance(none, Incomplete) and "is not planar" in none.describe()
+    for use in ("formulas", "solve", "close", "all", "heights", "branch_of"):
+        assert hasattr(Plan, use)
+        with pytest.raises(UnsupportedError, match="is not planar; `assemble` and `assembly_modes` find"):
+            getattr(none, use)()
 
 
 # ---- circles by hand

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import kempe
+from kempe.errors import CallError, InputError
 from kempe.kernels.compiled import fallback
 from kempe.status import Status
 
@@ -71,3 +72,33 @@ def test_an_answer_can_be_used_before_its_numbers_were_read(use):
     again = pickle.loads(pickle.dumps(answer))
     for field in FIELDS:
         np.testing.assert_array_equal(getattr(again, field), getattr(same, field))
+
+
+# ---- answers as lists
+
+
+def test_a_batch_of_answers_is_a_list_of_configurations(descents):
+    """Length, rows and iteration agree with `q`, also where q is found on demand; one answer says where it is."""
+    s = kempe.load("puma560")
+    X = mixed(s, "tool", np.random.default_rng(1), 7)
+    for answer in (s.ik(X, "tool"), s.ik(kempe.tasks.Pose("tool", X)), s.ik(X.reshape(7, 1, 4, 4), "tool")):
+        assert len(answer) == 7
+        np.testing.assert_array_equal(answer[2], answer.q[2])
+        np.testing.assert_array_equal(answer[-1], answer.q[6])
+        np.testing.assert_array_equal(answer[1:3], answer.q[1:3])
+        np.testing.assert_array_equal([q for q in answer], answer.q)
+        with pytest.raises(IndexError):
+            _ = answer[7]
+        with pytest.raises(InputError, match="index is 'q'"):
+            _ = answer["q"]
+    bar = kempe.load("four_bar")
+    closed = bar.assemble({"A": np.linspace(0.1, 0.5, 4)})
+    np.testing.assert_array_equal(list(closed), closed.q)
+    plan = bar.loops.closed_form(["A"])
+    assert len(list(plan.close(np.array([[0.1], [0.2]])))) == 2
+    singles = s.ik(X[0], "tool"), s.ik(X[0, :3, 3], "tool"), bar.assemble({"A": 0.3}), plan.close([0.1])
+    for one in singles:
+        for use in (len, list, lambda a: a[0], iter):
+            with pytest.raises(CallError, match="one problem and no list: its configuration is `q`"):
+                use(one)
+        assert bool(one) in (True, False) and np.array([one], dtype=object).shape == (1,)

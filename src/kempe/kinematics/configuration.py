@@ -249,8 +249,8 @@ def integrate(system: System, q: Any, v: ArrayLike) -> Array:
 def difference(system: System, q0: Any, q1: Any) -> Array:
     """Shortest tangent vector (..., nv) from `q0` to `q1`: quaternions and unlimited joints go the short way.
 
-    `integrate` leads from `q0` by it to `q1`, up to whole turns of unlimited joints; those that a constraint tells apart
-    count.
+    `integrate` leads from `q0` by it to `q1`, up to whole turns of unlimited joints. Turns that a constraint tells
+    apart count.
     """
     a, b = as_q(system, q0), as_q(system, q1)
     if a.shape != b.shape:

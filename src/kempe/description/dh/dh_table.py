@@ -164,8 +164,10 @@ def _angle(given: Value | str, what: str, deg: bool) -> Value:
         winds = not what.endswith("alpha") and abs(x) <= 2.0 * LARGEST_TURN and (2.0 * x) % 1.0 != 0.0
         if abs(x) > LARGEST_TURN and not winds:
             same = x - 2.0 * math.pi * round(x / (2.0 * math.pi))
-            raise InputError(f"{what} is {x:g}, which is {abs(x) / (2.0 * math.pi):.1f} turns in radians; "
-                             f"for degrees give deg=True; if it is in radians, the same angle is {same:.12g}")  # fmt: skip
+            raise InputError(
+                f"{what} is {x:g}, which is {abs(x) / (2.0 * math.pi):.1f} turns in radians; for degrees give "
+                f"deg=True; if it is in radians, the same angle is {same:.12g}"
+            )
         return x
     quarters = x / (0.5 * math.pi)
     if 0.5 < abs(quarters) < 4.5 and abs(quarters - round(quarters)) < QUARTER:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 
 from kempe.calls import explained_methods, place_in
-from kempe.errors import InputError, NoSolutionError, shown
+from kempe.errors import CallError, InputError, NoSolutionError, shown
 from kempe.kinematics.common.result import MOST_JUDGED, Cells, Result
 from kempe.kinematics.common.tabular import Tabular
 from kempe.kinematics.measure import Judgement, judge
@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 @explained_methods
 class Answer(Result, Tabular):
     """Configurations `q` (..., nq) of a `system`, with `success` (...) and, by `sentence`, why. Base of answers.
+
+    A batch is a list of configurations: it has a length, ``answer[k]`` is a row of `q`, and ``for q in answer`` goes
+    through them.
 
     Rows of `q` that are no answer are the nearest found, or NaN where there is none, as for input that is no number.
     """
@@ -166,7 +169,23 @@ class Answer(Result, Tabular):
         return None
 
     def __len__(self) -> int:
+        self._refuse_one()
         return len(self.success)
+
+    def __iter__(self) -> Iterator[Array]:
+        self._refuse_one()
+        return iter(self.q)
+
+    def __getitem__(self, k: Any) -> Array:
+        self._refuse_one()
+        return row_of(self.q, k)
+
+    def _refuse_one(self) -> None:
+        """Refuse to take the answer to one problem for a list. Errors: `CallError`."""
+        if not self._shape:
+            name = type(self).__name__
+            raise CallError(name, "it is the answer to one problem and no list: its configuration is `q`; a batch of "
+                                  "problems has a row for each")  # fmt: skip
 
     def _headline(self) -> str:
         if self._shape:
@@ -212,12 +231,17 @@ class ConfigurationList:
         return iter(self.q)
 
     def __getitem__(self, k: Any) -> Array:
-        try:
-            return self.q[k]
-        except IndexError:
-            if is_whole(k):  # where an iteration ends
-                raise
-            raise InputError(f"index is {shown(k)}; it must be a whole number, a slice or an array of these") from None
+        return row_of(self.q, k)
+
+
+def row_of(q: Array, k: Any) -> Array:
+    """Rows of configurations (n, ..., nq) by a number, a slice or an array. Errors: `InputError`, `IndexError`."""
+    try:
+        return q[k]
+    except IndexError:
+        if is_whole(k):  # where an iteration ends
+            raise
+        raise InputError(f"index is {shown(k)}; it must be a whole number, a slice or an array of these") from None
 
 
 @explained_methods

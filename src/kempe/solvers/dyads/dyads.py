@@ -6,13 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.calls import brief, explained, explained_methods, listed
-from kempe.errors import InputError, UnknownNameError
+from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.kinematics.common.parallel import over_chunks
 from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import as_q, as_start
@@ -53,6 +53,16 @@ class Incomplete(Report):
     def status(self) -> str:
         """Why there is no closed form."""
         return self.reason
+
+    def describe(self) -> str:
+        """Why there is no closed form, as `Plan.describe` says what there is."""
+        return self.reason
+
+    def formulas(self, *args: Any, **options: Any) -> NoReturn:
+        """Refused, as all that needs a closed form. Errors: `UnsupportedError` with the reason."""
+        raise UnsupportedError(f"{self.reason}; `assemble` and `assembly_modes` find its configurations by numbers")
+
+    solve = close = all = heights = branch_of = formulas
 
     def _data(self) -> dict[str, Any]:
         return {"bodies": self.bodies}
