@@ -229,6 +229,41 @@ def test_parts_of_a_parquet_folder(tmp_path, q):
     assert np.array_equal(arrays(tmp_path / "out.zarr")["pose"], PUMA.fk(q, "tool"), equal_nan=True)
 
 
+def test_a_folder_of_parquet_files_has_any_name(tmp_path, q):
+    written(tmp_path, "one.parquet", q, PUMA.coordinate_names)
+    folder = tmp_path / "rows"
+    (folder / "2026").mkdir(parents=True)
+    (tmp_path / "one.parquet").rename(folder / "2026" / "one.parquet")
+    assert kempe.map_file(PUMA, "fk", folder, tmp_path / "o.zarr", "tool").rows == len(q)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="cannot be read as Zarr"):
+        kempe.map_file(PUMA, "fk", tmp_path / "empty", tmp_path / "o2.zarr", "tool")
+
+
+@pytest.mark.parametrize("empty", ["", " ", '""'])
+@pytest.mark.parametrize("ending", ["\n", "\r\n"])
+def test_an_empty_cell_of_a_table_concerns_its_row_alone(tmp_path, empty, ending):
+    """Pandas writes NaN so."""
+    q = PUMA.random(0, 5)
+    cells = [[str(x) for x in row] for row in q]
+    cells[1][0] = cells[2][-1] = empty
+    lines = [",".join(row) for row in (PUMA.coordinate_names, *cells)]
+    (tmp_path / "q.csv").write_bytes((ending.join(lines) + ending).encode())
+    found = kempe.map_file(PUMA, "fk", tmp_path / "q.csv", tmp_path / "o.zarr", "tool")
+    pose = arrays(tmp_path / "o.zarr")["pose"]
+    assert found.outcomes == {"SOLVED": 3, "BAD_INPUT": 2}
+    assert np.isnan(pose[1:3, :3]).any(axis=(1, 2)).all()
+    assert np.array_equal(pose[[0, 3, 4]], PUMA.fk(q, "tool")[[0, 3, 4]])
+
+
+@pytest.mark.parametrize("name", ["out.csv", "out.parquet", "out.NPY"])
+def test_answers_are_not_written_to_a_folder_with_the_name_of_a_table(tmp_path, q, name):
+    file = written(tmp_path, "q.npy", q)
+    with pytest.raises(InputError, match=r"written as a folder of Zarr; give it a name such as 'out.zarr'"):
+        kempe.map_file(PUMA, "fk", file, tmp_path / name, "tool")
+    assert not (tmp_path / name).exists()
+
+
 def test_whole_numbers_and_missing_ones(tmp_path):
     table = pyarrow.table({"q1": pyarrow.array([1, None, 2]), "q2": pyarrow.array([0.5, 0.5, 0.5], pyarrow.float32())})
     parquet.write_table(table, tmp_path / "q.parquet")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from contextlib import contextmanager
@@ -14,7 +16,7 @@ import pytest
 import kempe
 from kempe import Budget
 from kempe.analysis.spaces.workspace import recipe, sample_parts
-from kempe.errors import InputError, KempeError
+from kempe.errors import InputError, KempeError, KernelsError
 
 dask = pytest.importorskip("dask", reason="dask is not installed (extra scale)")
 distributed = pytest.importorskip("distributed", reason="distributed is not installed (extra scale)")
@@ -193,3 +195,100 @@ def test_workers_killed_twenty_times(tmp_path):
     assert len(kills) == 20 and [sample_parts.checksum_of(kempe.open_workspace(p).map.counts) for p in whole] == (
         [wanted] * len(whole)
     )
+
+
+# ---- as users start it: a scheduler, workers and Kempe in processes of their own, an address as text
+
+
+@contextmanager
+def processes(folder, *environments):
+    """The address of a scheduler whose workers run with these environment variables."""
+    begun = []
+
+    def begin(module, *arguments, **environment):
+        command = [sys.executable, "-m", f"distributed.cli.{module}", *arguments]
+        with open(folder / "log", "ab") as log:
+            begun.append(subprocess.Popen(command, stderr=log, stdout=log, env=os.environ | environment, cwd=folder))
+
+    file = folder / "scheduler.json"
+    try:
+        begin("dask_scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", str(file))
+        while not file.exists():
+            assert begun[0].poll() is None, (folder / "log").read_text()
+            time.sleep(0.05)
+        for environment in environments:
+            begin("dask_worker", "--scheduler-file", str(file), "--nthreads", "1", "--no-nanny", "--no-dashboard",
+                  **environment)  # fmt: skip
+        with distributed.Client(scheduler_file=str(file), set_as_default=False) as client:
+            client.wait_for_workers(len(environments))
+            address = client.scheduler.address
+        yield address
+    finally:
+        for process in reversed(begun):
+            process.terminate()
+        for process in begun:
+            process.wait()
+
+
+def ran(*arguments, **environment):
+    """What a process of its own printed."""
+    done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, env=os.environ | environment)
+    return done.returncode, done.stdout + done.stderr
+
+
+MAP = """
+import sys, kempe
+if __name__ == "__main__":
+    space = kempe.load("puma560").workspace("tool", n=1e6, cells=24, client=sys.argv[1])
+    rows = kempe.map_file(kempe.load("puma560"), "fk", sys.argv[2], sys.argv[3], "tool", client=sys.argv[1])
+    counts = space.map.counts.ravel()
+    print(space.samples, int((counts * range(1, counts.size + 1)).sum() % 1000003), rows.rows)
+"""
+
+
+@pytest.mark.slow
+def test_a_cluster_by_its_address_in_a_process_of_its_own(tmp_path):
+    counts = made(10**6).map.counts.ravel()
+    np.save(tmp_path / "q.npy", ARM.random(0, 50))
+    (tmp_path / "map.py").write_text(MAP)
+    with processes(tmp_path, {}) as address:
+        code, printed = ran(str(tmp_path / "map.py"), address, str(tmp_path / "q.npy"), str(tmp_path / "x.zarr"))
+        assert code == 0, printed
+        checksum = int((counts * range(1, counts.size + 1)).sum() % 1000003)
+        assert printed.split() == ["1000000", str(checksum), "50"]
+        command = ["-m", "kempe", "workspace", "puma560", "--frame", "tool", "-n", "1e6", "--scheduler", address]
+        code, printed = ran(*command)
+        assert code == 0 and printed.startswith("1e+06 samples"), printed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("good", [0, 1])
+@pytest.mark.parametrize(
+    ("broken", "words"),
+    [("import nothing_of_this_name", "No module named 'nothing_of_this_name'"), ("__version__ = '9'", "cannot import")],
+    ids=["missing", "other"],
+)
+def test_workers_without_kempe_are_refused_by_name(tmp_path, broken, words, good):
+    """And at once, where others could do the work, too."""
+    shadow = tmp_path / "shadow" / "kempe"
+    shadow.mkdir(parents=True)
+    (shadow / "__init__.py").write_text(broken + "\n")
+    with processes(tmp_path, {"PYTHONPATH": str(shadow.parent)}, *[{}] * good) as address:
+        with pytest.raises(KernelsError, match=rf"worker tcp://\S+ cannot import Kempe: .*{words}|{words}.*"):
+            made(10**6, client=address)
+
+
+@pytest.mark.slow
+def test_workers_with_other_kernels_are_refused(tmp_path):
+    with processes(tmp_path, {"KEMPE_KERNELS": "none"}) as address, pytest.raises(KernelsError, match="'none'"):
+        made(10**6, client=address)
+
+
+@pytest.mark.slow
+def test_the_description_travels_once(cluster, monkeypatch):
+    """Not in each task: the tasks of 10^12 samples would be gigabytes."""
+    pickled = []
+    reduced = recipe.Recipe.__reduce__
+    monkeypatch.setattr(recipe.Recipe, "__reduce__", lambda self: (pickled.append(1), reduced(self))[1])
+    made(20 * 500_000, client=cluster[1], budget=Budget(rng=8))
+    assert 0 < len(pickled) <= 4

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable, Iterable
 from typing import Any
 
-from kempe.errors import InputError, KernelsError, MissingExtraError, shown
+from kempe.analysis.maps.side_by_side import RETRIES
+from kempe.errors import InputError, KernelsError, MissingExtraError, shown, warn
 from kempe.kernels.compiled import VARIANT
 
 LOOK = 0.5
@@ -12,7 +15,10 @@ LOOK = 0.5
 HOSTS = ("tcp", "tls")
 """Ways to a scheduler that name a host and a port."""
 PATIENCE = 10.0
-"""Seconds in which a scheduler must answer."""
+"""Seconds in which a scheduler must answer, and after which a cluster without workers is mentioned."""
+
+SHOWN = 5
+"""Workers that a message names, at most."""
 
 
 def connected(client: Any) -> Any:
@@ -38,23 +44,49 @@ def connected(client: Any) -> Any:
 
 
 class ClusterWorkers:
-    """The workers of a cluster, given at most `most` tasks at once, or else two a thread."""
+    """The workers of a cluster, given at most `most` tasks at once, or else two a thread.
+
+    Workers that could not do the work are refused, those that join later too. Errors: `KernelsError`.
+    """
 
     finishes = False
 
     def __init__(self, client: Any, most: int | None = None):
         self.client, self.fixed, self.most = client, most, most or 2
+        self.known: set[str] = set()
+        self.alone: float | None = time.monotonic()
+        self._look()
+
+    def _look(self) -> None:
+        """Find the workers that have joined, and how many tasks all of them take."""
+        threads: dict[str, int] = self.client.nthreads()
+        new = threads.keys() - self.known
+        if new:
+            refuse_workers(self.client, new)
+        self.known = set(threads)
+        self.most = self.fixed or max(2, 2 * sum(threads.values()))
+        if threads:
+            self.alone = None
+        elif self.alone is not None and time.monotonic() - self.alone > PATIENCE:
+            self.alone = None
+            address = self.client.scheduler.address
+            warn(f"the scheduler {address} has no workers; the work begins when the first one joins", UserWarning)
 
     def wait(self, futures: list[Any]) -> set[Any]:
         """Those that are done, after a while perhaps none."""
         import distributed
 
         tasks: Any = distributed
-        self.most = self.fixed or max(2, 2 * sum(self.client.nthreads().values()))
+        self._look()
         try:
-            return tasks.wait(futures, timeout=LOOK, return_when="FIRST_COMPLETED").done
+            with self.client.as_current():  # the function looks for a client, not for that of its tasks
+                return tasks.wait(futures, timeout=LOOK, return_when="FIRST_COMPLETED").done
         except TimeoutError:
             return set()
+
+    def share(self, thing: Any, key: str | None = None) -> Any:
+        """The future of a thing that many tasks read: it travels once, and is made again where workers end."""
+        return self.client.submit(_itself, thing, key=key, pure=False, retries=RETRIES)
 
     def lost(self, future: Any) -> bool:
         """Whether workers ended with it, as often as the scheduler bears."""
@@ -68,6 +100,43 @@ class ClusterWorkers:
     def give_up(self, futures: list[Any]) -> None:
         """Drop tasks that are not done."""
         self.client.cancel(futures)
+
+
+def _itself(thing: Any) -> Any:
+    return thing
+
+
+def probe() -> Callable[[], tuple[str, str]]:
+    """A function that is sent to workers as code, not by its name: they may have no Kempe."""
+
+    def kernels() -> tuple[str, str]:
+        from kempe import __version__
+        from kempe.kernels.compiled import VARIANT
+
+        return VARIANT, __version__
+
+    return kernels
+
+
+def refuse_workers(client: Any, workers: Iterable[str]) -> None:
+    """Refuse to work where one of these workers has no Kempe, or another one. Errors: `KernelsError`."""
+    from kempe import __version__
+
+    found = client.run(probe(), workers=sorted(workers), on_error="return")
+    wrong: list[str] = []
+    for worker, has in sorted(found.items()):
+        if isinstance(has, OSError):  # it has ended in the meantime
+            continue
+        if isinstance(has, BaseException):
+            wrong.append(f"worker {worker} cannot import Kempe: {type(has).__name__}: {has}")
+        elif tuple(has) != (VARIANT, __version__):
+            wrong.append(f"worker {worker} has Kempe {has[1]} with the kernels {has[0]!r}")
+    if wrong:
+        more = [f"{len(wrong) - SHOWN} more workers"] * (len(wrong) > SHOWN)
+        raise KernelsError(
+            f"{'; '.join([*wrong[:SHOWN], *more])}. Each worker needs Kempe {__version__} with the extra [scale] and "
+            f"the kernels {VARIANT!r} (KEMPE_KERNELS={VARIANT})"
+        )
 
 
 def refuse_kernels(variant: str, version: str) -> None:

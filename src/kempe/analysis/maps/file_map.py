@@ -175,10 +175,14 @@ def _local(store: RowStore, tasks: list[tuple[int, int]], threads: int, clock: T
 def _far(store: RowStore, tasks: list[tuple[int, int]], client: Any, clock: TimeLimit) -> Iterator[DonePart]:
     """The parts of which the workers of a cluster give the answers: rows go there, and answers come back."""
     sent: dict[int, Any] = {}
+    workers = ClusterWorkers(client)
+    jobs: dict[int, Any] = {}
 
-    def begin(task: tuple[int, int], _: int) -> Any:
+    def begin(task: tuple[int, int], attempt: int) -> Any:
+        if attempt not in jobs:
+            jobs[attempt] = workers.share(store.job)
         rows = sent[task[0]] = store.source.read(*task)
-        return client.submit(store.job.answers, rows, retries=RETRIES, pure=False)
+        return client.submit(RowJob.answers, jobs[attempt], rows, retries=RETRIES, pure=False)
 
-    for (first, last), answers in finished(ClusterWorkers(client), tasks, begin, clock.check):
+    for (first, last), answers in finished(workers, tasks, begin, clock.check):
         yield store.made(first, last, sent.pop(first), answers)

@@ -77,7 +77,7 @@ def open_rows(path: str | Path, columns: Sequence[str] | None = None) -> RowSour
     path = expanded(path)
     if not path.exists():
         raise InputError(f"{path}: there is no such file")
-    reader = READERS.get(path.suffix.lower(), _zarr if path.is_dir() else None)
+    reader = READERS.get(path.suffix.lower(), _of_folder(path) if path.is_dir() else None)
     if reader is None:
         raise InputError(f"{path}: rows are read from Zarr, and from {joined(list(READERS))} files")
     try:
@@ -93,6 +93,12 @@ def open_rows(path: str | Path, columns: Sequence[str] | None = None) -> RowSour
             raise InputError(f"{path}: a row is of shape {source.tail}, and {named}")
         source.names = tuple(columns)
     return source
+
+
+def _of_folder(path: Path) -> Callable[[Path, Sequence[str] | None], RowSource]:
+    """Who reads a folder: it is Zarr, or else it holds .parquet files."""
+    is_zarr = any((path / name).exists() for name in ("zarr.json", ".zgroup", ".zarray", ".zmetadata"))
+    return _parquet if not is_zarr and any(path.rglob("*.parquet")) else _zarr
 
 
 def _chosen(path: Path, has: Sequence[str], columns: Sequence[str] | None) -> tuple[str, ...]:
@@ -241,4 +247,4 @@ def _csv(path: Path, columns: Sequence[str] | None) -> RowSource:
 
 
 READERS = {".parquet": _parquet, ".npy": _npy, ".csv": _csv}
-"""Who reads a file, by its ending; folders without one are Zarr."""
+"""Who reads a file, by its ending; folders without one are read by what they hold."""

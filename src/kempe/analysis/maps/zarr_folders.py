@@ -42,10 +42,17 @@ def format_of(path: Path) -> str | None:
         return None
 
 
+OTHER_FORMATS = {".csv", ".npy", ".npz", ".parquet", ".json", ".txt", ".tsv", ".xlsx", ".h5", ".hdf5", ".zip"}
+"""Endings of files that are no folders of Zarr."""
+
+
 def refuse_place(path: Path, format: str) -> None:
     """Refuse a path that has no folder, or where something else than this format is. Errors: `InputError`."""
     if not path.parent.is_dir():
         raise InputError(f"{path}: there is no folder {str(path.parent)!r}")
+    if path.suffix.lower() in OTHER_FORMATS:
+        raise InputError(f"{path}: results are written as a folder of Zarr; give it a name such as "
+                         f"{path.with_suffix('.zarr').name!r}, and open it with xarray.open_zarr")  # fmt: skip
     if path.exists() and format_of(path) != format:
         raise InputError(f"{path}: there is something else than a map; take another path")
 

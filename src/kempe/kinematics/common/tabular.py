@@ -84,11 +84,14 @@ def header_of(line: str) -> list[str] | None:
 
 
 def rows_of_text(path: Path, lines: Sequence[tuple[int, str]], width: int) -> Array:
-    """The numbers (n, width) of lines of a .csv, each with its number in the file. Errors: `InputError`."""
+    """The numbers (n, width) of lines of a .csv, each with its number in the file; NaN for empty cells.
+
+    Errors: `InputError`.
+    """
     out = np.empty((len(lines), width))
     for row, (line, text) in zip(out, lines, strict=True):
         cells = text.split(",")
         if len(cells) != width:
             raise InputError(f"{path}:{line}: {counted(len(cells), 'value')}; the first line has {width}")
-        row[:] = as_numbers(cells, f"{path}:{line}")
+        row[:] = as_numbers([cell if cell.strip(' \t\r"') else "nan" for cell in cells], f"{path}:{line}")
     return out

@@ -36,19 +36,26 @@ def parts_of(
     Errors: those of the tasks, after `RETRIES`.
     """
 
-    def begin(part: tuple[int, int], attempt: int) -> Any:
-        return _tree(client, recipe, *part, each, attempt)
+    workers = ClusterWorkers(client, len(ranges))
+    shared: dict[int, Any] = {}
 
-    for (first, last), counts in finished(ClusterWorkers(client, len(ranges)), ranges, begin, check):
+    def begin(part: tuple[int, int], attempt: int) -> Any:
+        digest = f"{recipe.digest}-{attempt}"
+        if attempt not in shared:
+            shared[attempt] = workers.share(recipe, f"kempe-{digest}-recipe")
+        return _tree(client, shared[attempt], digest, *part, each)
+
+    for (first, last), counts in finished(workers, ranges, begin, check):
         yield first, last, counts
 
 
-def _tree(client: Any, recipe: Recipe, first: int, last: int, each: int, attempt: int) -> Any:
+def _tree(client: Any, recipe: Any, digest: str, first: int, last: int, each: int) -> Any:
     """The future of the counts of a range: tasks, and sums of `FAN` of them, of their sums, and so on.
 
-    Another `attempt` has other keys: under those of before the scheduler knows tasks as failed.
+    `recipe` is the future of the recipe, and `digest` its name: another attempt has other keys, since under those of
+    before the scheduler knows tasks as failed.
     """
-    digest, many = f"{recipe.digest}-{attempt}", last - first >= 2**32
+    many = last - first >= 2**32
     starts = range(first, last, each)
     ends = [min(at + each, last) for at in starts]
     keys = [f"kempe-{digest}-{at}-{end}" for at, end in zip(starts, ends, strict=True)]
