@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import importlib
 import inspect
 import math
 import pickle
+import pkgutil
 import warnings
+from typing import Any
 
 import numpy as np
 import pytest
 
 import kempe
 from kempe import Budget
+from kempe.budget import Usual
 from kempe.errors import CallError, InputError, NoSolutionError
 
 ARM, LINKAGE, SEVEN = (kempe.load(n) for n in ("puma560", "four_bar", "iiwa14"))
@@ -148,6 +152,79 @@ def test_what_raised_is_expected():
 def test_options_that_never_were_are_refused(option):
     with pytest.raises(CallError, match=f"ik_all has no option '{option}'"):
         ARM.ik_all(X, "tool", **{option: 1})
+
+
+# ---- time limits
+
+UNTIMED = {
+    "assemble": "starts times steps",
+    "ik_sweep": "points, each of a closed form",
+    "task_space": "starts, each one rank",
+}
+"""Verbs whose work other numbers bound: what bounds it."""
+ENDLESS = {
+    "ik": "a target takes milliseconds; the number of targets says how long it takes",
+    "ik_all": "so do the targets of a batch",
+    "workspace": "`n` says how long it takes",
+    "map_file": "the rows of the file say how long it takes",
+}
+"""Verbs that read a time limit and have none by default."""
+
+
+def usual() -> dict[str, list[Any]]:
+    """What each verb spends by itself, by its name, gathered from all modules."""
+    found: dict[str, list[Any]] = {}
+    for module in pkgutil.walk_packages(kempe.__path__, "kempe."):
+        if ".kernels" not in module.name and not module.name.endswith(("__main__", "_native")):
+            for value in vars(importlib.import_module(module.name)).values():
+                if isinstance(value, Usual):
+                    found.setdefault(value.verb, []).append(value)
+    return found
+
+
+def test_every_verb_with_a_budget_ends_by_itself():
+    for extra in ("matplotlib", "viser", "zarr", "sympy"):
+        pytest.importorskip(extra)
+    verbs = usual()
+    assert len(verbs) > 20 and set(UNTIMED) | set(ENDLESS) <= set(verbs)
+    for verb, all_ in verbs.items():
+        for own in all_:
+            if "time_limit" in own.reads:
+                assert own.reads["time_limit"] is not None or verb in ENDLESS, verb
+            else:
+                assert verb in UNTIMED, verb
+
+
+FLAT = kempe.load("parallelogram")
+TIMED = {
+    "mobility": lambda b: FLAT.mobility(FLAT.q("flat"), budget=b),
+    "manoeuvre": lambda b: kempe.load("car").manoeuvre([0.0, 0.0, 0.0], [0.0, 1.0, 0.0], radius=1.0, budget=b),
+    "drive of what rolls": lambda b: kempe.load("car").drive(
+        {"drive.x": [0.0, 1e9], "drive.rz": [0.0, 1.0]}, start=[0.0, 0.0, 0.0], budget=b
+    ),
+    "drive far": lambda b: LINKAGE.drive({"A": [0.3, 1e300]}, budget=b),
+    "singularities": lambda b: ARM.singularities("tool", budget=b),
+    "reach.poses": lambda b: ARM.reach.poses(np.repeat(X[None], 5000, axis=0), "tool", budget=b),
+    "reach.place": lambda b: ARM.reach.place(X[None], "tool", {"x": (0.0, 0.1)}, 5000, budget=b),
+    "reach.capability": lambda b: ARM.reach.capability("tool", [[0.0] * 3, [0.5] * 3], 9, 9, budget=b),
+    "assembly_modes": lambda b: rssr().assembly_modes({"A": 0.4}, budget=b),
+    "self_motion": lambda b: SEVEN.inverse.self_motion(FREE, "tool", budget=b),
+    "trace": lambda b: LINKAGE.trace("A", budget=b),
+    "sample": lambda b: kempe.load("five_bar").configuration_space.sample(99, budget=b),
+    "components": lambda b: rssr().configuration_space.components(budget=b),
+    "path": lambda b: kempe.load("five_bar").configuration_space.path(
+        kempe.load("five_bar").assemble().q, kempe.load("five_bar").assemble({"A": 1.0}).q, budget=b
+    ),
+}
+
+
+@pytest.mark.parametrize("verb", TIMED)
+def test_an_answer_says_that_its_time_was_up(looks, verb):
+    looks(0)
+    answer = TIMED[verb](Budget(time_limit=5.0))
+    late = getattr(answer, "late", False) or getattr(answer, "broken", None) is kempe.Status.OUT_OF_TIME
+    assert late or answer.code is kempe.Status.OUT_OF_TIME, str(answer)
+    assert "time limit" in str(answer) or "stopped early" in str(answer), answer  # of samples
 
 
 # ---- Ctrl-C

@@ -334,3 +334,11 @@ def test_what_does_not_roll_is_told_what_holds_on_the_way():
     q = railed.assemble({}, start=np.ones(4)).q
     with pytest.raises(UnsupportedError, match="'rail' holds positions on the way.*configuration_space.path"):
         railed.manoeuvre(q, q)
+@pytest.mark.parametrize("angle", [1e6, 1e15, -1e16])
+def test_very_many_turns_are_one_turn_of_that_angle(angle):
+    """Of the half turns between both ends only those near them are tried: all others cost the same."""
+    car = kempe.load("car")
+    for start, goal in (([0.0, 0.0, angle], [0.0, 1.0, 0.0]), ([0.0, 0.0, 0.0], [0.0, 1.0, angle])):
+        way = car.manoeuvre(start, goal)
+        assert way and len(way.pieces) <= 3 and np.array_equal(way.q[-1], goal)
+        assert sum(abs(p.angle) for p in way.pieces) <= abs(angle) * (1.0 + 1e-12) + 2.0 * np.pi

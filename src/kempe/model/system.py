@@ -309,7 +309,7 @@ class System(Compiled, Pictured, FormerNames):
     @explained
     def mobility(
         self, q: Any = None, actuated: Iterable[str] | None = None, *, local: bool = True,
-        rng: np.random.Generator | int = 0, tolerance: float | str | None = None,
+        rng: np.random.Generator | int = 0, tolerance: float | str | None = None, budget: Budget | None = None,
     ) -> Mobility:  # fmt: skip
         """Degrees of freedom by the Gruebler count, by rank, and locally exact, with the reasoning.
 
@@ -317,7 +317,7 @@ class System(Compiled, Pictured, FormerNames):
         """
         from kempe.analysis.mobility.mobility import mobility
 
-        return mobility(self, q, actuated, local=local, rng=rng, tolerance=tolerance)
+        return mobility(self, q, actuated, local=local, rng=rng, tolerance=tolerance, budget=budget)
 
     def classify(
         self, q: Any = None, *, t: float = 0.0, project: bool = False, rng: np.random.Generator | int = 0,

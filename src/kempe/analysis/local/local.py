@@ -9,6 +9,7 @@ a number; where a theorem does (`analysis.certify`), the answer is certain. Limi
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,7 @@ from kempe.kinematics.ball_angles import back, regular_chart
 from kempe.kinematics.configuration import as_q
 from kempe.model.kept import kept
 from kempe.model.tree.own_tree import own_tree
+from kempe.solvers.common.clock import TimeLimit
 from kempe.spatial import Array
 from kempe.words import InWords
 
@@ -108,14 +110,15 @@ def _describe(branch: Branch) -> str:
 
 def local_dimension(
     system: System, q: Any, *, order: int = 8, rng: np.random.Generator | int = 0,
-    tolerance: float = reduction.RANK, sampling: bool = True,
+    tolerance: float = reduction.RANK, sampling: bool = True, time: TimeLimit | None = None,
 ) -> LocalDimension:  # fmt: skip
     """The true number of degrees of freedom at a closed configuration, with the branches that meet there.
 
     `q` (nq,) or a dict by coordinate name must be closed; `order` is that of the Taylor coefficients, `tolerance` the
     part of the largest singular value below which one counts as zero; `sampling=False` leaves out the second method,
-    which is used wherever no theorem decides. Where three angles of a ball joint are singular coordinates, tangents are
-    in rates of angles measured from there. Errors: `InputError` for an open configuration.
+    which is used wherever no theorem decides. After the `time` of the call `TimeUp` is raised.
+    Where three angles of a ball joint are singular coordinates, tangents are in rates of angles measured from there.
+    Errors: `InputError` for an open configuration.
 
     >>> import kempe
     >>> system = kempe.load("parallelogram")
@@ -132,7 +135,7 @@ def local_dimension(
         raise InputError(f"tolerance is {tolerance!r}; it must be a part of one, such as {reduction.RANK:g}")
     other, there, turned = regular_chart(own_tree(system), q)
     rng = np.random.default_rng(rng)
-    return in_chart(system, _found(other, there, order, rng, tolerance, sampling), turned)
+    return in_chart(system, _found(other, there, order, rng, tolerance, sampling, time), turned)
 
 
 def in_chart(system: System, found: LocalDimension, turned: dict[str, Array]) -> LocalDimension:
@@ -144,10 +147,14 @@ def in_chart(system: System, found: LocalDimension, turned: dict[str, Array]) ->
 
 
 def _found(
-    system: System, q: Array, order: int, rng: np.random.Generator, tolerance: float, sampling: bool
+    system: System, q: Array, order: int, rng: np.random.Generator, tolerance: float, sampling: bool,
+    time: TimeLimit | None,
 ) -> LocalDimension:  # fmt: skip
     """The answer at a configuration whose coordinates are regular."""
     equations = _equations(system)
+    if time is not None:  # the equations are kept with the system, and other calls have other limits
+        equations = copy(equations)
+        equations.time = time
     at = reduction.split(equations, _closed(equations, q), tolerance)
     prover = Prover(system, equations, at.q)
     proof = prover.manifold()

@@ -18,6 +18,7 @@ from kempe.kernels.forward.table_layout import KIND, N_OUT, N_ROWS, SLIDE, TURN,
 from kempe.kinematics.configuration import as_q
 from kempe.model.closures.loop_plan import laid_out
 from kempe.model.closures.packed_loops import loops_of
+from kempe.solvers.common.clock import TimeLimit
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -55,6 +56,9 @@ class Landing(NamedTuple):
 
 class Equations:
     """The packed equations of a system: m of them in nv scaled unknowns."""
+
+    time = TimeLimit(None)
+    """What is looked at where they are evaluated: it raises `TimeUp`. Copies for one call have a limit of their own."""
 
     def __init__(self, system: System):
         self.system = system
@@ -187,6 +191,7 @@ class Equations:
         """As `project`, overwriting q with the points found."""
         from kempe.kernels.compiled import projection
 
+        self.time.check()
         centers = np.ascontiguousarray(np.broadcast_to(centers, q.shape), dtype=float)
         radii = np.array(np.broadcast_to(np.asarray(radius, dtype=float), len(q)))
         info, value, J = np.zeros((len(q), 3)), np.zeros((len(q), self.m)), np.zeros((len(q), self.m, self.nv))

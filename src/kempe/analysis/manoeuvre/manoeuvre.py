@@ -25,6 +25,7 @@ from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.kinematics.configuration import as_q, has_loops
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.reals import is_real, is_whole, named
+from kempe.solvers.common.clock import SHORT, TimeLimit, TimeUp
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ PARALLEL = 1e-3
 """Sine of the angle between the two slides, of the sign that it has at the start, from which on they go on."""
 MOST = 10**6
 """Samples at most."""
-USUAL = Usual("manoeuvre", points=200)
+USUAL = Usual("manoeuvre", points=200, time_limit=SHORT)
 
 
 @explained
@@ -54,7 +55,8 @@ def manoeuvre(
     roll along; a dict as the goal leaves those free that it does not name. With a radius the axle takes the shortest
     way of Reeds and Shepp (1990), and the heading may end whole turns from the goal's number; without one it ends at
     that number. The axle goes at 1 m/s and turns at 1 rad/s at most, or slower by the velocity limits of the system.
-    `q` has about as many configurations as the `budget` has points (200), the ends of all pieces among them.
+    `q` has about as many configurations as the `budget` has points (200), the ends of all pieces among them; its
+    time_limit (30 s) ends the search, see `late`.
 
     It is known for a body that moves in a plane by two slides and a turn, with an axle that does not slip sideways
     (knife edge, unicycle, coin that stands upright, differential drive, car with one steering angle), wherever that
@@ -64,14 +66,17 @@ def manoeuvre(
     q, goals = _one(system, start, "start"), _one(system, goal, "goal")
     if radius is not None and (not is_real(radius) or not 0.0 <= radius < math.inf):
         raise InputError(f"radius is {radius!r}; it must be a length in metres, or 0 for turns on the spot")
-    samples = USUAL.of(budget).points
+    spend = USUAL.of(budget)
+    samples, time = spend.points, TimeLimit(spend.time_limit)
     if not is_whole(samples) or not 2 <= samples <= MOST:
         raise InputError(f"points is {samples!r}; it must be a whole number, at least 2 and at most {MOST}")
+    time.put_in_order()  # there is nothing to do afterwards
     car = wheeled(system, q)
     loose = _loose(system, goal, free, car)
-    motion, said = None, ""
+    motion, said, late = None, "", False
     try:
         for plan in plans(car, q, goals, None if radius is None else float(radius), loose):
+            time.check()
             found = _exact(car, q, goals, plan)
             said = "" if found is None else _outside(system, found, int(samples))
             if not said:
@@ -79,9 +84,11 @@ def manoeuvre(
                 break
     except Refused as refusal:
         said = str(refusal)
+    except TimeUp as error:
+        late, said = True, f"not found: {time.reason(error)} came" + (f"; {said}" if said else "")
     zero = np.zeros(1)
     if motion is None:
-        return Manoeuvre(system, q[None], zero, zero, (), 0.0, 0, not said, said, (car.pose.body,))
+        return Manoeuvre(system, q[None], zero, zero, (), 0.0, 0, not said, said, (car.pose.body,), late=late)
     t = _times(motion, int(samples))
     x, v = motion.at(t)
     slipped = slip(system, t, x, v)

@@ -66,7 +66,6 @@ class Manoeuvre(Motion):
 
     also = ("t", "s", "length", "duration", "cusps", "turns", "slip")
     interrupted = False
-    late = False
 
     system: System
     q: Array
@@ -79,6 +78,7 @@ class Manoeuvre(Motion):
     reason: str = ""
     frames: tuple[str, ...] = ()
     _exact: ExactManoeuvre | None = field(default=None, repr=False)
+    late: bool = False
 
     @property
     def length(self) -> float:

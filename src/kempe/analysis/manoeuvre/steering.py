@@ -22,6 +22,8 @@ EXACT = 1e-14
 """Angle between the wanted motion and the allowed one that is rounding."""
 NEAR = 1e-12
 """Lengths relative to those of the task that count as none."""
+NEAREST = 100
+"""Half turns that are tried near each end of a turn on the spot."""
 
 
 class Refused(Exception):
@@ -179,7 +181,7 @@ def _on_the_spot(
             yield _spare((Move(0.0, angle),))
             return
         first = (way - h) % math.pi
-        options = [first + k * math.pi for k in range(*_span(angle, first))]
+        options = [first + k * math.pi for k in _half_turns(angle, first)]
 
         def ahead_by(a: float) -> float:
             return 1.0 if round((a - (way - h)) / math.pi) % 2 == 0 else -1.0
@@ -193,10 +195,16 @@ def _on_the_spot(
         yield _spare(_through(h, angle, legs))
 
 
-def _span(angle: float, first: float) -> tuple[int, int]:
-    """Whole half turns between which first + k pi covers both ends of a turn by an angle, and a half turn around."""
+def _half_turns(angle: float, first: float) -> list[int]:
+    """Whole half turns k for which first + k pi covers both ends of a turn by an angle, and a half turn around.
+
+    Of very many those near both ends: all between them cost the same.
+    """
     low, high = min(0.0, angle) - math.pi, max(0.0, angle) + math.pi
-    return math.floor((low - first) / math.pi), math.ceil((high - first) / math.pi) + 1
+    k, stop = math.floor((low - first) / math.pi), math.ceil((high - first) / math.pi) + 1
+    if stop - k <= 2 * NEAREST:
+        return list(range(k, stop))
+    return [*range(k, k + NEAREST), *range(stop - NEAREST, stop)]
 
 
 def _legs(far: float, way: float, signed: float) -> Iterator[list[tuple[float, float]]]:

@@ -21,6 +21,7 @@ from kempe.analysis.local.dof_proofs import regular
 from kempe.analysis.mobility.mobility_text import dimensions
 from kempe.analysis.mobility.one_sided_report import OneSidedReport, if_any
 from kempe.analysis.mobility.reachable import velocity_freedoms
+from kempe.budget import Budget, Usual
 from kempe.calls import explained, explained_methods, generator
 from kempe.errors import InputError
 from kempe.kinematics.ball_angles import regular_chart
@@ -28,6 +29,7 @@ from kempe.kinematics.common.result import Worded
 from kempe.kinematics.configuration import as_q
 from kempe.model.tree.own_tree import own_tree
 from kempe.solvers.assembly.ideal import tolerant
+from kempe.solvers.common.clock import SHORT, TimeLimit, TimeUp
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import verb
@@ -102,6 +104,9 @@ class Mobility(Worded):
     within: Idealised | None = field(default=None, repr=False)
     """The nearest mechanism that closes exactly, whose freedoms these are; None: those of the given one."""
 
+    late: bool = False
+    """Whether the time limit came before the true number was known."""
+
     @property
     def gruebler(self) -> int:
         """The count: freedoms of the bodies less what the joints take away."""
@@ -159,6 +164,8 @@ class Mobility(Worded):
     @property
     def code(self) -> Status:  # type: ignore[override]
         """The outcome: solved where the mechanism can be closed here."""
+        if self.late:
+            return Status.OUT_OF_TIME
         return Status.SOLVED if self.closed else Status.NOT_FOUND
 
     def relative(self, body: FrameLike, to: FrameLike) -> RelativeMotion:
@@ -180,11 +187,14 @@ class Mobility(Worded):
         return mobility_text
 
 
+USUAL = Usual("mobility", time_limit=SHORT)
+
+
 @explained
 @tolerant()
 def mobility(
     system: System, q: Any = None, actuated: Iterable[str] | None = None, *, local: bool = True,
-    rng: np.random.Generator | int = 0, tolerance: float | str | None = None,
+    rng: np.random.Generator | int = 0, tolerance: float | str | None = None, budget: Budget | None = None,
 ) -> Mobility:  # fmt: skip
     """How many degrees of freedom a system has, by counting, by rank and truly, with the reasoning.
 
@@ -192,9 +202,13 @@ def mobility(
     where it is not exactly closed the nearest closed configuration is taken, and where there is none only the count is
     given. `actuated` names joints or coordinates whose control is looked at (default: those marked in the file).
     `local=False` leaves out the true number, where the rank does not prove it, and is faster. `rng` draws the generic
-    configurations. Where three angles of a ball joint are singular coordinates, it is looked at in others: `rank` and
-    `local` are then about angles measured from there. Errors: `InputError`, `UnknownNameError`.
+    configurations. Of the `budget` the time_limit (30 s) is read: where it ends the search for the true number, `late`
+    is true, `dof` is None, and the count and the ranks are known. Where three angles of a ball joint are singular
+    coordinates, it is looked at in others: `rank` and `local` are then about angles measured from there.
+    Errors: `InputError`, `UnknownNameError`.
     """
+    time = TimeLimit(USUAL.of(budget).time_limit)
+    time.put_in_order()  # there is nothing to do afterwards
     shown, system = system, own_tree(system)
     driven(system, actuated)  # a wrong name is refused before any work
     at = close(system, _given(system, q)) if q is not None else find_closed(system)
@@ -203,23 +217,27 @@ def mobility(
         return _open(system, shown, at)
     other, q, turned = regular_chart(system, at.q)
     if turned:  # angles of a ball have velocities there that move nothing
-        found = _found(other, shown, replace(at, q=q), actuated, local, rng)
+        found = _found(other, shown, replace(at, q=q), actuated, local, rng, time)
         from kempe.analysis.local.local import in_chart
 
         truth = None if found.local is None else in_chart(system, found.local, turned)
         return replace(found, q=at.q, local=truth, one_sided=if_any(shown, at.q))
-    return _found(system, shown, at, actuated, local, rng)
+    return _found(system, shown, at, actuated, local, rng, time)
 
 
 def _found(
     system: System, shown: System, at: NearestClosed, actuated: Iterable[str] | None, local: bool,
-    rng: np.random.Generator
+    rng: np.random.Generator, time: TimeLimit,
 ) -> Mobility:  # fmt: skip
     """Everything, at a closed configuration whose coordinates are regular; counted over the tree of `shown`."""
     s, motors = structure(system), driven(system, actuated)
     rank = rank_at(system, at.q)
     generic = nearby(system, rank, rng) if rank.dependent or motors or may_idle(system, rank, motors) else []
-    truth = _local(system, rank, local, rng)
+    truth, late = None, False
+    try:
+        truth = _local(system, rank, local, rng, time)
+    except TimeUp:
+        late = True
     best = min([rank, *generic, *_on_branches(system, truth)], key=lambda r: r.nullity)
     idle = idle_freedoms(system, [rank, *generic], motors)
     dof = truth.dim if truth is not None else rank.nullity if not rank.dependent or not rank.nullity else None
@@ -230,7 +248,7 @@ def _found(
         loop_counts(shown, rank.screws), _clusters(s, rank), _outside(system, s), rank, best.nullity, truth, dof,
         redundancy(system, best), idle, control(system, rank, generic, idle, actuated), singular, kind,
         velocity_freedoms(system, at.q), sure, if_any(shown, at.q),
-        called(system) if dof is None and local else (), Wrenches(system, at.q),
+        called(system) if dof is None and local else (), Wrenches(system, at.q), late=late,
     )  # fmt: skip
 
 
@@ -250,13 +268,15 @@ def _open(system: System, shown: System, at: NearestClosed) -> Mobility:
     )  # fmt: skip
 
 
-def _local(system: System, rank: Rank, wanted: bool, rng: np.random.Generator) -> LocalDimension | None:
+def _local(
+    system: System, rank: Rank, wanted: bool, rng: np.random.Generator, time: TimeLimit
+) -> LocalDimension | None:  # fmt: skip
     """The local dimension where it is `wanted` and the rank alone does not prove it, else None."""
     if not wanted or not rank.dependent or not rank.nullity or called(system):
         return None
     from kempe.analysis.local.local import local_dimension
 
-    return local_dimension(system, rank.q, rng=rng)
+    return local_dimension(system, rank.q, rng=rng, time=time)
 
 
 def _on_branches(system: System, truth: LocalDimension | None) -> list[Rank]:

@@ -26,7 +26,8 @@ def sentence(m: Mobility) -> str:
             f"so nothing is said about rank and true freedoms{f'; {m.why_open}' if m.why_open else ''}"
         )
     if m.dof is None:
-        most = f"the rank {m.rank_dof}; the truth is {m.rank_dof} or less (not tested further)"
+        why_not = "the time limit came" if m.late else "not tested further"
+        most = f"the rank {m.rank_dof}; the truth is {m.rank_dof} or less ({why_not})"
         return f"Gruebler says {m.gruebler}, {most}"
     false = max((m.generic_rank_dof or 0) - m.dof, 0)
     why: list[str] = []

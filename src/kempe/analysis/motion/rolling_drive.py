@@ -53,7 +53,7 @@ def driven(
     Errors: `UnsupportedError` where the inputs leave freedoms.
     """
     index = [angle_or_slide(system, n) for n in (*names, *hold)]
-    follow = _Follow(system, index, names, hold)
+    follow = _Follow(system, index, names, hold, budget)
     q = _first(system, start, hold, names, samples(0, 1)[-1])
     if q is None:
         return None
@@ -97,8 +97,11 @@ def _first(system: System, start: Any, hold: Mapping[str, float], names: Sequenc
 class _Follow:
     """Velocities that follow from those of inputs, and steps along them."""
 
-    def __init__(self, system: System, index: list[int], names: Sequence[str], hold: Mapping[str, float]):
+    def __init__(
+        self, system: System, index: list[int], names: Sequence[str], hold: Mapping[str, float], time: TimeLimit
+    ) -> None:  # fmt: skip
         self.system, self.index, self.closure = system, index, Closure(system)
+        self.time = time
         self.names, self.held, self.slips = names, [0.0] * len(hold), False
         self.loops = len(self.closure.weight)
 
@@ -147,6 +150,7 @@ class _Follow:
         values = [u, *samples(2 * parts)]
         self.slips, x = False, q
         for k in range(parts):
+            self.time.check()
             x = self._runge_kutta(x, t0 + k * h / parts, h / parts, values[2 * k : 2 * k + 3])
         if self.slips:  # between samples of inputs that are too many, straight lines do, if those at samples do not
             x = self._middle(q, t0, h, u, end)

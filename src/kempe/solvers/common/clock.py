@@ -9,6 +9,8 @@ from typing import Any
 
 from kempe.solvers.common.arguments import deadline
 
+SHORT = 30.0
+"""Seconds that a single call may take which usually takes less than a second."""
 TIME_LIMIT = 120.0
 """Seconds that a call may take whose work nobody can tell beforehand, unless the caller says otherwise."""
 LONG = 600.0

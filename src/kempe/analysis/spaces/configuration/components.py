@@ -22,7 +22,7 @@ from kempe.kinematics.configuration import has_loops, random, winding_angles
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.solvers.assembly.idle import moved_by_spins
 from kempe.solvers.common.arguments import start_count
-from kempe.solvers.common.clock import TIME_LIMIT, TimeLimit, TimeUp
+from kempe.solvers.common.clock import TIME_LIMIT, TimeLimit, TimeUp, partial
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import InWords, counted
@@ -201,7 +201,8 @@ class Components(Report):
         few = "" if self.complete or not self.count else "at least "
         proven = "proven" if self.complete else "a lower bound"
         idle = f", {counted(self.idle, 'idle spin')} left out" if self.idle else ""
-        return f"{few}{counted(self.count, 'connected component')}{idle}; {proven}: {self.reason}"
+        said = f"{few}{counted(self.count, 'connected component')}{idle}; {proven}: {self.reason}"
+        return said + partial(self.interrupted, self.late)
 
     def _notes(self) -> list[str]:
         lines = [f"{k + 1}: {part}" for k, part in enumerate(self.parts)]

@@ -18,7 +18,7 @@ from kempe.calls import brief, explained, explained_methods, interruptible, know
 from kempe.errors import InputError
 from kempe.kinematics.common.result import Report
 from kempe.reals import is_mapping, is_whole
-from kempe.solvers.common.clock import partial
+from kempe.solvers.common.clock import LONG, partial
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import counted
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from kempe.model.system import FrameLike, System
 
-USUAL = Usual("reach.place", starts=64, rng=0, threads=None, progress=None, time_limit=None)
+USUAL = Usual("reach.place", starts=64, rng=0, threads=None, progress=None, time_limit=LONG)
 AXES = ("x", "y", "z", "yaw")
 MOST = 10_000_000
 """Poses that one map may try."""
@@ -131,8 +131,8 @@ def place_base(
 
     The `box` names coordinates of the base, "x", "y", "z" in metres and "yaw" in radians, with a pair (low, high) that
     is tried at so many `cells` values (one number, or a dict by name), or with one number; those not named are 0. Of
-    the `budget` are read: starts (64), rng (0), threads, time_limit, and progress, which is called with the number of
-    poses tried and that of all. After the time limit the map has what was done, after Ctrl-C the `answer` of the
+    the `budget` are read: starts (64), rng (0), threads, time_limit (600 s), and progress(poses tried, all).
+    After the time limit the map has what was done, after Ctrl-C the `answer` of the
     `Interrupted`. Errors: `InputError`, `UnknownNameError`.
     """
     spend, name = USUAL.of(budget), system.structure.frame_name(frame)

@@ -22,7 +22,7 @@ from kempe.constraints.frame_targets import of_target
 from kempe.errors import InputError
 from kempe.kinematics.common.result import Report
 from kempe.reals import is_sequence, is_whole
-from kempe.solvers.common.clock import partial
+from kempe.solvers.common.clock import LONG, partial
 from kempe.solvers.common.targets import Z_AXIS, frame_of
 from kempe.spatial import Array
 from kempe.status import Status
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from kempe.model.system import FrameLike, System
 
-USUAL = Usual("reach.capability", starts=32, rng=0, threads=None, progress=None, time_limit=None)
+USUAL = Usual("reach.capability", starts=32, rng=0, threads=None, progress=None, time_limit=LONG)
 
 
 @explained_methods
@@ -127,8 +127,8 @@ def capability_map(
     `box` is the pair of its corners (2, 3), in the plane (2, 2), in metres, cut into so many `cells` along each axis.
     `directions` are that many, spread evenly, or vectors (d, 3), in the plane (d, 2). With `rolls` each is tried at
     that many angles about it, as a pose, and solutions are counted where the chain has finitely many. Of the `budget`
-    are read: starts (32), rng (0), threads, progress, time_limit; after that the map has what was done, after Ctrl-C
-    the `answer` of the `Interrupted`. Errors: `InputError`, `UnknownNameError`.
+    are read: starts (32), rng (0), threads, progress, time_limit (600 s); after that the map has what was done, after
+    Ctrl-C the `answer` of the `Interrupted`. Errors: `InputError`, `UnknownNameError`.
     """
     spend, name, dim = USUAL.of(budget), system.structure.frame_name(frame), system.dim
     axes, d = _cells(box, cells, dim), _directions(directions, dim)

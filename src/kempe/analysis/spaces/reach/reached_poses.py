@@ -16,7 +16,7 @@ from kempe.kinematics.closure_rows import characteristic_length
 from kempe.kinematics.common.result import Report
 from kempe.rigid import EXACT, rotation_error, sound
 from kempe.solvers.analytic.ik_analytic import plan_of
-from kempe.solvers.common.clock import partial
+from kempe.solvers.common.clock import LONG, partial
 from kempe.solvers.common.targets import LARGEST, axis_for, not_a_pose, task_and_axis, task_of, twist_rows
 from kempe.spatial import Array
 from kempe.status import Status, named
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from kempe.model.system import FrameLike, System
 
-USUAL = Usual("reach.poses", starts=1000, rng=0, threads=None, time_limit=None, progress=None)
+USUAL = Usual("reach.poses", starts=1000, rng=0, threads=None, time_limit=LONG, progress=None)
 UNKNOWN = -1
 """In place of a number of solutions, where it is not known, or infinite."""
 SHOWN = 6
@@ -218,8 +218,8 @@ def reach_poses(
 
     `targets` (n, 4, 4) are poses, or (n, 3) positions, in the ground frame, with `task` as `System.ik` takes them. A
     pose counts as reached where `ik` or, of chains with finitely many solutions, `ik_all` finds one inside the limits.
-    Of the `budget` are read: starts (1000), rng (0), threads, time_limit, and progress, which is called with the number
-    of poses tried and that of all. After the time limit the study has what was done, after Ctrl-C the
+    Of the `budget` are read: starts (1000), rng (0), threads, time_limit (600 s), and progress(poses tried, all).
+    After the time limit the study has what was done, after Ctrl-C the
     `answer` of the `Interrupted`.
     Errors: `InputError`, `UnknownNameError`.
     """

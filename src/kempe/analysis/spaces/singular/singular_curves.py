@@ -21,7 +21,7 @@ from kempe.calls import brief, explained_methods, interruptible, numbers
 from kempe.errors import InputError, shown
 from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import by_short_turns, circles
-from kempe.solvers.common.clock import BROKEN_OFF, TimeLimit, TimeUp, partial
+from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp, partial
 from kempe.solvers.common.tracing import Curve, Node, node, step, walk
 from kempe.solvers.common.tracing import inside as node_between
 from kempe.solvers.dyads.dyads import source_values
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from kempe.analysis.spaces.singular.singularities import Singularities
     from kempe.model.system import System
 
-USUAL = Usual("curves", step=0.05, time_limit=None, progress=None)
+USUAL = Usual("curves", step=0.05, time_limit=TIME_LIMIT, progress=None)
 MOST = 1500
 """Nodes of one curve, at most, to each side."""
 COARSE, BEND = 0.2, 0.2

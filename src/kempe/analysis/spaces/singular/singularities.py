@@ -20,7 +20,7 @@ from kempe.errors import InputError, Interrupted
 from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import as_q, by_short_turns, circles, has_loops
 from kempe.solvers.common.arguments import start_count
-from kempe.solvers.common.clock import BROKEN_OFF, TimeLimit, TimeUp, partial
+from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp, partial
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import counted
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from kempe.model.system import FrameLike, System
 
-USUAL = Usual("singularities", starts=64, rng=0, time_limit=None, progress=None)
+USUAL = Usual("singularities", starts=64, rng=0, time_limit=TIME_LIMIT, progress=None)
 AT_ONCE = 16
 """Starts between which the time is looked at."""
 MATTERS = 1e-4
@@ -136,7 +136,7 @@ class Singularities(Report):
         In the plane those are curves at which a frame's position loses a direction, and of two freedoms all of them.
         Larger sets are cut down to curves by coordinates that are held, `hold` {name: value}, and by the frame's
         `orientation` (planar systems: an angle in radians). With the answer's `limits` curves end there. Of the
-        `budget` are read: step (0.05, the longest step, in radians and characteristic lengths), time_limit, and
+        `budget` are read: step (0.05, the longest step, in radians and characteristic lengths), time_limit (120 s), and
         progress, which is called with the number of configurations done and that of all. Errors: `InputError` where
         the sets are larger than curves; `UnknownNameError`.
         """
@@ -197,7 +197,7 @@ def singularities(
     Sets are distinguished by the coordinates that decide, and of six-joint arms by the names of their branches. With
     `limits` only configurations inside them count, which hold the one-sided constraints, too; with closed loops they
     are then looked for from nearly singular ones between the starts, besides. Of the `budget` are read:
-    starts (64), rng (0), time_limit, and progress, which is called with the number of starts done and that of all.
+    starts (64), rng (0), time_limit (120 s), and progress(starts done, all).
     Errors: `InputError`, `UnknownNameError`.
     """
     spend, limits = USUAL.of(budget), flag(limits, "limits")
