@@ -334,6 +334,8 @@ def test_what_does_not_roll_is_told_what_holds_on_the_way():
     q = railed.assemble({}, start=np.ones(4)).q
     with pytest.raises(UnsupportedError, match="'rail' holds positions on the way.*configuration_space.path"):
         railed.manoeuvre(q, q)
+
+
 @pytest.mark.parametrize("angle", [1e6, 1e15, -1e16])
 def test_very_many_turns_are_one_turn_of_that_angle(angle):
     """Of the half turns between both ends only those near them are tried: all others cost the same."""
