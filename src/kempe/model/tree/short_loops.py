@@ -114,9 +114,10 @@ class _Search:
     def left_out(self) -> set[int]:
         """Edges that the best tree found leaves out."""
         use = self._use()
-        found = [self._improved(self._kruskal(lambda k: (self.grade[k], -use[k], self.length[k], k)))]
+        every = range(len(self.branches))
+        found = [self._improved(self._kruskal([(self.grade[k], -use[k], self.length[k], k) for k in every]))]
         if len(self.branches) <= FEW:
-            found.append(self._improved(self._kruskal(lambda k: (self.grade[k], k))))
+            found.append(self._improved(self._kruskal([(self.grade[k], k) for k in every])))
         _, cut = min(found)
         return {self.branches[k].worst for k in cut}
 
@@ -151,7 +152,7 @@ class _Search:
                     heapq.heappush(front, (far + self.length[j], j, there))
         return frozenset()
 
-    def _kruskal(self, key: Any) -> list[int]:
+    def _kruskal(self, cost: list[Any]) -> list[int]:
         """Branches of the spanning tree of least cost (Kruskal, 1956)."""
         root: dict[int, int] = {}
 
@@ -161,7 +162,7 @@ class _Search:
             return body
 
         kept: list[int] = []
-        for k in sorted(range(len(self.branches)), key=key):
+        for k in sorted(range(len(self.branches)), key=cost.__getitem__):
             a, b = (find(body) for body in self.branches[k].ends)
             if a != b:
                 root[a] = b

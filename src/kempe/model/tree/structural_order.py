@@ -59,10 +59,14 @@ def structural_order(mechanism: Mechanism, level: Mapping[str, int], first: Mapp
         for j in joints:
             labels[j.name].append(sorted((name, low, high) for name, (low, high) in j.limits.items()))
         colours.refine(labels)
-    key = {j.name: (labels[j.name], colours.of[j.parent], colours.of[j.child]) for j in joints}
-    if not colours.all_differ(labels):
-        for j in joints:
-            key[j.name] += (str(j.X_PF), str(j.X_CM), natural(j.name))
+    alike = not colours.all_differ(labels)
+    key: dict[str, tuple[Any, ...]] = {
+        j.name: (
+            labels[j.name], colours.of[j.parent], colours.of[j.child],
+            (str(j.X_PF), str(j.X_CM), natural(j.name)) if alike else (),
+        )
+        for j in joints
+    }  # fmt: skip
     return {name: k for k, name in enumerate(sorted(first, key=key.__getitem__))}
 
 
