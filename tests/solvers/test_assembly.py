@@ -363,6 +363,58 @@ def test_large_systems_are_sparse():
 # ---- branches and further constraints
 
 
+def truss(bays: int, brace: float = math.sqrt(2.0)) -> tuple[kempe.System, np.ndarray]:
+    """Particles on rods in square bays that stand on the ground, each with a brace; and the configuration as drawn.
+
+    `brace` is the length of the brace in the middle.
+    """
+    m = Mechanism("truss", dim=2)
+    m.frame("n0", m.ground, at=(0.0, 0.0)), m.frame("m0", m.ground, at=(0.0, 1.0))
+    for k in range(1, bays + 1):
+        for name in "nm":
+            m.joint(f"{name}{k}", "translation", m.ground, m.particle(f"{name}{k}"))
+        rods = ((f"n{k - 1}", f"n{k}", 1.0), (f"m{k - 1}", f"m{k}", 1.0), (f"n{k}", f"m{k}", 1.0),
+                (f"n{k - 1}", f"m{k}", brace if 2 * k == bays else math.sqrt(2.0)))  # fmt: skip
+        for a, b, length in rods:
+            m.constrain(constraints.Distance(a, b, length))
+    return m.build(), np.array([(k, y) for k in range(1, bays + 1) for y in (0.0, 1.0)], dtype=float).ravel()
+
+
+def rods_open(q: np.ndarray) -> float:
+    """By how much the rods of a truss are too long or too short, in numpy alone."""
+    places = np.concatenate([[[[0.0, 0.0], [0.0, 1.0]]], q.reshape(-1, 2, 2)])
+    n, m = places[:, 0], places[:, 1]
+    pairs = [(n[1:], n[:-1], 1.0), (m[1:], m[:-1], 1.0), (n[1:], m[1:], 1.0), (m[1:], n[:-1], math.sqrt(2.0))]
+    return max(float(np.abs(np.linalg.norm(a - b, axis=1) - length).max()) for a, b, length in pairs)
+
+
+def from_within(bays: int, size: float, rng: np.random.Generator, count: int) -> None:
+    system, drawn = truss(bays)
+    answer = system.assemble(start=drawn + rng.uniform(-size, size, (count, system.nq)))
+    assert answer.success.all() and max(map(rods_open, answer.q)) < 1e-9
+
+
+def test_many_loops_close_from_far_away(hunt):
+    """Starts that are drawn as a whole closed none of four trusses of 300 bays from within 1 m."""
+    from_within(150, 3.0, hunt.rng(), hunt.cases(4))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("bays", "size"), [(300, 1.0), (200, 10.0), (300, 3.0), (60, 1.0)])
+def test_many_loops_close_from_far_away_at_length(bays, size, hunt):
+    from_within(bays, size, hunt.rng(), hunt.cases(8))
+
+
+def test_many_loops_of_which_one_cannot_close():
+    """All starts are spent, what is left open is not less than the nearest, and the rows beside it are the same."""
+    system, drawn = truss(12, brace=2.5)
+    start = drawn + np.random.default_rng(3).uniform(-0.5, 0.5, (2, system.nq))
+    answer = system.assemble(start=start)
+    assert not answer.success.any() and np.all(answer.starts == 20) and np.all(np.asarray(answer.residual) > 1e-3)
+    alone = system.assemble(start=start[0])
+    assert not alone and np.array_equal(alone.q, answer.q[0]) and alone.starts == 20
+
+
 def test_a_branch_by_its_signs():
     s = kempe.load("four_bar")
     d = [s.q_dict(s.assemble({"A": 0.9}, branch=b).q)["D"] for b in "+-"]

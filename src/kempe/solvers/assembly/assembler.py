@@ -14,8 +14,10 @@ import numpy as np
 from kempe.budget import Budget, Usual
 from kempe.calls import explained, flag, listed
 from kempe.errors import InputError, UnknownNameError
-from kempe.kernels.base.search_layout import BAD_INPUT, SOLVED
+from kempe.kernels.base.search_layout import BAD_INPUT, NOT_FOUND, SOLVED
+from kempe.kernels.compiled import closure_batch
 from kempe.kernels.compiled import loop_closing as kernel
+from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.constraints.loop_layout import velocity_lists
 from kempe.kinematics.closure_rows import freedoms_left
 from kempe.kinematics.common.parallel import over_chunks
@@ -39,6 +41,14 @@ STARTS = 20
 """Starts before an assembly is given up; from a guess 1 rad off 95 to 100 % of the first ones close."""
 STEPS = 60
 """Steps of a start; 3 to 6 are usual, at singular positions up to 50."""
+LARGE = 24
+"""Equations between frames or coordinates from which on later starts change only a part of the mechanism."""
+WHOLE = 0.1
+"""Part of the starts that are drawn anew as a whole, after those that change a part only."""
+LOCAL_STEPS = 20
+"""Steps of a start that changes a part; a third of those of another, so that three of them count as one start."""
+HOPS = 4
+"""How far from an open place, counted in loops that share coordinates, a start is changed at most."""
 TOLERANCE = 1e-10
 """Largest norm of the closure equations of a success, in radians and characteristic lengths; 1e-15 is usual."""
 LOOSEST = 1e-3
@@ -166,10 +176,13 @@ class Assembler:
         q, residual, info = np.empty((n, self.system.nq)), np.empty(n), np.empty((n, 3), dtype=np.int64)
         weights = loops.weights if limits else limitless(self.system, loops)
 
+        by_parts = tries > 1 and len(loops.ties) >= LARGE and not (nearest or follow) and self.one_sided is None
+        first = 1 if by_parts else tries
+
         def work(i: int, j: int) -> int:
             return kernel.assemble(
                 loops.ints, loops.floats, loops.plan, weights, starts[i:j], pins[i:j] if len(pins) > 1 else pins,
-                tries, STEPS, tolerance, nearest, rng, i, follow, q[i:j], residual[i:j], info[i:j],
+                first, STEPS, tolerance, nearest, rng, i, follow, q[i:j], residual[i:j], info[i:j],
             )  # fmt: skip
 
         if follow:
@@ -190,6 +203,11 @@ class Assembler:
         else:
             over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
         loops.check()
+        if by_parts:
+            search = LocalStarts(self.system, loops, weights, tolerance)
+            for i in np.flatnonzero(info[:, 0] == NOT_FOUND).tolist():
+                pin = pins[i] if len(pins) > 1 else pins[0]
+                q[i], residual[i], info[i] = search.close(starts[i], q[i], pin, tries, rng, i, info[i])
         return q, residual, info
 
     def _ask(
@@ -328,6 +346,94 @@ class Assembler:
     def _outside(self, starts: Array) -> np.ndarray:
         x = starts[:, self.places]
         return np.any((x < self.low) | (x > self.high), axis=-1)
+
+
+class LocalStarts:
+    """Further starts of an assembly of many loops, each changed near a place that stayed open.
+
+    The more loops are far from closed, the more often some of them end in a local minimum of the residual, also from
+    starts that are drawn as a whole. A loop that stays open affects its neighbours most. So coordinates near it are
+    drawn anew, the others begin where they are, and the start is kept if it leaves less open (iterated local search:
+    Lourenco, Martin and Stuetzle, 2003).
+    """
+
+    def __init__(self, system: System, loops: PackedLoops, weights: Array, tolerance: float):
+        self.system, self.loops, self.weights, self.tolerance = system, loops, weights, tolerance
+        plan, nv = loops.plan, system.nv
+        ties = plan[plan[L.AT_TIES] :][: L.TIE_INTS * len(loops.ties)].reshape(-1, L.TIE_INTS)
+        unknown = set(loops.unknown.tolist())
+        self.moved_by: list[list[int]] = []
+        for tie in ties:
+            at = int(plan[L.AT_LOCALS] + tie[L.LOCAL])
+            self.moved_by.append([v for v in plan[at : at + tie[L.LOCALS]].tolist() if v in unknown])
+        self.users: dict[int, list[int]] = {}
+        for k, coordinates in enumerate(self.moved_by):
+            for v in coordinates:
+                self.users.setdefault(v, []).append(k)
+        self.of_row = np.repeat(np.arange(len(ties)), ties[:, L.ROWS])
+        low, high = velocity_lists(loops.weights, nv)[3:5]
+        self.range = high - low
+
+    def close(
+        self, start: Array, q: Array, pin: Array, tries: int, rng: int, row: int, before: np.ndarray
+    ) -> tuple[Array, float, np.ndarray]:  # fmt: skip
+        """Configuration, residual and (status, steps, starts), from what a first start came to and `before` says of it.
+
+        `row` is the number of the start `start` in its batch, by which random numbers are drawn.
+        """
+        random = np.random.default_rng([rng, row])
+        _, steps, first = before.tolist()
+        least = np.inf
+        parts = STEPS // LOCAL_STEPS * max(1, tries - first - int(WHOLE * tries))
+        for k in range(parts):
+            square = np.zeros(len(self.moved_by))
+            np.add.at(square, self.of_row, self._equations(q, pin) ** 2)
+            least = min(least, math.sqrt(square.sum()))
+            there = self._changed(q, int(random.choice(len(square), p=square / square.sum())), random)
+            found, residual, info = self._run(there, pin, 1, LOCAL_STEPS, rng, row)
+            steps += int(info[1])
+            if residual < least:
+                q, least = found, residual
+            if info[0] == SOLVED:
+                return q, residual, np.array([SOLVED, steps, first + 1 + k * LOCAL_STEPS // STEPS])
+        count = first + parts * LOCAL_STEPS // STEPS
+        found, residual, info = self._run(start, pin, 1 + max(0, tries - count), STEPS, rng, row)
+        code = int(info[0])
+        if residual > least:
+            found, residual = q, least
+        return found, residual, np.array([code, steps + int(info[1]), count + int(info[2]) - 1])
+
+    def _changed(self, q: Array, tie: int, random: np.random.Generator) -> Array:
+        """The configuration with random coordinates near a tie."""
+        near = {tie}
+        for _ in range(int(random.integers(1, HOPS + 1))):
+            near = {k for n in near for v in self.moved_by[n] for k in self.users[v]} | near
+        changed = sorted({v for k in near for v in self.moved_by[k]})
+        velocity = np.zeros(self.system.nv)
+        spread = random.uniform(0.2, 1.0)
+        velocity[changed] = spread * self.range[changed] * random.uniform(-0.5, 0.5, len(changed))
+        return self.system.structure.layout.integrate(q, velocity)
+
+    def _equations(self, q: Array, pin: Array) -> Array:
+        """The equations (m,) at q."""
+        loops, out = self.loops, np.empty((1, len(self.loops.names)))
+        columns = np.empty((0, out.shape[1], self.system.nv))
+        packed = loops.ints, loops.floats, loops.plan, self.weights
+        closure_batch.equations(*packed, pin[None], q[None], False, out, columns)
+        return out[0]
+
+    def _run(
+        self, start: Array, pin: Array, tries: int, steps: int, rng: int, row: int
+    ) -> tuple[Array, float, np.ndarray]:
+        """Configuration, residual and (status, steps, starts) of the kernel."""
+        loops = self.loops
+        q, residual, info = np.empty((1, self.system.nq)), np.empty(1), np.empty((1, 3), dtype=np.int64)
+        kernel.assemble(
+            loops.ints, loops.floats, loops.plan, self.weights, start[None].copy(), pin[None], tries, steps,
+            self.tolerance, 0, rng, row, False, q, residual, info,
+        )  # fmt: skip
+        loops.check()
+        return q[0], float(residual[0]), info[0]
 
 
 def limitless(system: System, loops: PackedLoops) -> Array:
