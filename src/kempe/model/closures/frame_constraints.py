@@ -176,6 +176,15 @@ class PackedLoops:
         return ends.T
 
     @property
+    def read_coordinates(self) -> list[list[int]]:
+        """For each tie the unknown velocity coordinates that its equations depend on."""
+        unknown, out = set(self.unknown.tolist()), list[list[int]]()
+        for tie in self.plan[self.plan[L.AT_TIES] :][: L.TIE_INTS * len(self.ties)].reshape(-1, L.TIE_INTS):
+            at = int(self.plan[L.AT_LOCALS] + tie[L.LOCAL])
+            out.append([v for v in self.plan[at : at + tie[L.LOCALS]].tolist() if v in unknown])
+        return out
+
+    @property
     def lengths(self) -> list[int]:
         """How many of the first equations of each tie are lengths."""
         at = int(self.plan[L.AT_TIES]) + L.LENGTHS

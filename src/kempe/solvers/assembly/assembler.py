@@ -17,7 +17,6 @@ from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.base.search_layout import BAD_INPUT, NOT_FOUND, SOLVED
 from kempe.kernels.compiled import closure_batch
 from kempe.kernels.compiled import loop_closing as kernel
-from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.constraints.loop_layout import velocity_lists
 from kempe.kinematics.closure_rows import freedoms_left
 from kempe.kinematics.common.parallel import over_chunks
@@ -359,19 +358,13 @@ class LocalStarts:
 
     def __init__(self, system: System, loops: PackedLoops, weights: Array, tolerance: float):
         self.system, self.loops, self.weights, self.tolerance = system, loops, weights, tolerance
-        plan, nv = loops.plan, system.nv
-        ties = plan[plan[L.AT_TIES] :][: L.TIE_INTS * len(loops.ties)].reshape(-1, L.TIE_INTS)
-        unknown = set(loops.unknown.tolist())
-        self.moved_by: list[list[int]] = []
-        for tie in ties:
-            at = int(plan[L.AT_LOCALS] + tie[L.LOCAL])
-            self.moved_by.append([v for v in plan[at : at + tie[L.LOCALS]].tolist() if v in unknown])
+        self.moved_by = loops.read_coordinates
         self.users: dict[int, list[int]] = {}
         for k, coordinates in enumerate(self.moved_by):
             for v in coordinates:
                 self.users.setdefault(v, []).append(k)
-        self.of_row = np.repeat(np.arange(len(ties)), ties[:, L.ROWS])
-        low, high = velocity_lists(loops.weights, nv)[3:5]
+        self.of_row = np.repeat(np.arange(len(loops.ties)), [len(tie.rows) for tie in loops.ties])
+        low, high = velocity_lists(loops.weights, system.nv)[3:5]
         self.range = high - low
 
     def close(
