@@ -321,16 +321,20 @@ class Judgement(InWords):
 
 def judge(
     system: System, q: Any, requested: Sequence[tuple[MeasuredTask, Any, Any]] = (), more: Array | float = 0.0,
-    t: Array | float = 0.0,
+    t: Array | float = 0.0, closing: System | None = None,
 ) -> Judgement:  # fmt: skip
     """The judgement of all that a system declares, and of what is required, at q (..., nq) and times t (...).
 
     That is: joints that the tree left out, rows of position of constraints, couplings with several sources. `requested`
     has tasks with their goals (or None) and what (2,) each may be missed by; `more` (...) is what solvers left of
     others, in radians and characteristic lengths. Rows of velocity are about motions, not about a configuration.
+    Where another system is `closing`, what is declared is judged in its dimensions, and what is required in those of
+    `system`.
     """
     q = as_q(system, q)
-    at = Poses(system, q, t)
+    at = drawn = Poses(system, q, t)
+    if closing is not None and closing is not system:
+        system, at = closing, Poses(closing, q, t)
     m = at.mechanism
     found = [(name, at.joint(m.joints[name])) for name in system.structure.closures]
     found += [(c.name, at.declared(c)) for c in m.constraints.values() if c.positions(system.dim)]
@@ -341,7 +345,7 @@ def judge(
     lead = (*q.shape[:-1], 2)
     allowed = [np.broadcast_to(within, lead) for _ in found]
     for task, goals, most in requested:
-        found.append((task.label, task.measure(system, q, goals, at)))
+        found.append((task.label, task.measure(drawn.system, q, goals, drawn)))
         allowed.append(np.broadcast_to(np.asarray(most) * (1.0 + 1e-3) + ROUNDING * np.array([far, 1.0]), lead))
     errors = np.array([np.stack(np.broadcast_arrays(*e), axis=-1) for _, e in found]).reshape(len(found), *lead)
     return Judgement(tuple(n for n, _ in found), errors, np.array(allowed).reshape(len(found), *lead))

@@ -69,12 +69,13 @@ class Packed:
 
     Lengths are measured in `length` (default: the characteristic length). `owner` (ties,) is the number of the task of
     each tie, -1 for a loop. With `turns`, angles with limits a whole turn apart or more count as having none (`wide`):
-    `inside` brings them back. `levels` are those of the tasks: ties stand in their order, loops with the first.
+    `inside` brings them back. `levels` are those of the tasks: ties stand in their order, loops with the first. Tasks
+    are about the frames of `system`, loops are those of `closing`, by default the same (see `ideal_of`).
     """
 
     def __init__(
         self, system: System, tasks: Sequence[Task | Constraint], length: float | None = None, turns: bool = False,
-        levels: Sequence[int] = (),
+        levels: Sequence[int] = (), closing: System | None = None,
     ):  # fmt: skip
         made_of = (task_of(t, system.dim) if isinstance(t, Constraint) else t for t in tasks)
         self.system, self.tasks, self.turns = system, tuple(made_of), turns
@@ -89,15 +90,17 @@ class Packed:
             return made
 
         self.wide = _wide(system, self.tasks) if turns else np.zeros(system.nv, dtype=bool)
-        tree = own_tree(system)
+        self.closing = closing or system
+        tree = own_tree(self.closing)
         explicit = frozenset(tree.structure.closures)
+        drawn = own_tree(system) if self.closing is not system else None
         of: Callable[[Tie], int] = lambda tie: levels[owner[id(tie)][0]] if id(tie) in owner else 0  # noqa: E731
         level = of if any(levels) else None
-        self.one_sided = one_sided_rows(system)
+        self.one_sided = one_sided_rows(self.closing)
         """One-sided rows of the system; those that are declared hold, too."""
         bounded = self.one_sided.declared > 0
         self.loops: PackedLoops = pack(
-            tree, explicit, length=length, further=further, wide=self.wide, level=level, one_sided=bounded
+            tree, explicit, length=length, further=further, wide=self.wide, level=level, one_sided=bounded, drawn=drawn
         )
         self.stages: dict[Hashable, Any] = {}
         """What solvers have worked out of weights and priorities."""

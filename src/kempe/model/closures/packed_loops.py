@@ -88,25 +88,20 @@ def pack(
     system: System, explicit: frozenset[str], held: frozenset[str] = frozenset(),
     pins: tuple[tuple[str, bool], ...] = (), length: float | None = None,
     further: Callable[[Table], list[Tie]] | None = None, wide: np.ndarray | None = None,
-    level: Callable[[Tie], int] | None = None, one_sided: bool = False,
+    level: Callable[[Tie], int] | None = None, one_sided: bool = False, drawn: System | None = None,
 ) -> PackedLoops:  # fmt: skip
     """The packed loops as `loops_of` gives them, but packed anew, with `further` ties over the rows of the table.
 
     `wide` (nv,) marks angles whose limits do not count, for whole turns lead back into them. Ties of a lower `level`
-    stand before others, so that of rows that depend on each other the later ones yield.
+    stand before others, so that of rows that depend on each other the later ones yield. The frames of `further` ties
+    are those of the `drawn` system, where given: it has the same coordinates, and other dimensions.
     """
-    mechanism = system.mechanism
-    table = lower(
-        mechanism,
-        system.structure.topology,
-        system.structure.coordinates,
-        mechanism.parameters,
-        {n: n in explicit for n in system.structure.closures},
-    )
     size, origin = characteristic_length(system) if length is None else length, origin_of(system)
-    if origin.any():
-        table = moved(table, -origin)
-    ties = _ties(system, table, explicit, pins, one_sided) + (further(table) if further else [])
+    table = _lowered(system, {n: n in explicit for n in system.structure.closures}, origin)
+    frames = table
+    if drawn is not None:
+        table, frames = _side_by_side(_lowered(drawn, {}, origin), table)
+    ties = _ties(system, table, explicit, pins, one_sided) + (further(frames) if further else [])
     ties, first = [t for t in ties if t.rows or t.joint], system.structure.coordinates.first
     ties = _by_level(ties, table, level, first) if level else _in_order(ties, table, first)
     at = dict(table.at)
@@ -122,6 +117,27 @@ def pack(
     names = tuple((t.name, row) for t in ties for row in t.rows)
     unknown = np.array([i for i, n in enumerate(system.structure.velocity_names) if n not in held], dtype=np.int64)
     return PackedLoops(tuple(ties), names, ints, floats, plan, weights, unknown, size, origin)
+
+
+def _lowered(system: System, ends: dict[str, bool], origin: np.ndarray) -> Table:
+    """The table of a system with the ends of joints that the tree left out, measured from `origin` (3,)."""
+    mechanism, given = system.mechanism, system.structure
+    table = lower(mechanism, given.topology, given.coordinates, mechanism.parameters, ends)
+    return moved(table, -origin) if origin.any() else table
+
+
+def _side_by_side(first: Table, second: Table) -> tuple[Table, Table]:
+    """The rows of two tables over the same coordinates as one table: with the ends of the second, and of the first."""
+    n = len(first.kind)
+    behind = np.where(second.parent < 0, -1, second.parent + n)
+    ends = {name: (row if row < 0 else row + n, X, particle) for name, (row, X, particle) in second.at.items()}
+    both = Table(
+        np.concatenate([first.kind, second.kind]), np.concatenate([first.parent, behind]),
+        np.concatenate([first.iq, second.iq]), np.concatenate([first.iv, second.iv]),
+        np.concatenate([first.multiplier, second.multiplier]), np.concatenate([first.offset, second.offset]),
+        np.concatenate([first.placement, second.placement]), ends, second.nq, second.nv,
+    )  # fmt: skip
+    return both, replace(both, at=first.at)
 
 
 # ---- what is tied

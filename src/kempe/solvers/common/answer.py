@@ -48,7 +48,12 @@ class Answer(Result, Tabular):
     @property
     def within(self) -> Idealised | None:  # type: ignore[override]
         """The nearest mechanism that closes exactly, solved in place of the given one; None: that was solved."""
-        return self.system._ideal
+        return self._closing._ideal
+
+    @property
+    def _closing(self) -> Any:
+        """The `System` whose loops `q` closes; frames are those of `system`."""
+        return self.system
 
     def sentence(self, index: tuple[int, ...] | int = ()) -> str:
         """The sentence for one target, by its index in the batch. Errors: `InputError`."""
@@ -89,7 +94,7 @@ class Answer(Result, Tabular):
 
         It shares nothing with the equations by which kernels say `success`.
         """
-        return judge(self.system, self.q, self._goals(), self._left(), self._when())
+        return judge(self.system, self.q, self._goals(), self._left(), self._when(), self._closing)
 
     def _when(self) -> Any:
         """Times (...) at which equations in time must hold at `q`; 0 for answers that have no time of their own."""

@@ -19,7 +19,6 @@ from kempe.kinematics.tasks.packed import refuse
 from kempe.reals import reals
 from kempe.rigid import arrays, sound
 from kempe.solvers.assembly.assembly import assemble
-from kempe.solvers.assembly.ideal import ideal_of
 from kempe.solvers.common import wording
 from kempe.solvers.common.answer import Configurations
 from kempe.solvers.common.clock import BROKEN_OFF, LONG, TimeLimit, partial
@@ -87,6 +86,10 @@ class IkPath(Configurations):
     def __bool__(self) -> bool:
         return bool(np.all(self.success)) and not self.jumps
 
+    @property
+    def _closing(self) -> Any:
+        return self.problem.packed.closing
+
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
         return demands_of(self.problem)
 
@@ -131,7 +134,6 @@ def ik_path(
     """
     if not 0.0 < max_step < math.inf:
         raise InputError(f"max_step is {max_step!r}; it must be a positive number")
-    system = ideal_of(system)
     options = {"max_step": max_step, "restart": restart, "branches": branches}
     wanted = targets if frame is None else _held(system, targets, frame)
     name = None if frame is None else system.structure.frame_name(frame)

@@ -25,7 +25,6 @@ from kempe.model.kept import keep, kept
 from kempe.reals import is_sequence, is_whole
 from kempe.solvers.assembly.assembler import TOLERANCE as CLOSED
 from kempe.solvers.assembly.assembler import limitless
-from kempe.solvers.assembly.ideal import ideal_of
 from kempe.solvers.common.arguments import deadline, seed_number, start_count, step_count, tolerances
 from kempe.solvers.common.clock import Clock
 from kempe.solvers.common.problem import Problem
@@ -258,7 +257,6 @@ def pose_problem(
 
     `starts` None are as many as it deserves.
     """
-    system = ideal_of(system)
     tasks = _distinct(wanted, system.dim)
     goals = tuple(t.goals(system) for t in tasks)
     base = _home(system) if start is None else as_start(system, start)
@@ -359,7 +357,7 @@ def judge(problem: Demands, q: Array, info: np.ndarray) -> Reached:
     if packed.closed:
         from kempe.kinematics.closure_rows import evaluate
 
-        good &= np.linalg.norm(evaluate(system, sound, False, True)[0], axis=-1) <= 10.0 * CLOSED
+        good &= np.linalg.norm(evaluate(packed.closing, sound, False, True)[0], axis=-1) <= 10.0 * CLOSED
     if packed.one_sided.declared and problem.one_sided:
         good &= ~packed.one_sided.beyond(sound, declared=True).any(axis=-1)
     late = status >= S.LATE

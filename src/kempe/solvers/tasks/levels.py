@@ -19,6 +19,7 @@ from kempe.kernels.base import search_layout as S
 from kempe.kinematics.tasks.packed import Packed, lead_of
 from kempe.kinematics.tasks.task import Task
 from kempe.model.kept import keep
+from kempe.solvers.assembly.ideal import ideal_of
 from kempe.solvers.tasks import effort
 from kempe.spatial import Array
 
@@ -53,7 +54,7 @@ def packed_for(system: System, tasks: tuple[Task, ...], turns: bool) -> Packed:
     answers = system._kept.setdefault(packed_for, {})
     found = answers.get(key)
     if found is None:
-        found = Packed(system, tasks, turns=turns, levels=levels)
+        found = Packed(system, tasks, turns=turns, levels=levels, closing=ideal_of(system))
         if all(t.lasting for t in tasks):
             keep(answers, key, found, KEPT)
     return found

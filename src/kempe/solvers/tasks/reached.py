@@ -41,6 +41,10 @@ class Reached(Solution):
         usual = Problem(self.problem.system, "one")
         return chosen(usual.system, usual.frame, usual.task, usual.method, False)[1]
 
+    @property
+    def _closing(self) -> Any:
+        return self.problem.packed.closing
+
     def _analysed(self) -> tuple[int, int, int, Array]:
         return analyse(self.problem, self.q)
 

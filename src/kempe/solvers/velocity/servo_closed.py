@@ -19,6 +19,7 @@ from kempe.errors import InputError
 from kempe.kinematics.closure_rows import evaluate, full
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.velocity.velocity import row_names
+from kempe.solvers.assembly.ideal import ideal_of
 from kempe.solvers.common.freedoms import null
 from kempe.solvers.common.slip import at_rest, hard_rows, rolls
 from kempe.solvers.velocity.least_squares import (
@@ -100,16 +101,20 @@ class Left(NamedTuple):
 
 
 class ConstrainedSteps:
-    """All of a system's steps under its constraints that does not depend on the configuration."""
+    """All of a system's steps under its constraints that does not depend on the configuration.
+
+    `closing` is the system whose loops stay closed: the ideal one of `system`, or itself.
+    """
 
     def __init__(self, system: System):
         self.system, layout = system, system.structure.layout
-        loops = full(system, True)
+        self.closing = ideal_of(system)
+        loops = full(self.closing, True)
         self.length, self.names, self.rolls = loops.length, loops.names, rolls(system)
         self.scale: Array = loops.scale
         self.at_v, self.at_q = layout.vector_v, layout.vector_q
         self.lower, self.upper = system.lower[self.at_v], system.upper[self.at_v]
-        self.bounds = one_sided_rows(system)
+        self.bounds = one_sided_rows(self.closing)
         self.upcoming: tuple[Any, Any] = None, None
         """A step that was computed ahead, after what asks for it."""
 
@@ -135,7 +140,7 @@ class ConstrainedSteps:
 
     def free(self, q: Array, dt: float) -> Left:
         """What constraints leave of the velocities at q (nq,), for dt. Errors: `InputError` for open loops."""
-        error, C = evaluate(self.system, q, True, True)
+        error, C = evaluate(self.closing, q, True, True)
         worst = int(np.argmax(np.abs(error))) if len(error) else -1
         if len(error) and not abs(error[worst]) < OPEN:
             raise InputError(f"the loops are open at q: {self.names[worst][0]!r} by {abs(error[worst]):.2g} (radians, "
@@ -157,7 +162,7 @@ class ConstrainedSteps:
 
     def _missed(self, x: Array, before: Array) -> tuple[Array, Array]:
         """What equations miss at x, and declared one-sided rows by more than `before`, with the rates of both."""
-        error, C = evaluate(self.system, x, True, True)
+        error, C = evaluate(self.closing, x, True, True)
         if not self.bounds.declared:
             return error, C
         more, G = self.bounds.violated(x, before)
@@ -186,7 +191,7 @@ class ConstrainedSteps:
     def blocking(self, q: Array, stages: list[Stage], u: Array, low: Array, high: Array) -> tuple[str, ...]:
         """Names of the velocity constraints that prevent what velocities u (nv,) miss: by their multipliers."""
         pull = sum((s.A.T @ (s.b - s.A @ u) for s in stages if s.hard), np.zeros(len(u)))
-        C, A = evaluate(self.system, q, True, True)[1], hard_rows(self.system, q, self.scale)[0]
+        C, A = evaluate(self.closing, q, True, True)[1], hard_rows(self.system, q, self.scale)[0]
         bounds = np.eye(len(u))[(u <= low) | (u >= high)]
         forces = np.linalg.lstsq(np.concatenate([A, C, bounds]).T, pull, rcond=1e-9)[0][: len(A)]
         some = np.abs(forces) > PREVENTS * math.sqrt(float(pull @ pull))
@@ -323,10 +328,10 @@ class ConstrainedSteps:
             moves = (DIFFERENCE / np.where(size > 0.0, size, 1.0))[:, None] * (ways @ N.T)
             ends = self.system.structure.layout.integrate(q, np.concatenate([moves, -moves]) * self.scale)
             per, k = (size / (2.0 * DIFFERENCE))[:, None, None], len(ways)
-            A, C = at(ends)[0].A, evaluate(self.system, ends, True, True)[1]
+            A, C = at(ends)[0].A, evaluate(self.closing, ends, True, True)[1]
             A, C = (A[:k] - A[k:]) * per, (C[:k] - C[k:]) * per
             if C.shape[-2]:
-                A = A - stage.A @ np.linalg.pinv(evaluate(self.system, q, True, True)[1], rcond=1e-8) @ C
+                A = A - stage.A @ np.linalg.pinv(evaluate(self.closing, q, True, True)[1], rcond=1e-8) @ C
             return A @ N
 
         return along
@@ -340,7 +345,7 @@ class ConstrainedSteps:
 
         def push(x: Array, requested: list[Stage]) -> tuple[Array, Array]:
             """What the last stage pulls at (..., nv), and the rows (..., m, nv) that stay, at configurations."""
-            C, s = evaluate(self.system, x, True, True)[1], requested[-1]
+            C, s = evaluate(self.closing, x, True, True)[1], requested[-1]
             out = np.maximum(s.low, 0.0) + np.minimum(s.high, 0.0)
             pull = np.einsum("...i,...ij->...j", s.b, s.A) + np.einsum("...i,...ij->...j", out, s.inequalities)
             return dt * pull, np.concatenate([C, *(t.A for t in requested[:-1])], axis=-2)
