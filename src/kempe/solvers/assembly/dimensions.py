@@ -12,11 +12,12 @@ import numpy as np
 
 from kempe.joints import Fixed
 from kempe.kinematics.closure_rows import evaluate, full, scales
-from kempe.kinematics.common.gauss_newton import gauss_newton
+from kempe.kinematics.common.gauss_newton import gauss_newton, gauss_newton_of_many
 from kempe.model.closures.packed_loops import PackedLoops, loops_of, plane_normal
 from kempe.model.tree.characteristic_length import characteristic_length
 from kempe.model.tree.own_tree import own_tree
 from kempe.placement import Placement, place
+from kempe.solvers.common.clock import TimeLimit
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 STRIDE, FAR, NEAR = 0.4, 20, 10
 """Length of the steps along a motion, and how many each way: of one freedom, a whole turn; of several, in each of some
 directions."""
+MANY = 6
+"""Directions of a motion with several freedoms at most."""
 ENOUGH = 6
 """Configurations at which a motion must be followed at least, for it to be one."""
 REGULAR = 1e-2
@@ -171,6 +174,18 @@ class Valley:
         return gauss_newton(lambda q: evaluate(system, q, True, True), q, rounds, step=step, last=1e-13, longest=0.3,
                             move=lambda q, y: system.structure.layout.integrate(q, self.scale * y)).x  # fmt: skip
 
+    def converge_all(self, q: Array, rounds: int = 12) -> Array:
+        """As `converge`, of many configurations (N, nq)."""
+        r, system = self.rank, self.system
+
+        def step(f: Array, J: Array) -> Array:
+            U, s, Vt = np.linalg.svd(J)
+            part = (np.swapaxes(U[..., :r], -1, -2) @ f[..., None])[..., 0] / np.maximum(s[..., :r], 1e-300)
+            return -(np.swapaxes(Vt[..., :r, :], -1, -2) @ part[..., None])[..., 0]
+
+        return gauss_newton_of_many(lambda q, _: evaluate(system, q, True, True), q, rounds, step=step, longest=0.3,
+                                    move=lambda q, y: system.structure.layout.integrate(q, self.scale * y))  # fmt: skip
+
     def residual(self, q: Array) -> Array:
         """Norms (...) of the residual at configurations (..., nq)."""
         return np.linalg.norm(evaluate(self.system, q, False, True)[0], axis=-1)
@@ -191,15 +206,16 @@ class Valley:
         """Regular configurations some way along the valley from q (N, nq)."""
         if self.rank == self.system.nv:
             return []
-        found = [self.ahead(x, self.at(x)[3][-1], 0.37 * STRIDE)[0] for x in q]
-        return [x for x in found if self.regular(x)]
+        ways = np.linalg.svd(evaluate(self.system, q, True, True)[1])[2][:, -1]
+        found = self.converge_all(self.system.structure.layout.integrate(q, 0.37 * STRIDE * self.scale * ways))
+        return [x for x in found if np.isfinite(x).all() and self.regular(x)]
 
     def walk(self, q: Array, most: float, rng: np.random.Generator) -> Array:
         """Regular configurations (N, nq) along the valley on both sides of q, where at most `most` stays open."""
         freedoms = self.system.nv - self.rank
         found = [q] if self.regular(q) else []
         null_space = self.at(q)[3][self.rank :]
-        ways = null_space if freedoms == 1 else rng.normal(size=(2 * freedoms, freedoms)) @ null_space
+        ways = null_space if freedoms == 1 else rng.normal(size=(min(2 * freedoms, MANY), freedoms)) @ null_space
         for way in (sign * w / np.linalg.norm(w) for w in ways for sign in (1.0, -1.0)):
             x = q
             for _ in range(FAR if freedoms == 1 else NEAR):
@@ -214,8 +230,8 @@ class Valley:
 
 
 def fitted(
-    shape: Dimensions, rank: int, q: Array, most: float, also: Callable[[Array], tuple[Array, Array]] | None = None,
-    tries: int = len(DAMPING),
+    shape: Dimensions, rank: int, q: Array, most: float, time: TimeLimit,
+    also: Callable[[Array], tuple[Array, Array]] | None = None, tries: int = len(DAMPING),
 ) -> tuple[Array, Array] | None:  # fmt: skip
     """The changes (size,) nearest to none with which all configurations q (N, nq) close, and these then; else None.
 
@@ -227,7 +243,7 @@ def fitted(
     found, left = [p, q], np.inf
     for _ in range(TRIES):
         for damped in DAMPING[:tries]:
-            *found, left = _fit(shape, rank, p, q, most, damped, also)
+            *found, left = _fit(shape, rank, p, q, most, time, damped, also)
             if not CLOSED < left < HOPEFUL:
                 break
         if left > CLOSED or np.abs(found[0] * shape.unit).max(initial=0.0) > most:
@@ -244,7 +260,7 @@ def fitted(
 
 
 def _fit(
-    shape: Dimensions, rank: int, p: Array, q: Array, most: float, damped: float,
+    shape: Dimensions, rank: int, p: Array, q: Array, most: float, time: TimeLimit, damped: float,
     also: Callable[[Array], tuple[Array, Array]] | None,
 ) -> tuple[Array, Array, float]:  # fmt: skip
     """Changes from p on with which configurations q close, by Levenberg's method, these, and what stays open.
@@ -253,8 +269,9 @@ def _fit(
     """
     P, at, before, left = np.zeros((0, 0, 0)), np.full(shape.size, np.inf), [np.inf] * PATIENCE, np.inf
     for k in range(ROUNDS):
+        time.check()
         valley = Valley(shape.changed(p), rank)
-        q = np.array([valley.converge(x, 4) for x in q])
+        q = valley.converge_all(q, 4)
         F, J = evaluate(valley.system, q, True, True)
         h, H = also(p) if also is not None else (np.zeros(0), np.zeros((0, shape.size)))
         left = float(max(np.linalg.norm(F, axis=-1).max(), np.abs(h).max(initial=0.0)))
@@ -279,14 +296,12 @@ def _fit(
 
 def moves(valley: Valley, q: Array) -> bool:
     """Whether the equations have no more than their rank at all configurations q (N, nq)."""
-    for x in q:
-        s = valley.at(x)[2]
-        if valley.rank < valley.system.nv and len(s) > valley.rank and s[valley.rank] > ZERO * s[0]:
-            return False
-    return True
+    s = np.linalg.svd(evaluate(valley.system, q, True, True)[1], compute_uv=False)
+    few = valley.rank < valley.system.nv and s.shape[-1] > valley.rank
+    return not (few and np.any(s[:, valley.rank] > ZERO * s[:, 0]))
 
 
 def moves_all_along(valley: Valley, q: Array) -> bool:
     """Whether loops close exactly along the valley near configurations q (N, nq), and between, with its freedoms."""
-    q = np.array([valley.converge(x) for x in q])
+    q = valley.converge_all(q)
     return bool(valley.residual(np.array([*q, *valley.between(q)])).max() <= CLOSED) and moves(valley, q)

@@ -10,18 +10,19 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from kempe.budget import Budget
 from kempe.calls import explained, explained_methods
 from kempe.errors import InputError, shown
+from kempe.joints import Revolute
 from kempe.kinematics.ball_angles import regular_chart
-from kempe.kinematics.closure_rows import evaluate, full, residual, row_names
+from kempe.kinematics.closure_rows import evaluate, freedoms_left, full, residual, row_names
 from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import as_q, home_of
 from kempe.model.clocked import timed
@@ -30,7 +31,8 @@ from kempe.model.tree.characteristic_length import characteristic_length, origin
 from kempe.model.tree.own_tree import own_tree
 from kempe.reals import is_real
 from kempe.solvers.assembly.dimensions import ENOUGH, Dimensions, Valley, fitted, moves_all_along
-from kempe.solvers.assembly.relations import Relations, snapped
+from kempe.solvers.assembly.relations import Place, Relations, snapped
+from kempe.solvers.common.clock import TimeLimit
 from kempe.solvers.common.slip import rolls
 from kempe.spatial import Array, log_so3, xyz_rpy_from_pose
 from kempe.words import InWords, counted
@@ -50,18 +52,30 @@ MEASURED = "measured"
 """The smallest tolerance with which the loops close, up to the largest one."""
 MOST = 60
 """Velocity coordinates up to which a mechanism is compared with others: it takes dense decompositions."""
-EXACT = 1e-13
-"""Residual up to which a mechanism is closed as it is, and singular values, as parts of the largest, that are zero."""
+EXACT = 1e-14
+"""Residual up to which a mechanism is closed as it is, and singular values, as parts of the largest, that are zero.
+
+It is a tenth of what motions may stay open by, `kempe.solvers.common.tracing.CLOSED`, so that what counts as exact at
+some configurations is closed all along a motion.
+"""
 SHOWN = 1e-3
 """Part of the largest change below which others are not listed."""
 OPEN = 10.0
 """What may stay open along the motion of the given mechanism, as a multiple of the tolerance."""
 FEW = 3
 """Starts of the search for a configuration at which the given loops are least open."""
+BESIDE, ASIDE = 2, 0.2
+"""Configurations beside home where it is looked, too, as home may be singular, and how far away, in radians and
+characteristic lengths."""
+HELD = "held"
+"""Name of the joint that holds a part of a mechanism in the ground."""
 NEARLY = 4.0
 """Relations that hold within this multiple of the changes that make it close are meant to hold."""
 GAP = 3.0
 """Ratio of singular values from which they may part what moves from what is held."""
+
+
+ENDLESS = TimeLimit(None)
 
 
 @dataclass(frozen=True)
@@ -233,50 +247,191 @@ def said(found: Idealised | None) -> str:
     return "" if found is None else f"; {found.sentence}"
 
 
-def _searched(system: System, most: float, thorough: bool = True) -> Idealised | None:
+def _searched(system: System, most: float, thorough: bool = True, time: TimeLimit = ENDLESS) -> Idealised | None:
     if system._ideal is not None or not (system.structure.closures or system.mechanism.constraints):
         return None
-    if not 0 < system.nv <= MOST:
-        return None
-    if timed(system) or rolls(system):
+    if not system.nv or timed(system) or rolls(system):
         return None
     tree = own_tree(system)
-    if not len(full(tree, True).names) or any(t.function is not None for t in full(tree, True).ties):
+    parts = [(part, index) for part, index in _parts(tree) if not _closes_anyway(part, most)]
+    if not any(len(full(part, True).names) for part, _ in parts):
         return None
-    scaled = most / characteristic_length(system) + most
-    q, ranks = _starts(tree, scaled)
-    for rank in ranks:
-        found = _with_rank(system, rank, q, most, scaled, thorough)
+    home, scaled = home_of(tree), most / characteristic_length(tree) + most
+    found = [_of_part(part, home[index], most, scaled, thorough, time) for part, index in parts]
+    return _changes(tree, [x for x in found if x is not None], home, most) if any(found) else None
+
+
+class _Found(NamedTuple):
+    """A part of a mechanism whose dimensions were changed: what it becomes, configurations (N, nq) of its motion, its
+    freedoms, and the names of the coordinates."""
+
+    ideal: System
+    places: tuple[Place, ...]
+    q: Array
+    freedoms: int
+
+
+# ---- parts that move without one another
+
+
+def _parts(system: System) -> list[tuple[System, np.ndarray]]:
+    """The parts whose loops share no joint, as systems, and the places (nq,) of their coordinates in q of the whole.
+
+    Loops that share no joint close by themselves: to change one does not change what another needs. Where equations of
+    coordinates tie several of them the whole is one part.
+    """
+    m = system.mechanism
+    edges = [("joints", j.name, j.parent, j.child) for j in m.joints.values()]
+    edges += [("constraints", c.name, c.parent, c.child) for c in m.constraints.values() if c.parent]
+    blocks = _blocks([(a, b) for *_, a, b in edges])
+    owner = {edges[i][:2]: k for k, block in enumerate(blocks) for i in block}
+    own = {c: ("joints", name) for name in m.joints for c in system.structure.coordinates_of_joint(name)}
+    tied = [{c.of, *c.sources} for c in m.couplings.values()]
+    tied += [{*c.of.reads} | ({c.name} if c.parent else set()) for c in m.constraints.values()]
+    of_tied = ({owner.get(own.get(name, ("constraints", name)), -1) for name in names} for names in tied)
+    if any(len(of) != 1 for of in of_tied) or (len(blocks) == 1 and len(blocks[0]) == len(edges)):
+        return [(system, np.arange(system.nq))]
+    parts = (_part(system, [edges[i][:2] for i in block]) for block in blocks)
+    places = {name: i for i, name in enumerate(system.coordinate_names)}
+    return [(part, np.array([places[name] for name in part.coordinate_names], dtype=int)) for part in parts]
+
+
+def _part(system: System, edges: Sequence[tuple[str, str]]) -> System:
+    """The system of these joints and constraints alone, one of its bodies held where the ground is not among them."""
+    m, kept = (
+        system.mechanism,
+        {table: {name for t, name in edges if t == table} for table in ("joints", "constraints")},
+    )
+    m.joints = {name: j for name, j in m.joints.items() if name in kept["joints"]}
+    m.constraints = {name: c for name, c in m.constraints.items() if name in kept["constraints"]}
+    order = list(m.bodies)
+    bodies = {body for j in (*m.joints.values(), *m.constraints.values()) for body in (j.parent, j.child)}
+    m.bodies = {name: b for name, b in m.bodies.items() if name in bodies or name == m.ground.name}
+    m.frames = {}
+    coordinates = {c for name in m.joints for c in system.structure.coordinates_of_joint(name)}
+    m.couplings = {name: c for name, c in m.couplings.items() if c.of in coordinates}
+    m.locks = {c: x for c, x in m.locks.items() if c in coordinates}
+    m.postures = {}
+    if m.ground.name not in bodies:
+        m.fixed(HELD, m.ground, min(bodies, key=order.index))
+    return type(system)(m)
+
+
+def _blocks(edges: Sequence[tuple[str, str]]) -> list[list[int]]:
+    """The edges of a graph, by their numbers, that lie on a common cycle (Hopcroft and Tarjan, 1973); no bridges."""
+    around: dict[str, list[tuple[int, str]]] = {}
+    for i, (a, b) in enumerate(edges):
+        around.setdefault(a, []).append((i, b))
+        around.setdefault(b, []).append((i, a))
+    order: dict[str, int] = {}
+    low: dict[str, int] = {}
+    out: list[list[int]] = []
+    for root in around:
+        if root in order:
+            continue
+        order[root] = low[root] = len(order)
+        way, open_, used = [(root, -1, iter(around[root]))], [], set[int]()
+        while way:
+            here, by, ahead = way[-1]
+            for i, there in ahead:
+                if i in used:
+                    continue
+                used.add(i)
+                open_.append(i)
+                if there in order:
+                    low[here] = min(low[here], order[there])
+                    continue
+                order[there] = low[there] = len(order)
+                way.append((there, i, iter(around[there])))
+                break
+            else:
+                way.pop()
+                if not way:
+                    break
+                before = way[-1][0]
+                low[before] = min(low[before], low[here])
+                if low[here] >= order[before]:
+                    at = open_.index(by)
+                    out.append(open_[at:])
+                    del open_[at:]
+    return [block for block in out if len(block) > 1 or edges[block[0]][0] == edges[block[0]][1]]
+
+
+def _of_part(
+    system: System, home: Array, most: float, scaled: float, thorough: bool, time: TimeLimit
+) -> _Found | None:  # fmt: skip
+    """What a part becomes; None where it closes as it is, or nothing near does."""
+    equations = full(system, True)
+    if not 0 < system.nv <= MOST or not len(equations.names) or any(t.function is not None for t in equations.ties):
+        return None
+    for rank, q in sorted(_starts(system, home, scaled), key=lambda x: x[0]):
+        time.check()
+        found = _with_rank(system, rank, q, most, scaled, thorough, time)
         if found is not None:
             return found
     return None
 
 
-def _starts(system: System, scaled: float) -> tuple[Array, list[int]]:
-    """Where to look for a motion, and the ranks that the equations may have there, the lowest first."""
+def _closes_anyway(system: System, most: float) -> bool:
+    """Whether no change of dimensions gives the part more freedoms than it has: one loop in the plane, of hinges.
+
+    Its equations depend on each other only where all hinges are on one line, which they are not all along a motion.
+    """
+    m = system.mechanism
+    if system.dim != 2 or len(system.structure.closures) != 1 or m.constraints or m.couplings:
+        return False
+    joints = [j for name, j in m.joints.items() if name != HELD]
+    if len(joints) < 4 or not all(isinstance(j.type, Revolute) for j in joints):
+        return False
+    ends: dict[str, list[Array]] = {}
+    for j in joints:
+        for body, X in ((j.parent, j.X_PF), (j.child, j.X_CM)):
+            ends.setdefault(body, []).append(X.evaluate(m.parameters)[:2, 3])
+    lengths = [float(np.linalg.norm(a - b)) for a, b in ends.values()]
+    return min(lengths) > OPEN * most and system.nv == len(joints)
+
+
+def _starts(system: System, home: Array, scaled: float) -> list[tuple[int, Array]]:
+    """Where to look for a motion, and ranks that the equations may have there."""
     from kempe.solvers.assembly.assembler import bare
 
-    home = home_of(system)
-    q = bare(system)(start=home, budget=Budget(starts=FEW)).q
-    f, _, s, _ = Valley(system, 0).at(q)
-    left, limit = float(np.linalg.norm(f)), OPEN * scaled
+    valley, limit = Valley(system, 0), OPEN * scaled
     exact = EXACT + 4.0 * np.finfo(float).eps * float(np.linalg.norm(origin_of(system))) / characteristic_length(system)
-    s = np.append(s, np.zeros(max(system.nv - len(s), 0)))[: system.nv] / max(float(s[0]), 1e-300)
-    if not left <= limit or (left <= exact and not np.any((s > exact) & (s < limit))):
-        return q, []
-    if regular_chart(system, q)[2]:  # angles of a ball that move nothing are no motion
-        return q, []
-    floor = max(0.1 * min(left, scaled), EXACT)
-    ratio = np.append(np.maximum(s, floor), floor)
-    most = system.nv + (left > exact)  # what closes and has no freedom is as it is
-    ranks = [r for r in range(1, most) if ratio[r - 1] >= GAP * ratio[r] and (r == system.nv or s[r] < limit)]
-    near = Valley(system, 0).residual(home) <= limit
-    return home if near else q, ranks
+    out: list[tuple[int, Array]] = []
+    rng, looked, regular = np.random.default_rng(0), 0, 0
+    for k in range(BESIDE + 1):
+        start = home
+        if k:
+            start = system.structure.layout.integrate(home, valley.scale * rng.normal(size=system.nv) * ASIDE)
+        q = bare(system)(start=start, budget=Budget(starts=FEW)).q
+        f, _, s, _ = valley.at(q)
+        left, rows = float(np.linalg.norm(f)), len(s)
+        s = np.append(s, np.zeros(max(system.nv - rows, 0)))[: system.nv] / max(float(s[0]), 1e-300)
+        if not left <= limit:
+            if not k:
+                return []
+            continue
+        if regular_chart(system, q)[2]:  # angles of a ball that move nothing are no motion
+            continue
+        looked += 1
+        if left <= exact and len(f) <= system.nv and np.all(s[: len(f)] >= limit):
+            regular += 1  # it closes for any dimensions near by
+            if not k:
+                return []
+            continue
+        if left > exact or np.any((s > exact) & (s < limit)):
+            floor = max(0.1 * min(left, scaled), EXACT)
+            ratio = np.append(np.maximum(s, floor), floor)
+            top = system.nv + (left > exact)  # what closes and has no freedom is as it is
+            near = valley.residual(start) <= limit
+            out += [(r, start if near else q) for r in range(1, top)
+                    if ratio[r - 1] >= GAP * ratio[r] and (r == system.nv or s[r] < limit)]  # fmt: skip
+    return [] if regular == looked - 1 > 0 else out
 
 
 def _with_rank(
-    system: System, rank: int, q: Array, most: float, scaled: float, thorough: bool
-) -> Idealised | None:  # fmt: skip
+    system: System, rank: int, q: Array, most: float, scaled: float, thorough: bool, time: TimeLimit
+) -> _Found | None:  # fmt: skip
     """The nearest mechanism whose equations have this rank along its motion near q; None if there is none."""
     shape, freedoms, limit = Dimensions(system), system.nv - rank, OPEN * scaled
     valley = Valley(shape.system, rank)
@@ -291,14 +446,16 @@ def _with_rank(
         return None
     nice = snapped(system, min(most, NEARLY * off))
     if nice is not None and moves_all_along(Valley(nice, rank), points):
-        return _changes(system, shape, nice, points, most, freedoms)
-    found = _best(shape, rank, points, most) if thorough else fitted(shape, rank, points, most, tries=1)
-    return None if found is None else _changes(system, shape, shape.changed(found[0], system), found[1], most, freedoms)
+        return _Found(nice, tuple(shape.places), points, freedoms)
+    found = _best(shape, rank, points, most, time) if thorough else fitted(shape, rank, points, most, time, tries=1)
+    if found is None:
+        return None
+    return _Found(shape.changed(found[0], system), tuple(shape.places), found[1], freedoms)
 
 
-def _best(shape: Dimensions, rank: int, q: Array, most: float) -> tuple[Array, Array] | None:
+def _best(shape: Dimensions, rank: int, q: Array, most: float, time: TimeLimit) -> tuple[Array, Array] | None:
     """The changes that make it close, and configurations: those that obey relations which nearly hold, if they do."""
-    found = fitted(shape, rank, q, most)
+    found = fitted(shape, rank, q, most, time)
     off = float(Valley(shape.system, rank).residual(q).max())
     size = off if found is None else float(np.abs(found[0]).max())
     if size <= EXACT or off <= EXACT:
@@ -306,33 +463,49 @@ def _best(shape: Dimensions, rank: int, q: Array, most: float) -> tuple[Array, A
     relations = Relations(shape, NEARLY * size)
     if not relations.rows:
         return found
-    nicer = fitted(shape, rank, q, most if found is None else min(most, NEARLY * size * shape.unit.max()), relations)
+    largest = most if found is None else min(most, NEARLY * size * shape.unit.max())
+    nicer = fitted(shape, rank, q, largest, time, relations)
     return found if nicer is None else nicer
 
 
-def _changes(system: System, shape: Dimensions, ideal: System, q: Array, most: float, freedoms: int) -> Idealised:
+def _changes(system: System, changed: Sequence[_Found], home: Array, most: float) -> Idealised:
     """What was found, with what differs."""
-    m, size = system.mechanism, 0.0
+    m, new, size = system.mechanism, system.mechanism, 0.0
     changes: list[tuple[str, str, Any, Any, float, float]] = []
-    for table, name, side in shape.places:
-        old, new = (getattr(getattr(x, table)[name], side).evaluate(m.parameters) for x in (m, ideal.mechanism))
-        before: Array = old
-        between = np.linalg.inv(before) @ new
-        twist = log_so3(between[:3, :3])
-        slide = new[:3, 3] - old[:3, 3]
-        by = float(np.linalg.norm(slide)), float(np.linalg.norm(twist))
-        size = max(size, float(np.abs(slide).max()), float(np.abs(twist).max()))
-        changes.append((name, side, old, new, *by))
-    reported = [Change(name, side, *_texts(old, new, m.dim, SHOWN * size), moved, turned)
-            for name, side, old, new, moved, turned in changes if max(moved, turned) >= SHOWN * size]  # fmt: skip
-    reported.sort(key=lambda c: -max(c.moved, c.turned))
-    off = np.abs(residual(system, q)).max(axis=0)
     absorbed: dict[str, float] = {}
-    for (name, _), x in zip(row_names(system), off.tolist(), strict=True):
-        absorbed[name] = max(x, absorbed.get(name, 0.0))
-    found = Idealised(system, ideal, most, size, float(off.max()), freedoms, tuple(reported), absorbed)
-    vars(ideal)["_ideal"] = found  # it is frozen, and known only now
-    return found
+    index = {name: i for i, name in enumerate(system.coordinate_names)}
+    for part in changed:
+        for table, name, side in part.places:
+            parts = getattr(new, table)
+            parts[name] = replace(parts[name], **{side: getattr(getattr(part.ideal.mechanism, table)[name], side)})
+            old, becomes = (getattr(getattr(x, table)[name], side).evaluate(m.parameters) for x in (m, new))
+            before: Array = old
+            between = np.linalg.inv(before) @ becomes
+            twist = log_so3(between[:3, :3])
+            slide = becomes[:3, 3] - old[:3, 3]
+            by = float(np.linalg.norm(slide)), float(np.linalg.norm(twist))
+            size = max(size, float(np.abs(slide).max()), float(np.abs(twist).max()))
+            changes.append((name, side, old, becomes, *by))
+        q = np.tile(home, (len(part.q), 1))
+        q[:, [index[name] for name in part.ideal.coordinate_names]] = part.q
+        own = {name for _, name, _ in part.places}
+        off = np.abs(residual(system, q)).max(axis=0)
+        for (name, _), x in zip(row_names(system), off.tolist(), strict=True):
+            if name in own:
+                absorbed[name] = max(x, absorbed.get(name, 0.0))
+    reported = [Change(name, side, *_texts(old, becomes, m.dim, SHOWN * size), moved, turned)
+                for name, side, old, becomes, moved, turned in changes if max(moved, turned) >= SHOWN * size]  # fmt: skip
+    reported.sort(key=lambda c: -max(c.moved, c.turned))
+    ideal = type(system)(new, system.structure.topology)
+    at = home.copy()
+    for part in changed:  # what does not change counts as it is at home
+        at[[index[name] for name in part.ideal.coordinate_names]] = part.q[-1]
+    freedoms = freedoms_left(ideal, at, frozenset(n for x in changed for n in x.ideal.structure.velocity_names))
+    freedoms += sum(x.freedoms for x in changed)
+    left = max(absorbed.values(), default=0.0)
+    answer = Idealised(system, ideal, most, size, left, freedoms, tuple(reported), absorbed)
+    vars(ideal)["_ideal"] = answer  # it is frozen, and known only now
+    return answer
 
 
 def _texts(old: Array, new: Array, dim: int, least: float) -> tuple[str, str]:
