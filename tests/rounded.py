@@ -41,26 +41,45 @@ def perturbed(system: System, off: float, rng: np.random.Generator) -> System:
     return m.build()
 
 
-def three_cranks(dim: int = 2) -> System:
-    """A coupler on three parallel cranks."""
-    m = Mechanism("three cranks", dim=dim)
-    cranks, coupler = [m.body(f"crank{i}") for i in range(3)], m.body("coupler")
-    pivots = [(0.0, 0.0), (0.41 / math.sqrt(2.0), 0.1 / 3.0), (0.9 / math.sqrt(3.0), -0.07 * math.pi)]
-    for i, (x, y) in enumerate(pivots):
+def cranks(count: int, dim: int = 2) -> System:
+    """A coupler on parallel cranks, at most five."""
+    m = Mechanism(f"{count} cranks", dim=dim)
+    arms, coupler = [m.body(f"crank{i}") for i in range(count)], m.body("coupler")
+    pivots = [(0.0, 0.0), (0.41 / math.sqrt(2.0), 0.1 / 3.0), (0.9 / math.sqrt(3.0), -0.07 * math.pi),
+              (0.31 * math.sqrt(3.0), 0.2 / 3.0), (0.1 * math.pi, -0.1 * math.sqrt(2.0))]  # fmt: skip
+    for i, (x, y) in enumerate(pivots[:count]):
         rest = (0.0,) * (dim - 2)
-        m.revolute(f"A{i}", m.ground, cranks[i], at=(x, y, *rest))
-        m.revolute(f"B{i}", cranks[i], coupler, at=(0.2 * math.sqrt(1.7), 0.0, *rest), child_at=(x, y, *rest))
-    m.posture("closed", {f"{k}{i}": 0.9 if k == "A" else -0.9 for i in range(3) for k in "AB"})
+        m.revolute(f"A{i}", m.ground, arms[i], at=(x, y, *rest))
+        m.revolute(f"B{i}", arms[i], coupler, at=(0.2 * math.sqrt(1.7), 0.0, *rest), child_at=(x, y, *rest))
+    m.posture("closed", {f"{k}{i}": 0.9 if k == "A" else -0.9 for i in range(count) for k in "AB"})
+    return m.build()
+
+
+def spherical_triples() -> System:
+    """Six hinges in a loop: the axes of three meet in one point, those of the others in another; one freedom."""
+    m = Mechanism("two spherical triples")
+    bodies = [m.ground, *(m.body(f"b{i}") for i in range(1, 6))]
+    axes = [(1, 0.2, 0.1), (0.1, 1, -0.2), (0.3, -0.2, 1), (1, 0.5, 0.3), (-0.2, 1, 0.4), (0.2, 0.3, 1)]
+    for i, axis in enumerate(axes):
+        at = (0.1, 0.2, 0.3) if i < 3 else (0.9, -0.1, 0.5)
+        m.revolute(f"q{i}", bodies[i], bodies[(i + 1) % 6], at=at, axis=axis, child_at=at, child_axis=axis)
+    m.posture("closed", {f"q{i}": 0.0 for i in range(6)})
     return m.build()
 
 
 SHIPPED = ("bennett", "goldberg_5r", "schatz", "bricard_line_symmetric", "bricard_rectangular", "bricard_trihedral",
            "sarrus", "four_bar_spatial", "double_parallelogram")  # fmt: skip
+BUILT = {
+    "three_cranks": lambda: cranks(3),
+    "three_cranks_3d": lambda: cranks(3, 3),
+    "five_cranks": lambda: cranks(5),
+    "spherical_triples": spherical_triples,
+}
 
 
 def exact(name: str) -> System:
     """A mechanism of one freedom by name, with the numbers of its construction."""
-    return three_cranks(2 if name == "three_cranks" else 3) if name.startswith("three_cranks") else kempe.load(name)
+    return BUILT[name]() if name in BUILT else kempe.load(name)
 
 
-NAMES = (*SHIPPED, "three_cranks", "three_cranks_3d")
+NAMES = (*SHIPPED, *BUILT)

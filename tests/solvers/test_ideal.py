@@ -9,17 +9,23 @@ from __future__ import annotations
 import math
 import pickle
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from hunts import some
-from rounded import NAMES, exact, perturbed, rounded
+from rounded import NAMES, exact, perturbed, rounded, spherical_triples
 
 import kempe
 from kempe import Mechanism, System
 from kempe.errors import InputError
+from kempe.kinematics.closure_rows import characteristic_length
+from kempe.placement import Placement
+from kempe.solvers.assembly import ideal
 
+ENOUGH = 20
+"""Points of a path that is one."""
 CASES = pytest.mark.parametrize("name", some(NAMES, 3))
 
 
@@ -156,12 +162,137 @@ def test_all_verbs_agree_where_lengths_are_off_by_rounding(off):
     assert m.drive({"q1": [1.0, 1.2]}).success and m.independent(m.assemble().q).dim == 1
 
 
-def test_an_inverse_model_through_rounded_loops(hunt):
-    _, given, _ = of("bennett", 8, hunt)
-    q = given.assemble({"q1": 0.7}).q
-    frame = given.body_names[2]
-    answer = given.ik(given.fk(q, frame), frame, start=q)
-    assert answer and "within" in answer.status
+def all_agree(given: System, dof: int = 1) -> None:
+    """Every verb says that it closes with so many freedoms, and `ik` reaches what `fk` gives."""
+    home = given.assemble()
+    q, driver, frame = home.q, given.coordinate_names[0], given.body_names[-1]
+    at = q[0]
+    report, path = given.mobility(q), given.trace(driver, start=q)
+    assert home and report.closed and report.dof == dof and given.classify(q).position_dof == dof
+    assert path.success and path.closed and len(path) > ENOUGH, path.status
+    assert given.drive({driver: at + np.linspace(0.0, 0.1, 4)}, start=q).success
+    assert given.assemble({driver: at + 0.05}, start=q) and given.independent(q).dim == dof
+    assert len(given.assembly_modes({driver: at + 0.05}, start=q, budget=kempe.Budget(starts=16))) >= 1
+    poses = given.fk(np.array([q, given.assemble({driver: at + 0.02}, start=q).q]), frame)
+    answer = given.ik(poses[0], frame, start=q)
+    assert answer and answer.judged and np.abs(answer.q - q).max() < 1e-9, answer.status
+    assert given.ik_path(poses, frame, start=q), given.ik_path(poses, frame, start=q).status
+    assert (answer.within is None) == (home.within is None)
+
+
+def tolerates(system: System, tolerance: float | str) -> System:
+    """The system with a tolerance of its dimensions."""
+    m = system.mechanism
+    m.tolerance = tolerance
+    return m.build()
+
+
+@pytest.mark.parametrize("name", some(["spherical_triples", "bennett", "three_cranks", "sarrus"], 3))
+def test_all_verbs_agree_about_rounded_mechanisms(name, hunt):
+    rng = hunt.rng()
+    digits = int(rng.integers(3, 15))
+    given = rounded(exact(name), digits, rng)
+    all_agree(tolerates(given, "measured") if digits < 7 else given)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_hunt_all_verbs_agree_about_mechanisms_rounded_or_perturbed(name, hunt):
+    """At 3 to 14 decimals with the frames of bodies anywhere, and off by 1e-16 to 1e-3."""
+    rng, system = hunt.rng(), exact(name)
+    for k in range(hunt.cases(76)):
+        if k % 2:
+            off = 10.0 ** rng.uniform(-16.0, -3.0)
+            given = perturbed(system, 0.3 * off, rng)
+        else:
+            digits = int(rng.integers(3, 15))
+            given, off = rounded(system, digits, rng), 10.0**-digits
+        all_agree(tolerates(given, "measured") if off > 1e-7 else given)
+
+
+@pytest.mark.parametrize("off", [1e-13, 1e-12, 1e-11])
+def test_cranks_whose_home_is_flat_are_traced_whatever_their_lengths_are_off_by(off):
+    """Home is singular, so that it says nothing of the rank along the motion."""
+    m = Mechanism("three cranks", dim=2)
+    m.body("coupler")
+    for i in range(3):
+        m.revolute(f"A{i}", m.ground, m.body(f"crank{i}"), at=(i, 0))
+        m.revolute(f"B{i}", f"crank{i}", "coupler", at=(1.0 + off * (i == 1), 0), child_at=(i, 0))
+    given = m.build()
+    q = given.assemble({"A0": 1.0}).q
+    assert given.mobility(q).dof == 1 and given.trace("A0", start=q).closed
+
+
+@pytest.mark.parametrize("off", [2e-14, 5e-14, 1e-13, 2e-13])
+def test_a_length_off_by_little_more_than_rounding_is_traced_all_round(off):
+    given = kempe.load("bennett")
+    m = given.mechanism
+    joint = m.joints["q2"]
+    m.joints["q2"] = replace(joint, X_PF=Placement((*joint.X_PF.steps, ("x", (off,)))))
+    given = m.build()
+    q = given.assemble({"q1": 0.4}).q
+    assert given.mobility(q).dof == 1 and given.trace("q1", start=q).closed
+
+
+def test_tasks_of_a_rounded_mechanism_hold_where_they_were_read(hunt):
+    given = tolerates(rounded(exact("bennett"), 4, hunt.rng()), "measured")
+    q = given.assemble({given.coordinate_names[0]: 0.7}).q
+    frames = given.body_names[1:]
+    wanted = [kempe.tasks.Position(f, given.fk(q, f)[:3, 3]) for f in frames]
+    answer = given.ik(wanted, start=q)
+    assert answer and answer.judged and "within" in answer.status and np.abs(answer.q - q).max() < 1e-6
+    step = given.ik_step(q, given.fk(q, frames[-1]), frames[-1], 0.01)
+    assert step.success and np.abs(step.q - q).max() < 1e-6
+
+
+def hanging(count: int, digits: int, rng: np.random.Generator) -> System:
+    """A free body with four-bars in space that hang on it one by one, their placements rounded."""
+    m = Mechanism("legs")
+    base = m.body("base")
+    m.free("base joint", m.ground, base)
+    for k in range(count):
+        turn = {"rpy": (0.4 * k, 0.3, 0.2)}
+        a, b, c = (m.body(f"{x}{k}") for x in "abc")
+        m.revolute(f"A{k}", base, a, at=(0.1 * k, 0, 0), **turn)
+        m.revolute(f"B{k}", a, b, at=(0.1, 0, 0))
+        m.revolute(f"C{k}", b, c, at=(0.5, 0, 0), child_at=(0.4, 0, 0))
+        far = kempe.placement.place((0.1 * k, 0, 0), **turn) @ kempe.placement.place((0.4, 0, 0))
+        m.joints[f"D{k}"] = replace(m.revolute(f"D{k}", base, c), X_PF=far)
+    return rounded(m.build(), digits, rng)
+
+
+def test_parts_that_share_no_joint_are_compared_one_by_one(hunt, monkeypatch):
+    """So a robot of many loops costs as much as its loops, and may have any number of coordinates."""
+    sizes: list[int] = []
+    before = ideal.Dimensions.__init__
+    monkeypatch.setattr(ideal.Dimensions, "__init__", lambda self, s: (sizes.append(s.nv), before(self, s))[1])
+    given = hanging(16, 6, hunt.rng())
+    assert given.nv == 70 > ideal.MOST
+    answer = given.assemble()
+    assert answer and answer.within is not None and answer.within.freedoms == 6 + 16 and answer.residual < 1e-12
+    assert set(sizes) == {4} and set(answer.within.absorbed) == set(given.structure.closures)
+
+
+def test_loops_that_close_with_any_dimensions_are_not_searched(monkeypatch):
+    def search(*_: Any) -> None:
+        raise AssertionError("it is searched")
+
+    monkeypatch.setattr(ideal, "_starts", search)
+    m = Mechanism("four-bar", dim=2)
+    a, b, c = (m.body(x) for x in "abc")
+    m.revolute("A", m.ground, a)
+    m.revolute("B", a, b, at=(1, 0))
+    m.revolute("C", b, c, at=(2.5, 0), child_at=(2, 0))
+    m.revolute("D", m.ground, c, at=(3, 0))
+    assert m.build().assemble({"A": 0.4})
+
+
+def test_offsets_of_axes_that_should_meet_do_not_decide_the_size():
+    """Of two spherical triples, whose links are points, rounding makes no mechanism of micrometres."""
+    size = characteristic_length(spherical_triples())
+    for digits in (3, 4, 6, 9):
+        system = rounded(spherical_triples(), digits, np.random.default_rng(0))
+        assert characteristic_length(system) == pytest.approx(size, rel=1e-2)
 
 
 # ---- what is refused

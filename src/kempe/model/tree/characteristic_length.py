@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,8 +19,11 @@ if TYPE_CHECKING:
 
 NOTHING = 1e-12
 """Lengths, in metres, that no link has."""
-SHORT = 1e-6
-"""Links shorter than this part of the longest but one are offsets by which axes miss each other, and not typical."""
+SHORT = 1e-2
+"""Links shorter than this part of the longest but one are offsets by which axes miss each other, and not typical.
+
+It is the widest tolerance of dimensions, as a part of the size: rounded numbers do not decide what the size is.
+"""
 FAR = 10.0
 """Characteristic lengths from the ground's origin to its joints beyond which loops are measured from there."""
 
@@ -47,6 +50,16 @@ def characteristic_length(system: System) -> float:
     found += [float(np.linalg.norm(np.asarray(X)[..., :3, 3], axis=-1).max()) for _, X, _ in table.at.values()]
     real = [x for x in found if x > NOTHING * (1.0 + max(found))]
     return float(np.mean(real)) if real else 1.0
+
+
+def as_large_as(system: System, other: System) -> System:
+    """The system, measured by the characteristic length of another one, of which it is a small change."""
+    system._kept.setdefault(LENGTH, {})[()] = characteristic_length(other)
+    return system
+
+
+LENGTH: Any = characteristic_length.__wrapped__  # type: ignore[attr-defined]
+"""What the characteristic length is kept by."""
 
 
 def origin_of(system: System) -> np.ndarray:

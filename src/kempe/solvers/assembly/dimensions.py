@@ -14,7 +14,7 @@ from kempe.joints import Fixed
 from kempe.kinematics.closure_rows import evaluate, full, scales
 from kempe.kinematics.common.gauss_newton import gauss_newton, gauss_newton_of_many
 from kempe.model.closures.packed_loops import PackedLoops, loops_of, plane_normal
-from kempe.model.tree.characteristic_length import characteristic_length
+from kempe.model.tree.characteristic_length import as_large_as, characteristic_length
 from kempe.model.tree.own_tree import own_tree
 from kempe.placement import Placement, place
 from kempe.solvers.common.clock import TimeLimit
@@ -47,6 +47,8 @@ LEAST, LITTLE, SOON, LATE = 1e-6, 1e-8, 12, 1e-9
 mechanisms about which several families meet."""
 PATIENCE, HOPEFUL = 6, 1e-5
 """Steps in which a fit must gain, and what may stay open for another damping to be tried."""
+AT_FIRST = 14
+"""Configurations at most that dimensions are fitted to at first."""
 TRIES = 3
 """Fits, each with configurations between those of the one before."""
 EXACT = 2e-14
@@ -106,7 +108,7 @@ class Dimensions:
         for (table, name, side), more in self.steps(p).items():
             parts = getattr(m, table)
             parts[name] = replace(parts[name], **{side: Placement(getattr(parts[name], side).steps + more)})
-        return type(system)(m, system.structure.topology)
+        return as_large_as(type(system)(m, system.structure.topology), self.system)
 
     @cached_property
     def _freed(self) -> tuple[PackedLoops, System, np.ndarray, np.ndarray, np.ndarray]:
@@ -125,7 +127,7 @@ class Dimensions:
             m.joints[joint.name] = replace(joint, X_PF=getattr(parts[name], side) @ turned)
             parts[name] = replace(parts[name], **{end: here.name, side: turned.inverse()})
             added += [f"{joint.name}.{motion}" for motion in (IN_PLANE[2] if m.dim == 2 else IN_SPACE)]
-        system = type(self.system)(m)
+        system = as_large_as(type(self.system)(m), self.system)
         own = np.array([system.coordinate_names.index(name) for name in self.system.coordinate_names], dtype=int)
         loops = loops_of(system, frozenset(system.structure.closures))
         first = system.structure.coordinates.first
@@ -239,7 +241,8 @@ def fitted(
     where they do not they are fitted as well. `also` gives values that must vanish, and their derivatives;
     `tries` are the dampings that are tried.
     """
-    p = np.zeros(shape.size)
+    p, every = np.zeros(shape.size), q
+    q = q[:: -(-len(q) // AT_FIRST)]
     found, left = [p, q], np.inf
     for _ in range(TRIES):
         for damped in DAMPING[:tries]:
@@ -250,12 +253,13 @@ def fitted(
             return None
         p, q = found
         valley = Valley(shape.changed(p), rank)
-        if not moves(valley, q):
+        every = valley.converge_all(every)
+        if not moves(valley, q) or not np.isfinite(every).all():
             return None
         between = valley.between(q)
-        if valley.residual(np.array([*q, *between])).max() <= CLOSED:
-            return p, q
-        q = np.array([*q, *between])
+        if valley.residual(np.array([*every, *between])).max() <= CLOSED and moves(valley, every):
+            return p, every
+        q = np.array([*every, *between])
     return None
 
 

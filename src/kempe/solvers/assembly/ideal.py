@@ -27,7 +27,7 @@ from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import as_q, home_of
 from kempe.model.clocked import timed
 from kempe.model.kept import keep, kept
-from kempe.model.tree.characteristic_length import characteristic_length, origin_of
+from kempe.model.tree.characteristic_length import as_large_as, characteristic_length, origin_of
 from kempe.model.tree.own_tree import own_tree
 from kempe.reals import is_real
 from kempe.solvers.assembly.dimensions import ENOUGH, Dimensions, Valley, fitted, moves_all_along
@@ -330,7 +330,9 @@ def _blocks(edges: Sequence[tuple[str, str]]) -> list[list[int]]:
         if root in order:
             continue
         order[root] = low[root] = len(order)
-        way, open_, used = [(root, -1, iter(around[root]))], [], set[int]()
+        way = [(root, -1, iter(around[root]))]
+        open_: list[int] = []
+        used: set[int] = set()
         while way:
             here, by, ahead = way[-1]
             for i, there in ahead:
@@ -364,7 +366,7 @@ def _of_part(
     equations = full(system, True)
     if not 0 < system.nv <= MOST or not len(equations.names) or any(t.function is not None for t in equations.ties):
         return None
-    for rank, q in sorted(_starts(system, home, scaled), key=lambda x: x[0]):
+    for rank, q in _starts(system, home, scaled):
         time.check()
         found = _with_rank(system, rank, q, most, scaled, thorough, time)
         if found is not None:
@@ -392,7 +394,7 @@ def _closes_anyway(system: System, most: float) -> bool:
 
 
 def _starts(system: System, home: Array, scaled: float) -> list[tuple[int, Array]]:
-    """Where to look for a motion, and ranks that the equations may have there."""
+    """Ranks that the equations may have, the lowest first, and where to look for a motion: first about home."""
     from kempe.solvers.assembly.assembler import bare
 
     valley, limit = Valley(system, 0), OPEN * scaled
@@ -493,10 +495,13 @@ def _changes(system: System, changed: Sequence[_Found], home: Array, most: float
         for (name, _), x in zip(row_names(system), off.tolist(), strict=True):
             if name in own:
                 absorbed[name] = max(x, absorbed.get(name, 0.0))
-    reported = [Change(name, side, *_texts(old, becomes, m.dim, SHOWN * size), moved, turned)
-                for name, side, old, becomes, moved, turned in changes if max(moved, turned) >= SHOWN * size]  # fmt: skip
+    reported = [
+        Change(name, side, *_texts(old, becomes, m.dim, SHOWN * size), *by)
+        for name, side, old, becomes, *by in changes
+        if max(by) >= SHOWN * size
+    ]
     reported.sort(key=lambda c: -max(c.moved, c.turned))
-    ideal = type(system)(new, system.structure.topology)
+    ideal = as_large_as(type(system)(new, system.structure.topology), system)
     at = home.copy()
     for part in changed:  # what does not change counts as it is at home
         at[[index[name] for name in part.ideal.coordinate_names]] = part.q[-1]

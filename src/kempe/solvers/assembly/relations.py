@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.joints import Fixed, Revolute
+from kempe.model.tree.characteristic_length import as_large_as
 from kempe.placement import Placement
 from kempe.spatial import Array
 from kempe.values import Expression, Value
@@ -141,7 +142,7 @@ def snapped(system: System, most: float) -> System | None:
                 if new != old:
                     part = table[name] = replace(part, **{side: Placement(new)})
                     found = True
-    return type(system)(m, system.structure.topology) if found else None
+    return as_large_as(type(system)(m, system.structure.topology), system) if found else None
 
 
 def _simple(x: Value, most: float) -> Value:
