@@ -102,7 +102,8 @@ def _direction(v: Disc) -> Disc:
     n = np.abs(v.mid)
     known = v.rad < 0.5 * n
     safe = np.where(known, n, 1.0)
-    return Disc(np.where(known, v.mid / safe, 0.0), np.where(known, 1.2 * v.rad / safe, 1.0))
+    off = v.rad / safe
+    return Disc(np.where(known, v.mid / safe, 0.0), np.where(known, off * (1.0 + off * off), 1.0))
 
 
 def _unit(v: Disc) -> Disc:
@@ -124,6 +125,19 @@ def _root(low: Array, high: Array) -> Disc:
     """Square roots of numbers between bounds that are not negative."""
     low, high = np.sqrt(low), np.sqrt(high)
     return Disc(0.5 * (low + high), 0.5 * (high - low))
+
+
+def _pinned(v1: Array, off1: Array, v2: Array, off2: Array) -> Array:
+    """Radii of the pin of two links with vectors v1 and v2 to it, whose other ends and lengths are off by so much.
+
+    To first order the pin moves along each link by what that is off; the rest by the theorem of Kantorovich: on a disc
+    of twice that radius the directions of the links change by less than half of what would make them parallel.
+    """
+    n1, n2 = np.abs(v1), np.abs(v2)
+    sine = np.abs((np.conj(v1) * v2).imag) / (n1 * n2)
+    first = (off1 + off2 + UNIT * (n1 + n2)) / sine
+    change = (2.0 * first + off1 + off2) * (1.0 / n1 + 1.0 / n2) * 2.0 / sine
+    return np.where(change < 0.25, first / (1.0 - change), HUGE)
 
 
 class Placed(NamedTuple):
@@ -191,9 +205,18 @@ class Enclosed:
         named = f", first in the dyad with joints {', '.join(joints)}" if joints and bits & ~WINDING else ""
         return " and ".join(words) + named
 
-    def wide(self, within: Array) -> np.ndarray:
-        """Which (k,) are not determined to so much (nq,): they may close in several places."""
-        return (self.radius > within).any(axis=1) | (self.why & WINDING > 0)
+    def may_move(self, rows: list[int]) -> bool:
+        """Whether some of these have a part that may be free, and not only roots that merge."""
+        return bool(np.any(self.why[rows] & ~MERGED))
+
+    def undetermined(self, within: Array, closed: np.ndarray) -> np.ndarray:
+        """Which (k,) may close in several places, or, if they are not `closed` (k,), in a place that is not known.
+
+        A branch without a reason to the contrary has one place at most: all its circles and lines cross for all that
+        the discs contain. Others must be determined to so much (nq,).
+        """
+        loose = (self.radius > within).any(axis=1)
+        return loose & ((self.why > 0) | ~closed) | (self.why & WINDING > 0)
 
     def contain(self, k: int, q: Array, turning: np.ndarray, within: Array) -> np.ndarray:
         """Which configurations (n, nq) lie in the k-th enclosure, or within so much (nq,) of it."""
@@ -381,8 +404,13 @@ class _Walk:
         e1 = Disc(x.mid + 1j * y.mid, np.hypot(x.rad, y.rad))
         e2 = Disc(x.mid - d.mid + 1j * y.mid, np.hypot(x.rad + d.rad, y.rad))
         all_ = Disc(np.zeros(self.n, dtype=complex), np.ones(self.n))
+        middle = A.mid + u.mid * e1.mid
+        v1, v2 = middle - A.mid, middle - C.mid
+        off1, off2 = A.rad + r1.rad + np.abs(np.abs(v1) - r1.mid), C.rad + r2.rad + np.abs(np.abs(v2) - r2.mid)
+        B = Disc(middle, _pinned(v1, off1, v2, off2))
         for out, e, w, own, at in ((i[8], e1, w1, a1, A), (i[9], e2, w2, c2, C)):
-            g = _unit(u * _direction(e))
+            g, direct = _unit(u * _direction(e)), _direction(B - at)
+            g = _where(direct.rad < g.rad, direct, g)
             turn = _unit(_where(together, all_, g) * _direction(w).conjugate())
             self.poses[out] = Placed(turn, own, at)
         self.dyads += 1

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 STARTS = 4096
 """Starts of a search, at most."""
-BESIDE = 256
+BESIDE = 128
 """Random starts beside a closed form that leaves branches undetermined, at most."""
 USUAL = Usual("assembly_modes", starts=STARTS, rng=0, time_limit=TIME_LIMIT, progress=None)
 
@@ -47,16 +47,17 @@ class Modes(Configurations):
     """Configurations `q` (k, nq) that close the mechanism for the `known` inputs, each once.
 
     `complete` says that there are no others, proven by structure: each branch of dyads either has a joint that stays
-    open whatever rounding does, or closes in one place, known to 1e-6 (radians and sizes of the mechanism). `branches`
-    names them where the mechanism is made of dyads ('+-', see `Plan.describe`; 0 where two branches meet), else they
-    are ''. `multiplicity` (k,) counts merged roots, or, in a search, how many starts found it: 0 where only a mirror
-    image or a mixture of others led there, or least squares in a branch of dyads that the closed form leaves
-    undetermined. `freedoms` (k,) says how many freedoms are left at each with the inputs held, idle spins left out:
-    where it is not 0, the configuration is one example of infinitely many. `inside` (k,) says which respect the limits;
-    `outside` counts what was dropped because it does not. Of a search, `coverage` is a lower bound, with 95 %
-    confidence, of the share of random starts that lead to what was found (Good, Biometrika 40, 1953), which is never 1,
-    and `expected` the estimated number of modes (Chao, Scand. J. Statist. 11, 1984); both are None where there is a
-    proof. A search that was `interrupted` from the keyboard, or that the time limit ended (`late`), says so.
+    open whatever rounding does, or closes in one place: its circles and lines cross, or meet within 1e-6 (radians,
+    sizes of the mechanism). `branches` names them where the mechanism is made of dyads ('+-', see `Plan.describe`; 0
+    where two branches meet), else they are ''. `multiplicity` (k,) counts merged roots, or, in a search, how many
+    starts found it: 0 where only a mirror image or a mixture of others led there, or least squares in a branch of dyads
+    that the closed form leaves undetermined. `freedoms` (k,) says how many freedoms are left at each with the inputs
+    held, idle spins left out: where it is not 0, the configuration is one example of infinitely many. `inside` (k,)
+    says which respect the limits; `outside` counts what was dropped because it does not. Of a search, `coverage` is a
+    lower bound, with 95 % confidence, of the share of random starts that lead to what was found (Good, Biometrika 40,
+    1953), which is never 1, and `expected` the estimated number of modes (Chao, Scand. J. Statist. 11, 1984); both are
+    None where there is a proof. A search that was `interrupted` from the keyboard, or that the time limit ended
+    (`late`), says so.
     """
 
     __repr__ = brief
@@ -248,7 +249,8 @@ def _looked_into(question: Problem, plan: Plan, values: Array, closed: DyadAnswe
     turning = np.zeros(system.nq, dtype=bool)
     turning[layout.vector_q] = system.structure.coordinates.turning[layout.vector_v]
     within = SAME * np.where(turning, 1.0, size)
-    wide, ok = proof.wide(within), closed.ok[proof.branch]
+    ok = np.asarray(closed.ok)[proof.branch]
+    wide = proof.undetermined(within, ok)
     if not len(ok) or (ok & ~wide).all():
         return _Doubt(np.zeros(0, dtype=np.int64))
     from kempe.solvers.modes.modes_search import ModesSearch, random_starts  # its kernels are not needed before
@@ -260,8 +262,11 @@ def _looked_into(question: Problem, plan: Plan, values: Array, closed: DyadAnswe
     s.take(closed.q[proof.branch[~ok]], False)
     left = [k for k in np.flatnonzero(wide | ~ok).tolist()
             if wide[k] or not proof.contain(k, clusters.q, turning, within).any()]  # fmt: skip
-    if left:
+    continuum = bool(left) and proof.may_move(left)
+    if continuum:
         s.take(random_starts(s, min(BESIDE, start_count(spend.starts))), False)
+    else:  # near roots that merge, least squares stop at what only seems to move
+        s.free = np.zeros(len(clusters.q), dtype=np.int64)
     new = np.arange(before, len(s.free))
     found = new[s.free[new] == 0].tolist()
     moving = new[s.free[new] > 0]
