@@ -23,6 +23,8 @@ from kempe.kinematics.measure import judge
 from kempe.views.drawing.scene import look
 from kempe.views.viewer.mesh_files import meshes_of
 from kempe.views.viewer.rigid_parts import RigidParts
+from kempe.views.viewer.scene_nodes import Nodes
+from kempe.views.viewer.session import Session
 
 CHROMIUM = next((p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None)
 SOFTWARE = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
@@ -51,7 +53,7 @@ def test_parts_move_with_their_links(name):
     system = kempe.load(name)
     q = system.q("closed") if "closed" in system.structure.posture_names else system.mid
     rigid = RigidParts(system, q)
-    assert {p.carrier for p in rigid.parts} <= set(range(len(rigid.heads) + len(rigid.rods)))
+    assert {p.carrier for p in rigid.parts} <= set(range(rigid.carriers))
     assert all(np.isfinite(p.corners).all() and len(p.triangles) for p in rigid.parts)
     scene, X = look(system, q), rigid.poses(q)
     for k, (_, _, ends, _) in enumerate(scene.rods, len(rigid.heads)):
@@ -71,6 +73,85 @@ def test_a_pin_is_drawn_where_its_joint_is():
             own = b.corners @ X[b.carrier, :3, :3].T + X[b.carrier, :3, 3]
             assert np.allclose(moved.min(axis=0), own.min(axis=0), atol=0.3 * here.r)
             assert np.allclose(moved.max(axis=0), own.max(axis=0), atol=0.3 * here.r)
+
+
+def parts_at(rigid: RigidParts, q: np.ndarray) -> np.ndarray:
+    """Triangles (n, 3, 3) of what a page shows at a configuration."""
+    X, lengths = rigid.places(q)
+    X = X.copy()
+    X[:, :3, 2] *= lengths[:, None]
+    return np.concatenate([(p.corners @ X[p.carrier, :3, :3].T + X[p.carrier, :3, 3])[p.triangles]
+                           for p in rigid.parts])  # fmt: skip
+
+
+def bare_part(triangles: np.ndarray, a: np.ndarray, z: np.ndarray, along: float, wide: float) -> float:
+    """The longest piece of the line from a (3,) by `along` z (3,) near which nothing is drawn."""
+    t = (triangles - a) @ z
+    off = triangles - a - t[..., None] * z
+    near = (np.linalg.norm(off, axis=-1) < wide).all(axis=1)
+    at, most = min(0.0, along), 0.0
+    for low, high in sorted(zip(t[near].min(axis=1), t[near].max(axis=1), strict=True)):
+        if low > at:
+            most = max(most, min(low, max(0.0, along)) - at)
+        at = max(at, high)
+    return max(most, max(0.0, along) - at)
+
+
+SLIDING = ("stewart", "three_rps", "stanford", "three_upu", "cobra600", "stewart_sps", "joint_cylindrical", "three_rpr",
+           "joint_helical", "peaucellier", "ladder", "seven_bodies")  # fmt: skip
+
+
+@pytest.mark.parametrize("name", some(SLIDING, 3))
+def test_sliding_joints_are_whole_at_every_configuration(name):
+    """From one half of a joint to the other something is drawn, as where it is drawn anew (which `plot` does)."""
+    system = kempe.load(name)
+    session = Session(system)
+    rigid = RigidParts(system, session.q)
+    for _ in range(4):
+        session.random()
+        scene = look(system, session.q)
+        here, anew = parts_at(rigid, session.q), parts_at(RigidParts(system, session.q), session.q)
+        ends = [(j.F[:3, 3], j.axis, float(j.axis @ (j.centre - j.F[:3, 3]))) for j in scene.joints
+                if j.kind in ("prismatic", "cylindrical", "helical")]  # fmt: skip
+        for a, z, along in ends:
+            assert bare_part(here, a, z, along, 3.0 * rigid.r) <= bare_part(anew, a, z, along, 3.0 * rigid.r) + rigid.r
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_pin_stays_in_its_slot(dim):
+    """A point on a line that slides far: the bar reaches to it, and the slot or the bar is about it."""
+    m = kempe.Mechanism("slot", dim=dim)
+    bar, arm = m.body("bar"), m.body("arm")
+    zero = (0.0,) * dim
+    m.revolute("A", m.ground, bar, at=zero, **({"axis": (0, 0, 1)} if dim == 3 else {}))
+    m.prismatic("x", m.ground, arm, at=(0.0, 0.3, 0.0)[:dim], axis=(1.0, 0.0, 0.0)[:dim])
+    m.frame("pin", arm)
+    m.frame("line", bar)
+    m.constrain(kempe.constraints.OnLine("pin", other="line", direction=(1.0, 0.0, 0.0)[:dim]), name="slot")
+    system = m.build()
+    first, far = (system.assemble({"x": x}).q for x in (0.1, 3.0))
+    rigid = RigidParts(system, first)
+    _, _, A, point = look(system, far).lines[0]
+    along = float(A[:3, 2] @ (point - A[:3, 3]))
+    here, z = parts_at(rigid, far), A[:3, 2]
+    assert abs(along) > 1.0
+    assert bare_part(here, point - 3.0 * rigid.r * z, z, 6.0 * rigid.r, 3.0 * rigid.r) < rigid.r
+    if dim == 2:
+        assert bare_part(here, A[:3, 3], z, along, 3.0 * rigid.r) < rigid.r
+
+
+def test_a_rail_is_as_long_as_its_joint_on_the_page():
+    """The nodes of a page are stretched by what the joint slides: a Stewart platform's legs."""
+    system = kempe.load("stewart")
+    with system.show(port=0, browser=False) as viewer:
+        nodes = Nodes(viewer.server.scene, viewer.drawn, viewer.q)
+        session = Session(system)
+        session.random()
+        nodes.move(session.q)
+        lengths = viewer.drawn.rigid.places(session.q)[1]
+        changed = [k for k in nodes.stretched if abs(lengths[k] - 1.0) > 1e-9]
+        assert len(changed) >= 6
+        assert all(node.scale == (1.0, 1.0, lengths[k]) for k in changed for node in nodes.stretched[k])
 
 
 @pytest.mark.slow

@@ -24,6 +24,8 @@ class Solids:
     colours: list[tuple[float, float, float, float]] = field(default_factory=list[tuple[float, float, float, float]])
     edges: list[tuple[float, float, float, float]] = field(default_factory=list[tuple[float, float, float, float]])
     named: dict[str, list[int]] = field(default_factory=dict[str, list[int]])
+    by_depth: bool = True
+    """Whether what is drawn sorts faces by depth, where parts inside others would be seen."""
 
     def face(self, name: str, corners: Array, normal: Array, colour: str, alpha: float = 1.0, edge: str = "") -> None:
         """Add a flat convex face with its outward normal; `edge` is the colour of its outline, none if empty.

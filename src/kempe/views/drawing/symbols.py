@@ -22,6 +22,8 @@ LINK = 0.5
 """Radius of a link's tube in radii of a hinge."""
 HANDLE = 7.0
 """Length of the bar that stands for a link that has nothing but its joint."""
+BEYOND = 3.5
+"""How far a rail goes on beyond the ends of what slides on it."""
 JOINT = "#dfe4e8"
 TURNING = ("revolute", "cylindrical", "helical")
 
@@ -263,11 +265,14 @@ def _rail(scene: Scene, j: SeenJoint, r: float, configurations: Array | None) ->
         lo, hi = travel(scene, j, configurations)
         lo, hi = min(lo, now), max(hi, now)
     c = j.centre - now * axis
-    return c + (lo - 3.5 * r) * axis, c + (hi + 3.5 * r) * axis
+    return c + (lo - BEYOND * r) * axis, c + (hi + BEYOND * r) * axis
 
 
 def _split_rail(solids: Solids, j: SeenJoint, a: Array, b: Array, half: float, thick: float, colour: str) -> None:
     """Draw the rail from a to b without what is inside the symbol, which sorting by depth would show through it."""
+    if not solids.by_depth:
+        solids.tube(f"rail:{j.name}", a, b, thick, colour)
+        return
     for end, sign in ((a, -1.0), (b, 1.0)):
         solids.tube(f"rail:{j.name}", j.centre + sign * half * j.axis, end, thick, colour)
 

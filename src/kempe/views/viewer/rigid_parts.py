@@ -1,7 +1,8 @@
 """What is drawn of a system, cut into parts that move as one: triangles with colours, each on the link that carries it.
 
 The pictures of `kempe.views.drawing` are recorded at two configurations. What moved with a link between the two is
-carried by that link, and rods by their two ends; so a new configuration is a few poses, and no drawing.
+carried by that link, and rods by their two ends. What reaches from one half of a sliding joint to the other is carried
+by both, and is as long as the joint. So a new configuration is a few poses and lengths, and no drawing.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from kempe.kinematics.configuration import integrate
 from kempe.kinematics.forward import fk
 from kempe.spatial import Array
 from kempe.views.drawing import planar, style, symbols
-from kempe.views.drawing.scene import Scene, look
+from kempe.views.drawing.scene import Scene, SeenJoint, look
 from kempe.views.drawing.solids import Solids, rgb
 
 if TYPE_CHECKING:
@@ -36,6 +37,10 @@ POINT = 0.085
 """Width of a line of one point, in radii of a pin."""
 SOLID = 1.4
 """Radius of a hinge in space, in those of a picture: a page is looked at from nearer."""
+LEAST = 1e-9
+"""Least length [m] of a part that is stretched; it is negative where the joint slides backwards."""
+SLIDING = ("prismatic", "cylindrical", "helical")
+"""Joints that slide along z of their frame."""
 OWN = ("cylinder", "neck", "rail", "rod", "line", "slot", "ground", "hatch")
 """Beginnings of names of what moves with no link, and stays with the first of its two."""
 
@@ -54,6 +59,7 @@ class SolidRecord(Solids):
     """Solids as pieces, without light: the page has its own."""
 
     pieces: list[DrawnPiece] = field(default_factory=list[DrawnPiece])
+    by_depth: bool = False
 
     def face(self, name: str, corners: Array, normal: Array, colour: str, alpha: float = 1.0, edge: str = "") -> None:
         """Add a flat convex face with its outward normal, seen from both sides where it can be looked through."""
@@ -132,12 +138,40 @@ class RigidPart:
     colours: Array
 
 
+class Slide(NamedTuple):
+    """A carrier between the frame A on a link and the origin of the frame B on another, which slides along z of A.
+
+    `a` and `b` are numbers of bodies with poses (4, 4) on them, `links` the two links. With `part` None it reaches from
+    A to B and `beyond` [m] both, and its parts are 1 long; else it sits at this part of the way from A to B. It turns
+    with A.
+    """
+
+    name: str
+    links: tuple[int, int]
+    a: tuple[int, Array]
+    b: tuple[int, Array]
+    part: float | None = None
+    beyond: float = 0.0
+
+    def pose(self, every: Array) -> tuple[Array, Array]:
+        """Pose (..., 4, 4) and length (...) of the carrier, from the poses (..., n, 4, 4) of all bodies."""
+        A = every[..., self.a[0], :, :] @ self.a[1]
+        to = (every[..., self.b[0], :, :] @ self.b[1])[..., :3, 3] - A[..., :3, 3]
+        along = np.sum(A[..., :3, 2] * to, axis=-1)
+        if self.part is not None:
+            A[..., :3, 3] += (self.part * along)[..., None] * A[..., :3, 2]
+            return A, np.ones(along.shape)
+        way = np.where(along < 0.0, -1.0, 1.0)
+        A[..., :3, 3] -= (self.beyond * way)[..., None] * A[..., :3, 2]
+        return A, way * np.maximum(np.abs(along) + 2.0 * self.beyond, LEAST)
+
+
 class RigidParts:
     """The parts of a system, and the poses that bring them to where a configuration puts them.
 
     `parts` are at most two of each carrier: what is solid, and what can be looked through. Carriers are the links, the
-    ground first, then the rods. They were drawn at `q` (nq,). `r` is the radius of a hinge [m]; what is solid lies in
-    a box of diagonal `size` [m] about `middle` (3,).
+    ground first, then the rods, then the `slides`. They were drawn at `q` (nq,). `r` is the radius of a hinge [m]; what
+    is solid lies in a box of diagonal `size` [m] about `middle` (3,).
     """
 
     def __init__(self, system: System, q: Array):
@@ -148,6 +182,7 @@ class RigidParts:
         self.rods = [(_end(system, n, 0), _end(system, n, 1)) for n, *_ in scene.rods]
         self.size = scene.size
         self.r = planar.pin_radius(scene) if system.dim == 2 else SOLID * symbols.radius(scene)
+        self.slides = _slides(scene, self.r)
         self.parts = self._parts(scene)
         points = np.concatenate([np.zeros((1, 3)), *(scene.points(link) for link in scene.links)])
         self.middle, size = self.box(q[None], points)
@@ -155,22 +190,53 @@ class RigidParts:
 
     def box(self, q: Array, points: Array) -> tuple[Array, float]:
         """Middle (3,) and diagonal [m] of the box around what is solid at all of q (n, nq); without that of points."""
-        X = self.poses(q)
+        X = self._stretched(q)
         solid = [p.corners @ X[:, p.carrier, :3, :3].swapaxes(-1, -2) + X[:, p.carrier, None, :3, 3]
                  for p in self.parts if p.colours[:, 3].min() == 1.0]  # fmt: skip
         points = np.concatenate([s.reshape(-1, 3) for s in solid]) if solid else points
         low, high = points.min(axis=0), points.max(axis=0)
         return 0.5 * (low + high), float(np.linalg.norm(high - low))
 
+    def places(self, q: Array) -> tuple[Array, Array]:
+        """Poses (..., carriers, 4, 4) of the carriers at configurations (..., nq), and their lengths (..., carriers).
+
+        The parts of a carrier are stretched along its z by its length, which is 1 of all but slides.
+        """
+        every = fk(self.system, q)
+        poses = [every[..., self.heads, :, :]]
+        if self.rods:
+            ends = np.stack([np.stack([(every[..., b, :, :] @ X)[..., :3, 3] for b, X in rod], axis=-2)
+                             for rod in self.rods], axis=-3)  # fmt: skip
+            poses.append(_of_ends(ends))
+        lengths = [np.ones(x.shape[:-2]) for x in poses]
+        for slide in self.slides:
+            pose, length = slide.pose(every)
+            poses.append(pose[..., None, :, :])
+            lengths.append(length[..., None])
+        return np.concatenate(poses, axis=-3), np.concatenate(lengths, axis=-1)
+
     def poses(self, q: Array) -> Array:
         """Poses (..., carriers, 4, 4) of the carriers at configurations (..., nq)."""
-        every = fk(self.system, q)
-        links = every[..., self.heads, :, :]
-        if not self.rods:
-            return links
-        ends = np.stack([np.stack([(every[..., b, :, :] @ X)[..., :3, 3] for b, X in rod], axis=-2)
-                         for rod in self.rods], axis=-3)  # fmt: skip
-        return np.concatenate([links, _of_ends(ends)], axis=-3)
+        return self.places(q)[0]
+
+    @property
+    def carriers(self) -> int:
+        """How many carriers there are."""
+        return len(self.heads) + len(self.rods) + len(self.slides)
+
+    def links(self, carrier: int) -> tuple[int, ...]:
+        """Numbers of the links that a carrier moves with; none of a rod."""
+        if carrier < len(self.heads):
+            return (carrier,)
+        k = carrier - len(self.heads) - len(self.rods)
+        return self.slides[k].links if k >= 0 else ()
+
+    def _stretched(self, q: Array) -> Array:
+        """The affine maps (..., carriers, 4, 4) by which the parts of the carriers are brought to q (..., nq)."""
+        X, lengths = self.places(q)
+        X = X.copy()
+        X[..., :3, 2] *= lengths[..., None]
+        return X
 
     def _parts(self, scene: Scene) -> list[RigidPart]:
         system, q = self.system, scene.q
@@ -180,7 +246,7 @@ class RigidParts:
         second: dict[str, list[DrawnPiece]] = {}
         for piece in self._record(look(system, other)):
             second.setdefault(piece.name, []).append(piece)
-        X, Y = self.poses(q), self.poses(other)
+        X, Y = self._stretched(q), self._stretched(other)
         X_inv = np.linalg.inv(X)
         held: dict[tuple[int, bool], list[DrawnPiece]] = {}
         count: dict[str, int] = {}
@@ -192,6 +258,9 @@ class RigidParts:
             carrier = self._carrier(scene, piece, twin, Y @ X_inv)
             local = piece.corners @ X_inv[carrier, :3, :3].T + X_inv[carrier, :3, 3]
             held.setdefault((carrier, piece.colour[3] < 1.0), []).append(piece._replace(corners=local))
+        for k, slide in enumerate(self.slides, len(self.heads) + len(self.rods)):
+            held.setdefault((k, False), []).extend(_between(scene, slide, self.r, X[k, :3, :3]))
+        held = {key: pieces for key, pieces in held.items() if pieces}
         return [_joined(carrier, pieces) for (carrier, _), pieces in sorted(held.items(), key=lambda x: x[0])]
 
     def _record(self, scene: Scene) -> list[DrawnPiece]:
@@ -208,6 +277,8 @@ class RigidParts:
 
     def _carrier(self, scene: Scene, piece: DrawnPiece, twin: Array | None, moved: Array) -> int:
         """The number of the carrier that brings the corners of a piece to those of its twin."""
+        if (slide := self._slide_of(scene, piece)) is not None:
+            return slide
         likely = _likely(scene, piece.name, len(self.heads))
         if twin is not None:
             for some in (likely, range(len(moved))):
@@ -216,6 +287,95 @@ class RigidParts:
                 if good.any():
                     return some[int(np.argmax(good))]
         return likely[0] if piece.name.partition(":")[0] in OWN else likely[-1]
+
+    def _slide_of(self, scene: Scene, piece: DrawnPiece) -> int | None:
+        """The number of the carrier of a piece of what slides; None where it is that of a link, as all others."""
+        what, _, of = piece.name.partition(":")
+        name, first = of.partition(":")[0], len(self.heads) + len(self.rods)
+        spans = {s.name: k for k, s in enumerate(self.slides, first) if s.part is None}
+        seats = {s.name: k for k, s in enumerate(self.slides, first) if s.part is not None}
+        if any(line[0] == name for line in scene.lines):
+            return seats[name] if what == "slot" or of.endswith(":point") or scene.system.dim == 3 else None
+        joint = next((j for j in scene.joints if j.name == name and j.kind in SLIDING), None)
+        if joint is None:
+            return None
+        if name in spans and name in seats:  # cylinder and rod
+            return (seats if what == "driver" else spans)[name]
+        if scene.system.dim == 2:
+            rail = _rail_link(scene, joint)
+            block = joint.child if rail == joint.parent else joint.parent
+            return {"rail": seats.get(name, rail), "block": block}.get(what)
+        if what != "rail":
+            return None
+        if name not in spans:
+            return seats.get(name, joint.parent)
+        now = float((joint.centre - joint.F[:3, 3]) @ joint.axis)
+        t = (1.0 if now >= 0.0 else -1.0) * ((piece.corners - joint.F[:3, 3]) @ joint.axis)
+        ends = 0.9 * self.slides[spans[name] - first].beyond
+        if t.max() < -ends:  # a collar at its end
+            return joint.parent
+        return joint.child if t.min() > abs(now) + ends else spans[name]
+
+
+def _slides(scene: Scene, r: float) -> list[Slide]:
+    """What is drawn between the two halves of each joint that slides, and where a point is on its line."""
+    system, out = scene.system, list[Slide]()
+    mechanism, number = system.mechanism, system.body_names.index
+    for seen in scene.joints:
+        if seen.kind not in SLIDING:
+            continue
+        joint, links = mechanism.joints[seen.name], (seen.parent, seen.child)
+        X_PF, X_CM = (X.evaluate(mechanism.parameters) for X in (joint.X_PF, joint.X_CM))
+        a, b = (number(joint.parent), X_PF), (number(joint.child), X_CM)
+        if scene.telescopic(seen, r):
+            out += [Slide(seen.name, links, a, b), Slide(seen.name, links, a, b, part=0.36)]
+        elif scene.system.dim == 3 and (0 not in links or seen.kind != "prismatic"):
+            out.append(Slide(seen.name, links, a, b, None, symbols.BEYOND * r))
+        elif not np.isfinite(seen.limits).all():
+            ground = 0 in links
+            out.append(Slide(seen.name, links, a, b, float(system.dim == 3 or seen.parent == 0) if ground else None))
+    for name, links, _, _ in scene.lines:
+        c = mechanism.constraints[name]
+        X_A, X_B = c.frames(mechanism.parameters, system.dim)
+        ends = (number(c.parent), X_A), (number(c.child), X_B)
+        out += [Slide(name, links, *ends), Slide(name, links, *ends, part=1.0)]
+    return out
+
+
+def _rail_link(scene: Scene, joint: SeenJoint) -> int:
+    """The link that has the rail of a planar prismatic joint: see `planar`."""
+    ends = joint.parent, joint.child
+    return 0 if 0 in ends else max(ends, key=lambda k: (scene.reach(joint, k), k == joint.parent))
+
+
+def _between(scene: Scene, slide: Slide, r: float, R: Array) -> list[DrawnPiece]:
+    """Bars of a planar drawing that reach as far as a joint without limits, or a point on a line, is.
+
+    In the frame of the slide, whose axes (3, 3) are those of R.
+    """
+    if scene.system.dim == 3 or next((scene.telescopic(j, r) for j in scene.joints if j.name == slide.name), False):
+        return []
+    line = next((x for x in scene.lines if x[0] == slide.name), None)
+    seen = next((j for j in scene.joints if j.name == slide.name), None)
+    if seen is not None and slide.part is not None:
+        return []
+    rail = slide.links[0] if seen is None else _rail_link(scene, seen)
+    half = 1.25 * r if line else 0.5 * style.BAR * r
+    z = np.array([0.0, 1.0] if slide.part is None else [-5.0 * r, 5.0 * r])
+    colour = style.link_colour(rail)
+    fill, dark = style.mix(colour, style.PAPER, 0.45 if line else 0.25), style.mix(colour, style.INK, 0.45)
+    layer, edge = (style.POLYGONS if line else style.BARS), 0.5 * POINT * 0.9 * r
+    up = R[2] / np.linalg.norm(R[2])
+    side = np.cross([0.0, 0.0, 1.0], up)
+
+    def strip(low: float, high: float, layer: float, colour: str) -> DrawnPiece:
+        x = np.array([low, high, high, low])[:, None] * side + THICK * r * layer * up
+        corners = x + np.repeat(z, 2)[:, None] * np.array([0.0, 0.0, 1.0])
+        fan = _fan(4)
+        return DrawnPiece(f"rail:{slide.name}", corners, np.concatenate([fan, fan[:, ::-1]]), (*rgb(colour), 1.0))
+
+    sides = [strip(s * half - edge, s * half + edge, layer + 0.5, dark) for s in (-1.0, 1.0)]
+    return [strip(-half, half, layer, fill), *sides]
 
 
 def _likely(scene: Scene, name: str, links: int) -> list[int]:

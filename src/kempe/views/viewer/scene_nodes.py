@@ -84,7 +84,7 @@ class Drawn:
                 placed.apply_transform(head @ X)
                 out.append(Shape(link.number, placed, 1.0))
                 covered.add(link.number)
-        bare = (p for p in self.rigid.parts if p.carrier not in covered)
+        bare = (p for p in self.rigid.parts if not covered.intersection(self.rigid.links(p.carrier)))
         return out + [Shape(p.carrier, _mesh(p), float(p.colours[:, 3].min())) for p in bare]
 
     @property
@@ -175,6 +175,11 @@ def poses_as(X: Array) -> tuple[Array, Array]:
     return spatial.matrix_to_quat_wxyz(X[..., :3, :3]), X[..., :3, 3]
 
 
+def _along(length: float) -> tuple[float, float, float]:
+    """The scale of what is stretched along z."""
+    return 1.0, 1.0, float(length)
+
+
 class Nodes:
     """The nodes of a drawn system in one scene of viser."""
 
@@ -183,18 +188,21 @@ class Nodes:
         self.frames: dict[int, Any] = {}
         self.ghosts: list[tuple[int, Any]] = []
         self.labels, self.axes, self.laid = list[Any](), list[Any](), dict[str, list[Any]]()
-        self.poses = drawn.rigid.poses(q)
+        self.poses, self.lengths = drawn.rigid.places(q)
+        self.stretched: dict[int, list[Any]] = {}
         quats, places = poses_as(self.poses)
         for k in sorted({s.carrier for s in drawn.shapes}):
             self.frames[k] = scene.add_frame(f"/system/{k}", show_axes=False, wxyz=quats[k], position=places[k])
         for i, (shape, file) in enumerate(zip(drawn.shapes, drawn.files, strict=True)):
-            name = f"/system/{shape.carrier}/{i}"
+            name, scale = f"/system/{shape.carrier}/{i}", _along(self.lengths[shape.carrier])
             if shape.opacity == 1.0:
-                scene.add_glb(name, file)
-                continue
-            colour = tuple(int(x) for x in shape.mesh.visual.face_colors[0][:3])
-            scene.add_mesh_simple(name, shape.mesh.vertices, shape.mesh.faces, color=colour, side="double",
-                                  opacity=shape.opacity, cast_shadow=False, receive_shadow=False)  # fmt: skip
+                node = scene.add_glb(name, file, scale=scale)
+            else:
+                colour = tuple(int(x) for x in shape.mesh.visual.face_colors[0][:3])
+                node = scene.add_mesh_simple(name, shape.mesh.vertices, shape.mesh.faces, color=colour, side="double",
+                                             scale=scale, opacity=shape.opacity, cast_shadow=False,
+                                             receive_shadow=False)  # fmt: skip
+            self.stretched.setdefault(shape.carrier, []).append(node)
         if drawn.system.dim == 3:
             wide = 4.0 * drawn.rigid.size
             low = min(0.0, float(drawn.rigid.middle[2] - 0.5 * drawn.rigid.size)) if drawn.rigid.size else 0.0
@@ -264,9 +272,12 @@ class Nodes:
 
     def move(self, q: Array) -> None:
         """Put all links where a configuration has them."""
-        X = self.drawn.rigid.poses(q)
+        X, lengths = self.drawn.rigid.places(q)
         moved = np.abs(X - self.poses).max(axis=(-2, -1)) > 1e-12
-        self.poses = X
+        for k in np.flatnonzero(np.abs(lengths - self.lengths) > 1e-12):
+            for node in self.stretched.get(int(k), ()):
+                node.scale = _along(lengths[k])
+        self.poses, self.lengths = X, lengths
         quats, places = poses_as(X)
         for k, frame in self.frames.items():
             if moved[k]:
@@ -279,12 +290,15 @@ class Nodes:
         if not self.ghosts or len(self.ghosts[0][1].batched_positions) < len(solutions):
             self._add_ghosts(max(8, len(solutions)), clicked)
         room = len(self.ghosts[0][1].batched_positions)
-        X = np.broadcast_to(np.eye(4), (room, len(self.drawn.rigid.heads) + len(self.drawn.rigid.rods), 4, 4)).copy()
+        X = np.broadcast_to(np.eye(4), (room, self.drawn.rigid.carriers, 4, 4)).copy()
+        scales = np.zeros((room, self.drawn.rigid.carriers, 3), dtype=np.float32)
         if len(solutions):
-            X[: len(solutions)] = self.drawn.rigid.poses(solutions)
+            X[: len(solutions)], lengths = self.drawn.rigid.places(solutions)
+            scales[: len(solutions)] = 1.0
+            scales[: len(solutions), :, 2] = lengths
         quats, places = poses_as(X)
-        scale = (np.arange(room) < len(solutions)).astype(np.float32)
         for k, node in self.ghosts:
+            scale = scales[:, k]
             node.batched_wxyzs, node.batched_positions = quats[:, k], places[:, k]
             if not np.array_equal(scale, node.batched_scales):
                 node.batched_scales = scale
@@ -298,7 +312,7 @@ class Nodes:
             colour = tuple(int(255 * x) for x in rgb(style.link_colour(k)))
             node = self.scene.add_batched_meshes_simple(
                 f"/ghosts/{k}", mesh.vertices, mesh.faces, np.tile([1.0, 0, 0, 0], (room, 1)), np.zeros((room, 3)),
-                batched_scales=np.zeros(room, dtype=np.float32), batched_colors=colour, opacity=GHOST, lod="off",
+                batched_scales=np.zeros((room, 3), dtype=np.float32), batched_colors=colour, opacity=GHOST, lod="off",
                 cast_shadow=False, receive_shadow=False,
             )  # fmt: skip
             if clicked is not None:
