@@ -23,7 +23,7 @@ from kempe.model.kept import kept
 from kempe.rigid import sound
 from kempe.solvers.analytic.answers.solutions import Solutions
 from kempe.solvers.analytic.obeying import obeying
-from kempe.solvers.analytic.plans.chain_lines import Lines, lines_of
+from kempe.solvers.analytic.plans.chain_lines import Lines, lines_of, shared_by
 from kempe.solvers.analytic.plans.choice import plan_holding
 from kempe.solvers.analytic.plans.plan import ChainPlan, kernel_of, side_by_side_of
 from kempe.solvers.analytic.plans.question import Question, Watch, held, held_by, near_of, within
@@ -92,8 +92,9 @@ def ik_all(
     reached has no solutions and a `status` that says why; ``answer.expect()`` raises `NoSolutionError` for it. Of the
     `budget` are read: threads, and time_limit (30 s for one target, none for a batch). Targets whose work it ended have
     the solutions that are known by then, are not `complete`, and say so (`late`). Errors: `UnsupportedError` for chains
-    with quaternions or shared coordinates, `InputError`, `UnknownNameError`.
-    For one pose or position of a frame that moves with loops the answer is that of `assembly_modes` with it known.
+    with quaternions, `InputError`, `UnknownNameError`.
+    For one pose or position of a frame that moves with loops, or with joints that follow others (a helical joint, a
+    parallel linkage written as a coupling), the answer is that of `assembly_modes` with it known.
     Method: see `System.inverse.plan`, and `kernels.outer`, `kernels.inner`, `kernels.elimination`.
     """
     name = system.structure.frame_name(frame)
@@ -116,12 +117,17 @@ def ik_all(
 
 
 def _of_loops(problem: Problem) -> Modes:
-    """The answer for a frame that moves with loops."""
+    """The answer for a frame that moves with loops, or with joints that follow others."""
     if problem.limits == "turns":
-        raise InputError(f"frame {problem.frame!r} moves with loops: limits='turns' is for chains")
+        raise InputError(f"frame {problem.frame!r} moves with {_moving(problem)}: limits='turns' is for chains")
     from kempe.solvers.analytic.through_loops import all_modes
 
-    return all_modes(problem)
+    return all_modes(problem, _moving(problem))
+
+
+def _moving(problem: Problem) -> str:
+    """What a frame moves with that has no chain of independent joints."""
+    return "loops" if of_loops(problem.system, str(problem.frame)) else "joints that follow others"
 
 
 def _of_chain(problem: Problem) -> Solutions:
@@ -156,7 +162,9 @@ def _of_chain(problem: Problem) -> Solutions:
 
 
 def _no_loops(system: System, frame: str, task: TaskOf, fixed: tuple[str, ...]) -> str | None:
-    return None if of_loops(system, frame) else "the frame does not move with loops"
+    if of_loops(system, frame) or shared_by(system, frame):
+        return None
+    return "the frame does not move with loops, or with joints that follow others"
 
 
 def _needs(method: str, side_by_side: bool, why: str) -> Callable[..., str | None]:

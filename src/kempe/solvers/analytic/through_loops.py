@@ -1,4 +1,7 @@
-"""All configurations in which a frame that moves with loops reaches a target: assembly modes with the frame known."""
+"""All configurations in which a frame reaches a target that moves with loops, or with joints that follow others.
+
+They are the assembly modes with the frame known.
+"""
 
 from __future__ import annotations
 
@@ -19,13 +22,16 @@ TASKS = ("pose", "position")
 """What of a target can be known of a frame."""
 
 
-def all_modes(problem: Problem) -> Modes:
-    """The configurations that are found, those inside the limits first. Errors: `UnsupportedError`."""
+def all_modes(problem: Problem, moving: str = "loops") -> Modes:
+    """The configurations that are found, those inside the limits first; the frame moves with what `moving` says.
+
+    Errors: `UnsupportedError`.
+    """
     system, frame, (task, _), targets = problem.system, problem.frame, problem.task, problem.targets
     if task not in TASKS or problem.lead != ():
         what = f"task {task!r}" if task not in TASKS else "more than one target"
         raise UnsupportedError(
-            f"frame {frame!r} moves with loops: `ik_all` takes one pose or position there, not {what}; `ik` can"
+            f"frame {frame!r} moves with {moving}: `ik_all` takes one pose or position there, not {what}; `ik` can"
         )
     X = targets[0] if task == "pose" else targets[0, : system.dim, 3]
     limit = LOOPS.of(problem.budget).time_limit

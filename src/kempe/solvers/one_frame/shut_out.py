@@ -32,8 +32,9 @@ def _all_outside(task: FrameProblem, target: Array) -> Evidence | None:
         return None
     from kempe.solvers.analytic.answers.solutions import Solutions
     from kempe.solvers.analytic.ik_all import ik_all
+    from kempe.solvers.analytic.plans.chain_lines import shared_by
 
-    if of_loops(system, task.frame):
+    if of_loops(system, task.frame) or shared_by(system, task.frame):
         return None
     position = task.name == "position"
     goal = target[0, :3, 3] if position else target[0]

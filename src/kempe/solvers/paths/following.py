@@ -18,6 +18,7 @@ from kempe.kernels.base.search_layout import SOLVED
 from kempe.kinematics.tasks.packed import refuse
 from kempe.reals import reals
 from kempe.rigid import arrays, sound
+from kempe.solvers.analytic.plans.chain_lines import shared_by
 from kempe.solvers.assembly.assembly import assemble
 from kempe.solvers.common import wording
 from kempe.solvers.common.answer import Configurations
@@ -361,7 +362,7 @@ def _sentence(system: System, i: int, why: str, q: Array, others: list[Array], r
 
 def _all(problem: Problem, row: Demands, begin: int, q: Array) -> list[Array]:
     """What `ik_all` finds for target `begin`, inside the limits; what the target does not ask for is as in q (nq,)."""
-    if problem.frame is None or of_loops(problem.system, problem.frame):
+    if problem.frame is None or of_loops(problem.system, problem.frame) or shared_by(problem.system, problem.frame):
         return []
     try:
         found = problem.system.ik_all(reals(problem.targets, "targets")[begin], problem.frame)

@@ -23,7 +23,8 @@ from kempe.kernels.forward.table_layout import (
     placements_of,
     rows_of,
 )
-from kempe.solvers.common.serial_chain import chain_of
+from kempe.model.kept import kept
+from kempe.solvers.common.serial_chain import chain_of, obstacle
 from kempe.solvers.common.span import Span, evened
 from kempe.spatial import Array
 
@@ -71,6 +72,15 @@ class Lines:
         return q * self.multiplier + self.offset
 
 
+@kept
+def shared_by(system: System, frame: str) -> bool:
+    """Whether two motions of the chain of a frame share a coordinate, and none is a ball."""
+    if obstacle(system, frame) is not None:
+        return False
+    rows = rows_of(chain_of(system, frame).ints)
+    return not np.any(rows[:, KIND] == BALL) and len(set(rows[:, Q_INDEX].tolist())) < len(rows)
+
+
 def lines_of(system: System, frame: str) -> Lines:
     """The lines of the chain that moves a frame. Errors: `UnsupportedError` for loops, balls and shared coordinates."""
     chain = chain_of(system, frame)
@@ -88,7 +98,7 @@ def lines_of(system: System, frame: str) -> Lines:
     if len(set(rows[:, Q_INDEX].tolist())) < n:
         raise UnsupportedError(
             f"two motions of the chain of {frame!r} share one coordinate (a helical joint, or a joint that follows "
-            "another): `ik_all` cannot take that, `ik` can"
+            "another): there is no plan for that; `ik` solves it, and `ik_all` by `assembly_modes`"
         )
     placements = placements_of(ints, floats)
     if chain.span.rounding > chain.span.largest > 0.0:
