@@ -23,12 +23,12 @@ from kempe.model.kept import kept
 from kempe.rigid import sound
 from kempe.solvers.analytic.answers.solutions import Solutions
 from kempe.solvers.analytic.obeying import obeying
-from kempe.solvers.analytic.plans.chain_lines import Lines, lines_of, shared_by
+from kempe.solvers.analytic.plans.chain_lines import Lines, lines_of
 from kempe.solvers.analytic.plans.choice import plan_holding
 from kempe.solvers.analytic.plans.plan import ChainPlan, kernel_of, side_by_side_of
 from kempe.solvers.analytic.plans.question import Question, Watch, held, held_by, near_of, within
 from kempe.solvers.common.problem import Choice, Problem, Solver, TaskOf, choose, chosen_by, takes_all
-from kempe.solvers.common.serial_chain import inside, of_loops
+from kempe.solvers.common.serial_chain import inside, of_loops, shared_by
 from kempe.solvers.common.targets import (
     Z_AXIS,
     axis_for,

@@ -11,8 +11,10 @@ import numpy as np
 from kempe.errors import UnsupportedError
 from kempe.kernels.base.search_layout import LARGEST
 from kempe.kernels.forward.table_layout import (
+    BALL,
     KIND,
     MULTIPLIER,
+    Q_INDEX,
     SLIDE,
     TURN,
     V_INDEX,
@@ -118,6 +120,15 @@ def of_loops(system: System, name: str) -> bool:
     """Whether the motion of a frame depends on a closed loop, or on a declared constraint f(q) = 0."""
     why = obstacle(system, name) or ""
     return any(words in why for words in (" moves with the loop ", " moves with the constraint "))
+
+
+@kept
+def shared_by(system: System, frame: str) -> bool:
+    """Whether two motions of the chain of a frame share a coordinate, and none is a ball."""
+    if obstacle(system, frame) is not None:
+        return False
+    rows = rows_of(chain_of(system, frame).ints)
+    return not np.any(rows[:, KIND] == BALL) and len(set(rows[:, Q_INDEX].tolist())) < len(rows)
 
 
 @kept

@@ -10,7 +10,7 @@ import numpy as np
 from kempe.errors import UnsupportedError
 from kempe.kernels.forward.table_layout import KIND, MULTIPLIER, SLIDE, V_INDEX, numbers_of, placements_of, rows_of
 from kempe.solvers.common.proofs import Evidence, evidence
-from kempe.solvers.common.serial_chain import Chain, moved_by, of_loops
+from kempe.solvers.common.serial_chain import Chain, moved_by, of_loops, shared_by
 from kempe.solvers.one_frame.multi_start import FrameProblem
 from kempe.spatial import Array
 
@@ -32,7 +32,6 @@ def _all_outside(task: FrameProblem, target: Array) -> Evidence | None:
         return None
     from kempe.solvers.analytic.answers.solutions import Solutions
     from kempe.solvers.analytic.ik_all import ik_all
-    from kempe.solvers.analytic.plans.chain_lines import shared_by
 
     if of_loops(system, task.frame) or shared_by(system, task.frame):
         return None

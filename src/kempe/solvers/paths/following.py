@@ -18,14 +18,13 @@ from kempe.kernels.base.search_layout import SOLVED
 from kempe.kinematics.tasks.packed import refuse
 from kempe.reals import reals
 from kempe.rigid import arrays, sound
-from kempe.solvers.analytic.plans.chain_lines import shared_by
 from kempe.solvers.assembly.assembly import assemble
 from kempe.solvers.common import wording
 from kempe.solvers.common.answer import Configurations
 from kempe.solvers.common.clock import BROKEN_OFF, LONG, TimeLimit, partial
 from kempe.solvers.common.problem import NOTHING, Problem, Solver, choose, chosen_by, takes_all
 from kempe.solvers.common.proofs import outside_limits
-from kempe.solvers.common.serial_chain import of_loops
+from kempe.solvers.common.serial_chain import of_loops, shared_by
 from kempe.solvers.common.slip import rolls
 from kempe.solvers.common.targets import Z_AXIS, parse_targets
 from kempe.solvers.paths.path_steps import DEPTH, SINGULAR, STAYS, TOLERANCE, WEAK, PathSteps

@@ -23,8 +23,7 @@ from kempe.kernels.forward.table_layout import (
     placements_of,
     rows_of,
 )
-from kempe.model.kept import kept
-from kempe.solvers.common.serial_chain import chain_of, obstacle
+from kempe.solvers.common.serial_chain import chain_of
 from kempe.solvers.common.span import Span, evened
 from kempe.spatial import Array
 
@@ -70,15 +69,6 @@ class Lines:
     def theta(self, q: Array) -> Array:
         """Variables (..., n) of the lines at coordinates q (..., n) of the chain."""
         return q * self.multiplier + self.offset
-
-
-@kept
-def shared_by(system: System, frame: str) -> bool:
-    """Whether two motions of the chain of a frame share a coordinate, and none is a ball."""
-    if obstacle(system, frame) is not None:
-        return False
-    rows = rows_of(chain_of(system, frame).ints)
-    return not np.any(rows[:, KIND] == BALL) and len(set(rows[:, Q_INDEX].tolist())) < len(rows)
 
 
 def lines_of(system: System, frame: str) -> Lines:
