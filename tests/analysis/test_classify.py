@@ -496,3 +496,16 @@ def test_far_places_of_what_is_integrable_are_not_said_to_reach_more(hunt: Hunt)
 def test_a_contact_form_far_away_is_not_said_to_be_integrable(y: float) -> None:
     found = sliding(("x", "y", "z"), [["-y", 0, 1]]).classify([0.3, y, 0.2])
     assert found.doubtful and "integrable" not in found.status.replace("whether it is integrable", "")
+
+
+def test_rows_in_other_units_are_the_same_rows_or_doubtful(hunt: Hunt) -> None:
+    """Two contact forms over six slides, one row scaled by 1e-18 to 1e18: the same growth, or a word of doubt."""
+    rng = hunt.rng()
+    names = ("x", "y", "z", "u", "v", "w")
+    for _ in range(hunt.cases(40)):
+        a, b = (10.0 ** rng.uniform(-9, 9, 2)).tolist()
+        rows = [[f"{-a!r}*y", 0, a, 0, 0, 0], [0, f"{b!r}*u", 0, f"{b!r}*v", 0, b]]
+        found = sliding(names, rows).classify(rng.uniform(-1, 1, 6))
+        plain = sliding(names, [["-y", 0, 1, 0, 0, 0], [0, "u", 0, "v", 0, 1]]).classify(found.q)
+        same = (found.velocity_dof, found.growth, found.kind) == (plain.velocity_dof, plain.growth, plain.kind)
+        assert same or (found.doubtful and ("doubtful" in found.status or "beyond" in found.status))

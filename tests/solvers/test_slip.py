@@ -242,3 +242,16 @@ def test_a_coin_on_a_rail_has_no_manoeuvre():
     system = m.build()
     answer = system.ik(system.fk(system.q({"x": 1.0, "roll": 0.2}), "disc"), "disc")
     assert "1 function of position keeps its value" in answer.status and "is a manoeuvre" not in answer.status
+
+
+def test_ik_does_not_point_to_manoeuvres_that_are_not_known():
+    """A ball on a table gets everywhere by rolling, and `manoeuvre` refuses it."""
+    m = Mechanism("ball")
+    m.free("at", m.ground, m.body("ball"))
+    m.rolls("floor", "ball", radius=0.1)
+    system = m.build()
+    q = system.q({"at.x": 0.4, "at.z": 0.1})
+    answer = system.ik(system.fk(q, "ball"), "ball", system.q({"at.z": 0.1}))
+    assert answer and "there are such motions" in answer.status and "system.manoeuvre" not in answer.status
+    with pytest.raises(UnsupportedError):
+        system.manoeuvre(system.q({"at.z": 0.1}), q)

@@ -177,7 +177,7 @@ def path(
     max_step: Annotated[
         float | None, option("--max-step", "Largest step, radians and characteristic lengths (0.5).", "X")
     ] = None,
-    restart: Annotated[bool, option("--restart", "Where it must jump, go on instead of stopping.")] = False,
+    restart: Annotated[bool, option("--restart", "Where the path stops, go on by a jump.")] = False,
     branches: Annotated[bool, option("--branches", "Try several starts; the best path is the answer.")] = False,
     rng: Rng = None, tolerance: PathTolerance = None, time_limit: TimeLimit = None, deg: Deg = False, out: Out = None,
     plot: Picture = None, gif: Film = None, html: Page = None,

@@ -23,7 +23,8 @@ def vector(growth: tuple[int, ...], open_end: bool = False) -> str:
 
 def sentence(c: Classification) -> str:
     """The result in one sentence, and within which tolerance it holds."""
-    return _sentence(c) + said(c.within)
+    doubt = "; a rank is doubtful" if c.doubtful and "beyond the digits" not in _sentence(c) else ""
+    return _sentence(c) + doubt + said(c.within)
 
 
 def _sentence(c: Classification) -> str:

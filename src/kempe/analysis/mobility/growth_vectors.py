@@ -60,6 +60,8 @@ class Distribution:
     """The first singular value over the last that counts."""
     error: float = 1e-15
     """How far q is from where it should be, in units."""
+    doubtful: bool = False
+    """Whether a row that the user wrote is left out as rounding, because it is so much smaller than others."""
 
     @property
     def dimension(self) -> int:
@@ -81,9 +83,12 @@ def _null_space(rows: VelocityRows, q: Array, t: float, which: np.ndarray, scale
     n = scaled.shape[1]
     sizes = np.linalg.norm(scaled, axis=1)
     real = np.flatnonzero(sizes > VANISHED * sizes.max(initial=0.0))
+    gone = np.setdiff1d(np.flatnonzero(sizes), real)
+    doubtful = any(rows.names[which[i]].written for i in gone.tolist())
     scaled = scaled[real] / sizes[real, None]
     values, Vt = np.linalg.svd(scaled)[1:] if len(real) else (np.zeros(0), np.eye(n))
-    small = float((sizes[real] / sizes.max(initial=1e-300)).min(initial=1.0))  # scaled up, with its rounding
+    computed = sizes[[i for i in real.tolist() if not rows.names[which[i]].written]]  # scaled up, with their rounding
+    small = float((computed / sizes.max(initial=1e-300)).min(initial=1.0))
     rank = int(np.sum(values > max(CONDITION, ROUNDED / small) * values[:1]))
     gap = np.inf if rank == len(values) else float(values[rank - 1] / max(values[rank], 1e-300))
     independent = np.sort(_pivots(scaled.T, rank))
@@ -95,7 +100,7 @@ def _null_space(rows: VelocityRows, q: Array, t: float, which: np.ndarray, scale
     pivots[columns] = np.arange(rank)
     inverse = np.ascontiguousarray(np.linalg.inv(square), dtype=np.float64) if rank else np.zeros((0, 0))
     condition = float(values[0] / values[rank - 1]) if rank else 1.0
-    return Distribution(rows, q, t, chosen, pivots, inverse, Vt[rank:].T, gap, condition, error)
+    return Distribution(rows, q, t, chosen, pivots, inverse, Vt[rank:].T, gap, condition, error, doubtful)
 
 
 def _pivots(matrix: Array, count: int) -> np.ndarray:
@@ -234,7 +239,7 @@ def _growth(at: Distribution, rng: np.random.Generator, enough: int, patient: bo
             break
     if m <= 1 and m < enough:  # one field and itself have no bracket
         found.append(m)
-    return Growth(tuple(found), limit, bool(span.doubtful), span.basis)
+    return Growth(tuple(found), limit, bool(span.doubtful) or at.doubtful, span.basis)
 
 
 def _most(m: int, length: int) -> int:

@@ -145,8 +145,9 @@ class MovingRows:
         """Rates of normals (..., m, k) and offsets (..., m) at times (...)."""
         k = len(self.slides_q)
         shift = self._read(np.zeros(k), t)[1][..., -1]
-        turn = np.stack([self._read(row, t)[1][..., -1] - shift for row in np.eye(k)], axis=-1)
-        return turn @ self.back, shift
+        with np.errstate(invalid="ignore"):  # a law may begin at an infinite rate
+            turn = np.stack([self._read(row, t)[1][..., -1] - shift for row in np.eye(k)], axis=-1)
+            return turn @ self.back, shift
 
     def accelerations(self, t: float) -> tuple[Array, Array]:
         """Second derivatives of normals (m, k) and offsets (m,), by seven differences within the duration."""

@@ -22,7 +22,8 @@ CLOCK = ""
 class RowName:
     """Where a row comes from: its constraint or joint, its name there, its unit.
 
-    `velocity`: a row A(q) v = b, not the tangent of a position; `sided`: of a position that is held between two ends.
+    `velocity`: a row A(q) v = b, not the tangent of a position; `sided`: of a position that is held between two ends;
+    `written`: by the user, in units of his own.
     """
 
     of: str
@@ -30,6 +31,7 @@ class RowName:
     unit: str = "m/s"
     velocity: bool = True
     sided: bool = False
+    written: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from kempe.errors import InputError, KempeError
+from kempe.errors import InputError, KempeError, UnsupportedError
 from kempe.kinematics.velocity.velocity import rates, row_names, velocity_rows
 from kempe.model.kept import kept
 from kempe.spatial import Array
@@ -60,6 +60,12 @@ def _reached(system: System) -> str:
             "1 function of position keeps its value" if lost == 1 else f"{lost} functions of position keep their values"
         )
         return f"{{hold}}, where {keep} (system.classify): a motion gets there only if the start has the same"
+    try:
+        system.manoeuvre(found.q, found.q)
+    except UnsupportedError:
+        return "going there takes a motion: {hold}; there are such motions (system.classify), none is known here"
+    except KempeError:
+        pass
     return "going there is a manoeuvre ({hold}): system.manoeuvre(start, q)"
 
 
