@@ -368,3 +368,32 @@ def test_of_a_platform_with_short_strokes_those_inside_the_limits_are_found():
         assert abs(abs(X[2, 2]) - 1.0) < 1e-9 and np.abs(X[:2, 3]).max() < 1e-9
         assert legs == pytest.approx([np.hypot(0.1, X[2, 3])] * 3) and 0.25 <= legs[0] <= 0.45
         assert np.linalg.matrix_rank(lost[:, :2]) == 2 and np.abs(lost[:, 2]).max() < 1e-9
+
+
+def test_the_nearest_singular_configuration_is_hardly_ever_farther_than_one_on_a_grid(hunt):
+    """Arms of three skew hinges with limits: against changes of sign of the determinant along the lines of a grid."""
+    rng, far, count = hunt.rng(), 0, 0
+    side = np.linspace(-2.5, 2.5, 41)
+    grid = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1)
+    for _ in range(hunt.cases(5)):
+        m = kempe.Mechanism("skew")
+        last = m.ground
+        for k in range(3):
+            place = tuple(rng.uniform(-0.5, 0.5, 3)) if k else (0, 0, 0)
+            m.revolute(f"j{k}", last, m.body(f"b{k}"), at=place, axis=tuple(rng.normal(size=3)), limits=(-2.5, 2.5))
+            last = f"b{k}"
+        m.frame("e", last, at=tuple(rng.uniform(-0.6, 0.6, 3)))
+        system = m.build()
+        found, points = system.singularities("e", "position"), [np.zeros((0, 3))]
+        d = np.linalg.det(np.asarray(system.jacobian(grid, "e"))[..., :3, :])
+        for axis in range(3):
+            a, b = np.take(d, range(40), axis), np.take(d, range(1, 41), axis)
+            at = np.argwhere(a * b < 0)
+            p = side[at]
+            p[:, axis] += (a / np.where(a == b, 1.0, a - b))[tuple(at.T)] * (side[1] - side[0])
+            points.append(p)
+        for q in rng.uniform(-2.4, 2.4, (3, 3)):
+            best = np.linalg.norm(np.concatenate(points) - q, axis=1).min(initial=np.inf)
+            far += found.nearest(q).distance > best + 0.02
+            count += 1
+    assert far <= max(1, 0.02 * count), f"{far} of {count}"

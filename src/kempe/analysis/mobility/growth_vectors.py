@@ -84,10 +84,11 @@ def _null_space(rows: VelocityRows, q: Array, t: float, which: np.ndarray, scale
     sizes = np.linalg.norm(scaled, axis=1)
     real = np.flatnonzero(sizes > VANISHED * sizes.max(initial=0.0))
     gone = np.setdiff1d(np.flatnonzero(sizes), real)
-    doubtful = any(rows.names[which[i]].written for i in gone.tolist())
+    written = np.array([rows.names[int(i)].written for i in which.tolist()], dtype=bool)
+    doubtful = bool(written[gone].any())
     scaled = scaled[real] / sizes[real, None]
     values, Vt = np.linalg.svd(scaled)[1:] if len(real) else (np.zeros(0), np.eye(n))
-    computed = sizes[[i for i in real.tolist() if not rows.names[which[i]].written]]  # scaled up, with their rounding
+    computed = sizes[real[~written[real]]]  # scaled up, with their rounding
     small = float((computed / sizes.max(initial=1e-300)).min(initial=1.0))
     rank = int(np.sum(values > max(CONDITION, ROUNDED / small) * values[:1]))
     gap = np.inf if rank == len(values) else float(values[rank - 1] / max(values[rank], 1e-300))

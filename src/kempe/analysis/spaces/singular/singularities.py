@@ -41,6 +41,8 @@ FARTHER = 20.0 * BESIDE
 """Singular value, as a part of the largest, above which none is looked for so near."""
 NEAR = 6
 """Configurations of each set from which the nearest is searched for."""
+SEED, ROUNDS, AROUND, CLOSER = 1888, 6, 16, 0.5
+"""Rounds in which so many configurations around the nearest one so far, nearer each time, are led to the set."""
 FULL_TURN = 2.0 * np.pi
 
 
@@ -152,7 +154,29 @@ class Singularities(Report):
     def _nearest(self, s: SingularSet, q: Array) -> tuple[Array, float]:
         problem = self.problems[s.kinds[-1]]
         starts = s.q[np.argsort(self._apart(s.q, q))[:NEAR]]
-        led = problem.led(np.concatenate([[q], starts]), home=q)
+        best, far = self._best(s, q, starts, problem.led(np.concatenate([[q], starts]), home=q))
+        rng, nv = np.random.default_rng(SEED), self.system.nv
+        sizes = [far, 0.5 * far, *(far * CLOSER**k for k in range(1, ROUNDS))]
+        for k, size in enumerate(sizes):  # limits cut the set off, and there may be several nearest points
+            centre, many = (q, 5 * AROUND) if k < 2 else (best, AROUND)
+            aside = np.zeros((many, nv))
+            aside[:, self.questions.columns] = rng.normal(size=(many, len(self.questions.columns)))
+            aside *= size / np.sqrt(max(1, len(self.questions.columns)))
+            tried = problem.led(self._inside(problem.move(np.repeat(centre[None], many, axis=0), aside)))
+            best, far = self._best(s, q, best[None], tried)
+        return best, far
+
+    def _inside(self, x: Array) -> Array:
+        """Configurations (k, nq) brought to their limits, where these count."""
+        if self.limits:
+            layout = self.system.structure.layout
+            at, v = layout.vector_q, layout.vector_v
+            x[:, at] = np.clip(x[:, at], self.system.lower[v], self.system.upper[v])
+        return x
+
+    def _best(self, s: SingularSet, q: Array, starts: Array, led: Array) -> tuple[Array, float]:
+        """The nearest to q of configurations that are in the set, `starts`, and may be, `led`, and its distance."""
+        problem = self.problems[s.kinds[-1]]
         led = led[np.isfinite(led).all(axis=1)]
         if s.coordinates:  # a start near another set may have been led there
             names, columns = self.system.structure.velocity_names, self.questions.columns
