@@ -36,7 +36,8 @@ def perturbed(system: System, off: float, rng: np.random.Generator) -> System:
     """The system with all placements of joints off by up to so many metres and radians."""
     m = system.mechanism
     for name, j in m.joints.items():
-        steps = tuple((k, (float(rng.uniform(-off, off)),)) for k in ("x", "y", "z", "rz", "ry", "rx"))
+        motions = ("x", "y", "rz") if m.dim == 2 else ("x", "y", "z", "rz", "ry", "rx")
+        steps = tuple((k, (float(rng.uniform(-off, off)),)) for k in motions)
         m.joints[name] = replace(j, X_PF=Placement(j.X_PF.steps + steps))
     return m.build()
 

@@ -23,6 +23,7 @@ from kempe.errors import InputError
 from kempe.kinematics.closure_rows import characteristic_length
 from kempe.placement import Placement
 from kempe.solvers.assembly import ideal
+from kempe.solvers.common.clock import TimeUp
 
 ENOUGH = 20
 """Points of a path that is one."""
@@ -271,6 +272,21 @@ def test_parts_that_share_no_joint_are_compared_one_by_one(hunt, monkeypatch):
     answer = given.assemble()
     assert answer and answer.within is not None and answer.within.freedoms == 6 + 16 and answer.residual < 1e-12
     assert set(sizes) == {4} and set(answer.within.absorbed) == set(given.structure.closures)
+
+
+def test_a_time_limit_ends_the_search_and_the_answer_says_so(hunt, monkeypatch):
+    """What is known then is the answer for the given numbers; the next call without a limit searches again."""
+    given = rounded(exact("bennett"), 6, hunt.rng())
+    with monkeypatch.context() as m:
+        m.setattr(ideal.TimeLimit, "check", _time_up)
+        answer = given.assemble(budget=kempe.Budget(time_limit=1.0))
+    assert answer.late and answer.within is None and "the time limit ended the search" in answer.status
+    again = given.assemble(budget=kempe.Budget(time_limit=100.0))
+    assert again and not again.late and again.within is not None and again.status == given.assemble().status
+
+
+def _time_up(_: Any) -> None:
+    raise TimeUp
 
 
 def test_loops_that_close_with_any_dimensions_are_not_searched(monkeypatch):

@@ -40,6 +40,11 @@ class Assembly(Answer):
     iterations: Any
     starts: Any
     assembler: Assembler = field(repr=False)
+    late: bool = False
+    """Whether the time limit ended the search for the nearest mechanism that closes exactly.
+
+    This is then the answer for the dimensions as they are given.
+    """
 
     @classmethod
     def single(

@@ -55,7 +55,9 @@ LOOSEST = 1e-3
 NEAREST_STEPS = 50
 """Steps at most towards the closed configuration nearest to the start."""
 PREFER = (None, "nearest", "continuous")
-USUAL = Usual("assemble", starts=STARTS, rng=0, threads=None)
+TIME_LIMIT = 30.0
+"""Seconds that the search for the nearest mechanism that closes exactly may take, once for each system."""
+USUAL = Usual("assemble", starts=STARTS, time_limit=TIME_LIMIT, rng=0, threads=None)
 CHUNK, SERIAL_BELOW = 64, 2048
 PLAIN_NUMBERS = {float, int, np.float64}
 FEW = 300

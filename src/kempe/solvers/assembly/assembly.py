@@ -17,8 +17,9 @@ from kempe.model.clocked import known_time
 from kempe.model.kept import kept
 from kempe.reals import plain
 from kempe.solvers.assembly.assembled import Assembly
-from kempe.solvers.assembly.assembler import LOOSEST, TOLERANCE, Assembler, bound
+from kempe.solvers.assembly.assembler import LOOSEST, TIME_LIMIT, TOLERANCE, USUAL, Assembler, bare, bound
 from kempe.solvers.assembly.ideal import one_number, within
+from kempe.solvers.common.clock import TimeUp
 from kempe.solvers.common.problem import NOTHING, Choice, Problem, Solver, choose, chosen_by, takes_all
 from kempe.status import Status, member
 
@@ -46,7 +47,9 @@ def assemble(
     row, each started where the last two lead. Coordinates stay inside their limits unless `limits=False`; one-sided
     constraints of the system always hold: a start that violates them is brought there.
 
-    Of the `budget` are read: starts (20), rng (0), threads. The first start is `start`; the others are drawn around it
+    Of the `budget` are read: starts (20), rng (0), threads, and time_limit (30 s), which bounds the search for the
+    nearest mechanism that closes exactly, once for each system; where it ends, the answer is the one for the
+    dimensions as they are given, and says so. The first start is `start`; the others are drawn around it
     from rng, wider and wider. An open loop is never a success: the answer then says which loop is open, by how much,
     and `q` is the nearest to closing; ``answer.expect()`` raises `NoSolutionError` then. Redundant constraints are no
     obstacle. Method: damped least squares with steps of minimum norm (Nakamura and Hanafusa, 1986; Sugihara, 2011).
@@ -60,6 +63,13 @@ def assemble(
         system = held_too(system, also)
     if TIME in given:
         system, given = known_time(system, given)
+    posture = branch is None or branch in system.structure.posture_names
+    limit = TIME_LIMIT if budget is None else USUAL.of(budget).time_limit
+    if posture and not _searched_in_time(system, tolerance, limit):
+        q = system.q(branch) if branch is not None and start is None else start
+        most = min(tolerance, LOOSEST) if isinstance(tolerance, float) else TOLERANCE
+        problem = Problem(system, "one", given, q, prefer, limits, most, budget)
+        return replace(bare(system, given)._solve(problem), late=True)
     if tolerance is not None:
         system, tolerance = allowing(system, tolerance)
     signs, options = branch is not None and branch not in system.structure.posture_names, NOTHING
@@ -69,6 +79,15 @@ def assemble(
         start = system.q(branch)
     problem = Problem(system, "one", given, start, prefer, limits, tolerance or TOLERANCE, budget, options)
     return chosen(system, tuple(given), signs)[0].run(problem)
+
+
+def _searched_in_time(system: System, tolerance: Any, limit: float | None) -> bool:
+    """Whether the nearest mechanism that closes exactly is known within the time limit [s]."""
+    try:
+        within(system, tolerance, limit)
+    except TimeUp:
+        return False
+    return True
 
 
 def allowing(system: System, tolerance: float | str) -> tuple[System, float]:

@@ -29,8 +29,19 @@ COINCIDE = 1e-6
 """Distance of joints, in characteristic lengths, below which they are at one place."""
 
 
+LATE = (
+    "the time limit ended the search for a mechanism near by that closes exactly: this is the answer for the given "
+    "dimensions"
+)
+"""What an answer adds that came before the search ended."""
+
+
 def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
     """The sentence for one configuration of an assembly."""
+    return f"{_sentence(answer, index)}; {LATE}" if answer.late else _sentence(answer, index)
+
+
+def _sentence(answer: Assembly, index: tuple[int, ...]) -> str:
     bound = answer.assembler
     code, residual, steps, starts = (
         np.asarray(x)[index].item() for x in (answer.code, answer.residual, answer.iterations, answer.starts)
@@ -46,7 +57,7 @@ def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
         return "the branch requested cannot be closed with these values; q is closed on another one"
     why: Any = _one_sided(bound, q) or _limits(bound, q) or _too_many(bound)
     why = why or "with these values no closed configuration was found"
-    wider, loose = nearly(bound.system) if residual < NEARLY else None, ""
+    wider, loose = nearly(bound.system) if residual < NEARLY and not answer.late else None, ""
     if wider is not None:
         loose = f"it closes {wider.least}: give a larger tolerance"
     elif residual <= LOOSEST / 2.0:

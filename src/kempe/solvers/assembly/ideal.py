@@ -202,18 +202,21 @@ def tolerance_of(system: System, tolerance: Any) -> float:
     return float(tolerance)
 
 
-def within(system: System, tolerance: Any = None) -> Idealised | None:
+def within(system: System, tolerance: Any = None, limit: float | None = None) -> Idealised | None:
     """The nearest mechanism within a tolerance; None where the given one closes as it is, or where there is none.
 
     `tolerance` is a number in metres and radians, "measured", or None: that of the system, else what is rounding. Of a
-    `kempe.Tolerance` the smaller number counts.
+    `kempe.Tolerance` the smaller number counts. Raises `TimeUp` where the time `limit` [s] ends the search, of which
+    nothing is kept then.
     """
     tolerance = system.structure.tolerance if tolerance is None else one_number(tolerance)
     answers, key = system._kept.setdefault(within, {}), tolerance
     if tolerance.__class__ not in (float, int, str):
         key = repr(tolerance)
     found = answers.get(key, answers)  # it never holds itself
-    return keep(answers, key, _searched(system, tolerance_of(system, tolerance))) if found is answers else found
+    if found is not answers:
+        return found
+    return keep(answers, key, _searched(system, tolerance_of(system, tolerance), time=TimeLimit(limit)))
 
 
 @explained
