@@ -374,3 +374,31 @@ def test_a_list_that_holds_itself_is_refused(name, kind):
     with pytest.raises(KempeError) as error:
         ENDLESS[name](own)
     assert len(str(error.value)) < 500
+
+
+LONG = "x" * 200_000
+ECHOES = {
+    "frame": lambda: PUMA.fk(PUMA.mid, LONG), "coordinate": lambda: PUMA.q({LONG: 1.0}),
+    "task": lambda: PUMA.ik(np.eye(4), "tool", task=LONG),
+    "form": lambda: PUMA.fk(PUMA.mid, "tool", form=[0.5] * 10**5),
+    "posture": lambda: PUMA.ik(np.eye(4), "tool", LONG), "driver": lambda: FOUR.trace(LONG),
+    "ways": lambda: FOUR.trace("A", ways=LONG), "verb": lambda: kempe.map_file(PUMA, LONG, "a.npy", "b.zarr"),
+    "format": lambda: kempe.read("<robot/>", format=LONG), "parameter": lambda: PUMA.with_parameters(**{LONG: 1.0}),
+    "file": lambda: kempe.load(f"<robot name='a'><link name='{LONG}'/><link name='{LONG}'/></robot>"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", ECHOES)
+def test_messages_echo_little_of_what_was_given(what):
+    with pytest.raises(KempeError) as error:
+        ECHOES[what]()
+    assert 20 < len(str(error.value)) < 3000 and max(map(len, str(error.value).split("\n"))) <= 1100
+
+
+def test_a_long_message_keeps_its_beginning_and_its_end():
+    said = str(InputError(f"task is {LONG}; it must be 'pose'\nsecond line"))
+    assert said.startswith("task is xxx") and re.search(r"\(2000\d\d characters\)", said)
+    assert said.endswith("xxx; it must be 'pose'\nsecond line")
+    assert str(InputError("a short one")) == "a short one" and str(pickle.loads(pickle.dumps(InputError(LONG)))) == str(
+        InputError(LONG)
+    )

@@ -67,8 +67,27 @@ class Fault:
         return f"    {text[start : start + 100]}\n    {' ' * (column - 1 - start)}^"
 
 
+LONGEST = 1000
+"""Characters of a line of a message at most: it may echo what was given, of any length."""
+
+
+def shortened(message: object) -> object:
+    """A message whose long lines have their middle left out: an echo is in the middle, what is allowed at the end."""
+    if not isinstance(message, str) or len(message) <= LONGEST:
+        return message
+    head, tail = LONGEST // 2, LONGEST // 2 - 40
+    lines = (
+        line if len(line) <= LONGEST else f"{line[:head]} ... ({len(line)} characters) ... {line[-tail:]}"
+        for line in message.split("\n")
+    )
+    return "\n".join(lines)
+
+
 class KempeError(Exception):
     """Base of all errors that Kempe raises on purpose."""
+
+    def __init__(self, *args: object):
+        super().__init__(*map(shortened, args))
 
     def __str__(self) -> str:
         return self.args[0] if self.args else ""
@@ -98,7 +117,7 @@ class UnknownNameError(KempeError, KeyError):
 
     def __init__(self, kind: str, name: object, allowed: Iterable[str], owner: str = ""):
         self.kind, self.name, self.allowed, self.owner = kind, name, tuple(allowed), owner
-        super().__init__(f"{owner + ' has ' if owner else ''}no {kind} {name!r}{hint(name, self.allowed)}")
+        super().__init__(f"{owner + ' has ' if owner else ''}no {kind} {shown(name)}{hint(name, self.allowed)}")
 
     def __reduce__(self):
         return (type(self), (self.kind, self.name, self.allowed, self.owner))
@@ -211,13 +230,14 @@ def hint(name: object, allowed: Iterable[str]) -> str:
 
     allowed = list(dict.fromkeys(allowed))
     folded = {str(a).casefold(): a for a in reversed(allowed)}
-    near = difflib.get_close_matches(str(name).casefold(), list(folded), n=3, cutoff=0.6)
+    given = name if isinstance(name, str) else shown(name)
+    near = difflib.get_close_matches(given[:200].casefold(), list(folded), n=3, cutoff=0.6)  # longer ones take long
     if near:
         return f"; did you mean {' or '.join(repr(folded[n]) for n in near)}?"
     if not allowed:
         return "; there are none"
-    shown = ", ".join(repr(a) for a in allowed[:12])
-    return f"; there are: {shown}{f', ... ({len(allowed)} in all)' if len(allowed) > 12 else ''}"
+    few = ", ".join(repr(a) for a in allowed[:12])
+    return f"; there are: {few}{f', ... ({len(allowed)} in all)' if len(allowed) > 12 else ''}"
 
 
 class DiskError(KempeError, OSError):
