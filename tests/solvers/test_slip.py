@@ -63,6 +63,23 @@ def test_a_step_gives_the_twist_that_rolling_leaves():
     assert half.velocity == pytest.approx([0.5, 0, 0]) and half.fraction == pytest.approx(0.5)
 
 
+def test_a_step_names_why_the_rest_is_missing():
+    """Wheels, limits of the call, and default speeds, which are no limits of the car."""
+    car = kempe.load("car")
+    aside = car.ik_step(car.neutral, [0, 1.0, 0, 0, 0, 0], "car", 0.1)
+    assert str(aside.status) == "No motion: the wheels of 'rear axle' do not slip sideways"
+    assert aside.blocked_by == ("rear axle",) and aside.saturated == aside.default_speed == ()
+    fast = car.ik_step(car.neutral, [2.0, 0, 0, 0, 0, 0], "car", 0.1)
+    assert str(fast.status) == "0.5 of the wanted motion: at the default speed (pi rad/s, 1 m/s): 'drive.x'"
+    assert fast.default_speed == ("drive.x",) and fast.blocked_by == ()
+    limited = car.ik_step(car.neutral, [2.0, 0, 0, 0, 0, 0], "car", 0.1, velocity_limits=0.5)
+    assert str(limited.status) == "0.25 of the wanted motion: at a limit: 'drive.x'" and limited.default_speed == ()
+    full = car.ik_step(car.neutral, [1.0, 0, 0, 0, 0, 0], "car", 0.1)
+    assert str(full.status) == "The wanted motion in full"
+    tasked = car.ik_step(car.neutral, tasks.Position("car", [0.0, 1.0]), dt=0.1)
+    assert tasked.blocked_by == ("rear axle",)
+
+
 @pytest.mark.slow
 def test_cycles_lead_a_mobile_arm_to_its_target():
     """Without slip: the place of the axle is that of the unicycle with the speeds that it had."""
