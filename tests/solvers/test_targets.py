@@ -56,3 +56,33 @@ def test_a_position_is_no_pose(verb, dim):
         assert ("x, y and angle" in str(error.value)) == (dim == 2)
     with pytest.raises(InputError, match="asks for an orientation"):
         getattr(system, verb)([0.3, 0.4] if dim == 2 else [0.3, 0.4, 0.0], "tip", task="orientation")
+
+
+def test_a_target_beyond_the_limit_of_a_slide_names_the_limit():
+    """Lengths alone say nothing of an arm on a rail: its end is the reason, in `ik`, `ik_all` and of tasks."""
+    m = kempe.Mechanism("rail")
+    cart, link = m.body("cart"), m.body("link")
+    m.prismatic("rail", m.ground, cart, axis=(1, 0, 0), limits=(0.0, 1.0))
+    m.revolute("turn", cart, link)
+    m.frame("tip", link, at=(0.3, 0, 0))
+    s = m.build()
+    by_task = s.ik(kempe.tasks.Position("tip", [2.5, 0, 0]))
+    for answer in (s.ik([2.5, 0, 0], "tip"), s.ik_all([2.5, 0.9, 0], "tip"), by_task):
+        assert not answer and "by the lengths of the links and the limit of 'rail'" in answer.status
+    panda = kempe.load("panda")
+    assert "by the lengths of the links;" in panda.ik([3.0, 0, 0], "panda_hand_tcp").status
+
+
+def test_numbers_of_a_pose_in_a_row_name_the_form_that_works():
+    s = kempe.load("panda")
+    place, X = [0.4, 0.0, 0.4], np.eye(4)
+    X[:3, :3], X[:3, 3] = np.diag([1.0, -1.0, -1.0]), place
+    with pytest.raises(InputError, match=r"'quat_xyzw': \[x, y, z, w\]"):
+        s.ik([*place, 1, 0, 0, 0], "panda_hand_tcp")
+    with pytest.raises(InputError, match=r"'rpy': \[roll, pitch, yaw\]"):
+        s.ik([*place, np.pi, 0, 0], "panda_hand_tcp")
+    for form in ({"at": place, "quat_xyzw": [1, 0, 0, 0]}, {"at": place, "quat_wxyz": [0, 1, 0, 0]},
+                 {"at": place, "rpy": [np.pi, 0, 0]}):  # fmt: skip
+        answer = s.ik(form, "panda_hand_tcp")
+        assert answer
+        np.testing.assert_allclose(s.fk(answer.q, "panda_hand_tcp"), X, atol=1e-5)

@@ -66,17 +66,20 @@ def evidence(kind: str, **figures: Any) -> Evidence:
 
 
 def lengths(
-    system: System, place: float = 0.0, turned: float = 0.0, plane: float = 0.0, task: str = "", point: bool = False
+    system: System, place: float = 0.0, turned: float = 0.0, plane: float = 0.0, task: str = "", point: bool = False,
+    slides: Sequence[str] = (),
 ) -> Evidence | None:  # fmt: skip
     """Evidence that a target is out of reach of a system by so many metres; None where all are zero.
 
-    Its figure `times` is the largest of them in typical lengths of a link, `point` says that the target is x, y, z.
+    Its figure `times` is the largest of them in typical lengths of a link, `point` says that the target is x, y, z,
+    and `slides` names the coordinates of slides, whose limits are a reason as the lengths are.
     """
     far = max(place, turned, plane)
     if not far > 0.0:
         return None
     times = far / characteristic_length(system)
-    return evidence("lengths", place=place, turned=turned, plane=plane, task=task, times=times, point=point)
+    return evidence("lengths", place=place, turned=turned, plane=plane, task=task, times=times, point=point,
+                    slides=list(slides))  # fmt: skip
 
 
 def outside_limits(system: System, q: Array, slack: float = 1e-9, turns: bool = True) -> list[str]:

@@ -116,6 +116,16 @@ def moved_by(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
     return turns, slides
 
 
+def slides_of(system: System, frame: str) -> list[str]:
+    """Names of the sliding coordinates of the chain of a frame, whose limits bound its reach; none without a chain."""
+    if obstacle(system, frame) is not None:
+        return []
+    chain = chain_of(system, frame)
+    rows = rows_of(chain.ints)
+    local = sorted(set(rows[rows[:, KIND] == SLIDE, V_INDEX].tolist()))
+    return [system.structure.velocity_names[int(chain.v_index[v])] for v in local]
+
+
 def of_loops(system: System, name: str) -> bool:
     """Whether the motion of a frame depends on a closed loop, or on a declared constraint f(q) = 0."""
     why = obstacle(system, name) or ""

@@ -225,6 +225,10 @@ def parse_targets(
         return out, lead, True
     in_plane = ", or (..., 3, 3) or (..., 2) in the plane" if planar else ""
     allowed = f"a pose (..., 4, 4) or a position (..., 3){in_plane}"
+    if array.shape == (7,):
+        allowed += "; with a quaternion, write {'at': [x, y, z], 'quat_xyzw': [x, y, z, w]}, or 'quat_wxyz'"
+    elif array.shape == (6,):
+        allowed += "; with angles, write {'at': [x, y, z], 'rpy': [roll, pitch, yaw]}"
     raise InputError(f"target has shape {array.shape}; it must be {allowed}")
 
 

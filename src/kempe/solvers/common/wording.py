@@ -131,9 +131,12 @@ def nearest(place: float | None, turn: float | None) -> str:
 
 def _lengths(
     place: float = 0.0, turned: float = 0.0, plane: float = 0.0, task: str = "", times: float = 0.0,
-    point: bool = False,
+    point: bool = False, slides: Sequence[str] = (),
 ) -> str:  # fmt: skip
-    """Out of reach of the links by at least so many metres: whatever the orientation, with it, or off the plane."""
+    """Out of reach of the links by at least so many metres: whatever the orientation, with it, or off the plane.
+
+    With `slides`, by the limits of these coordinates, too, without which lengths say nothing.
+    """
     who = f"{task!r} is " if task else ""
     units = "; lengths are metres: are these millimetres?" if times > MILLIMETRES else ""
     if plane > 0.0:
@@ -141,7 +144,8 @@ def _lengths(
         return f"{who}outside the plane of the system by {plane:.6g} m{units}{angle}"
     parts = [f" by at least {place:.6g} m"] if place > 0.0 else []
     parts += [f" with this orientation by at least {turned:.6g} m"] if turned > place else []
-    return f"{who}outside the workspace{','.join(parts)}, by the lengths of the links{units}"
+    ends = f" and {limits_of(slides)}" if slides else ""
+    return f"{who}outside the workspace{','.join(parts)}, by the lengths of the links{ends}{units}"
 
 
 def _tilted(angle: float) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 from kempe.model.immovable import immovable
 from kempe.solvers.common import wording
 from kempe.solvers.common.proofs import Evidence, evidence, lengths
-from kempe.solvers.common.serial_chain import Chain, chain_of
+from kempe.solvers.common.serial_chain import Chain, chain_of, slides_of
 from kempe.solvers.common.targets import Z_AXIS, frame_of, not_a_pose
 from kempe.solvers.one_frame.inverse import run
 from kempe.solvers.one_frame.multi_start import ITERATIONS, MOST, TOLERANCE, FrameProblem, past_lengths
@@ -90,7 +90,7 @@ def beyond(task: FrameProblem, target: Array) -> Evidence | None:
     off = abs(float(target[0, 2, 3])) if task.system.dim == 2 else 0.0
     place, turned = past_lengths(task, target)[0].tolist()
     return lengths(task.system, place, turned, off if off > task.tolerance[0] else 0.0,
-                   point=task.name == "position")  # fmt: skip
+                   point=task.name == "position", slides=slides_of(task.system, task.frame))  # fmt: skip
 
 
 def _reasons(task: FrameProblem, target: Array, q: Array, position: float, angle: float) -> list[Any]:

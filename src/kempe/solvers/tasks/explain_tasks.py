@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.kinematics.closure_rows import characteristic_length
+from kempe.kinematics.tasks.task import Centred, PlacedTask
 from kempe.model.immovable import immovable
 from kempe.solvers.common import wording
 from kempe.solvers.common.freedoms import Local
 from kempe.solvers.common.proofs import Evidence, evidence, lengths, outside_limits
+from kempe.solvers.common.serial_chain import slides_of
 from kempe.solvers.one_frame.explain_ik import rounded
 from kempe.solvers.tasks.contradictions import contradictions
 from kempe.solvers.tasks.ik_tasks import STARTS, judge
@@ -153,8 +155,13 @@ def _contradicting(problem: Demands) -> list[Evidence]:
 
 def _out_of_reach(problem: Demands, i: int) -> Evidence | None:
     """That lengths put a task out of reach, and how far."""
-    place, turned = beyond(problem, problem.tasks[i], problem.goals[i]).reshape(-1, 2)[0].tolist()
-    return lengths(problem.system, place, turned, task=problem.tasks[i].label)
+    task = problem.tasks[i]
+    place, turned = beyond(problem, task, problem.goals[i]).reshape(-1, 2)[0].tolist()
+    slides: dict[str, None] = {}
+    if isinstance(task, PlacedTask) and not isinstance(task, Centred):
+        tie = task.hold(problem.system)
+        slides = {name: None for end in (tie.a, tie.b) if end is not None for name in slides_of(problem.system, end)}
+    return lengths(problem.system, place, turned, task=task.label, slides=list(slides))
 
 
 def _alone(problem: Demands, q: Array, i: int, among: bool) -> Evidence:

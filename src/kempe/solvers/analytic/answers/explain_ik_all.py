@@ -20,7 +20,7 @@ from kempe.solvers.analytic.plans.plan import freedoms as rank_of
 from kempe.solvers.analytic.plans.structure import Axes, Strategy
 from kempe.solvers.common import wording
 from kempe.solvers.common.proofs import Evidence, by_lengths, evidence, lengths
-from kempe.solvers.common.serial_chain import chain_of
+from kempe.solvers.common.serial_chain import chain_of, slides_of
 from kempe.solvers.common.targets import not_a_pose
 from kempe.solvers.one_frame.explain_ik import rounded
 from kempe.solvers.one_frame.multi_start import MOST
@@ -183,7 +183,8 @@ def _reasons(solutions: Solutions, index: int) -> tuple[list[Any], bool]:
         if off > tolerance:
             return [lengths(system, plane=off, point=question.task == "position")], True
         bounds = chain_of(system, question.frame).bounds
-        far = lengths(system, float(by_lengths(bounds, target, (tolerance, tolerance), False)[0, 0]))
+        off = float(by_lengths(bounds, target, (tolerance, tolerance), False)[0, 0])
+        far = lengths(system, off, slides=slides_of(system, question.frame))
     wide = plan.lines.span.wide
     failed = None if wide or spare_joints(plan) or plan.method != "closed" else _without_root(solutions, index)
     if far or failed:
