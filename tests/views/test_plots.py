@@ -961,3 +961,17 @@ def test_titles_and_ghosts_that_do_not_fit_are_refused():
         two.plot([[0.3, 0.4], [0.5, 0.6]], titles=["start"])
     with pytest.raises(InputError, match="ghosts is 3, and there is no motion: path gives one"):
         two.plot([0.3, 0.4], ghosts=3)
+
+
+@pytest.mark.parametrize(("name", "joint"), [("four_bar", "C"), ("jansen", "W"), ("delta_uu", None)])
+def test_opened_systems_keep_their_links_in_pictures(name, joint):
+    """Where a joint was taken out its links reach as far as before; a frame stands at each of its ends."""
+    whole = kempe.load(name)
+    system = whole.opened(joint)
+    q = whole.assemble().q
+    given = {n: x for n, x in whole.q_dict(q).items() if n in system.coordinate_names}
+    before, after = look(whole, q), look(system, system.q(given))
+    for link in before.links[1:]:
+        same = next(x for x in after.links if x.name == link.name)
+        for p in before.points(link):
+            assert np.linalg.norm(after.points(same) - p, axis=1).min() < 1e-6, (link.name, p)

@@ -155,13 +155,13 @@ class Slide(NamedTuple):
 
     def pose(self, every: Array) -> tuple[Array, Array]:
         """Pose (..., 4, 4) and length (...) of the carrier, from the poses (..., n, 4, 4) of all bodies."""
-        A = every[..., self.a[0], :, :] @ self.a[1]
-        to = (every[..., self.b[0], :, :] @ self.b[1])[..., :3, 3] - A[..., :3, 3]
-        along = np.sum(A[..., :3, 2] * to, axis=-1)
+        A: Array = every[..., self.a[0], :, :] @ self.a[1]
+        to: Array = (every[..., self.b[0], :, :] @ self.b[1])[..., :3, 3] - A[..., :3, 3]
+        along: Array = np.sum(A[..., :3, 2] * to, axis=-1)
         if self.part is not None:
             A[..., :3, 3] += (self.part * along)[..., None] * A[..., :3, 2]
             return A, np.ones(along.shape)
-        way = np.where(along < 0.0, -1.0, 1.0)
+        way: Array = np.where(along < 0.0, -1.0, 1.0)
         A[..., :3, 3] -= (self.beyond * way)[..., None] * A[..., :3, 2]
         return A, way * np.maximum(np.abs(along) + 2.0 * self.beyond, LEAST)
 
