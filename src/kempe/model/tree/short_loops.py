@@ -132,7 +132,7 @@ class _Search:
 
     def _shortest_loop(self, k: int) -> frozenset[int]:
         """Branches of a shortest loop through branch k; none where there is none within `REACH` (Dijkstra, 1959)."""
-        start, goal = self.branches[k].ends
+        start, goal = sorted(self.branches[k].ends, key=lambda body: self.at[body])  # an end that numbers do not choose
         came: dict[int, int] = {}
         front = [(0, k, start)]
         while front and len(came) < REACH:
