@@ -157,13 +157,16 @@ def judged(name: str, rng: np.random.Generator, starts: int) -> None:
     names = {j: n[: len(n) - len(one.structure.coordinates_of_joint(j)[0]) + len(j)] for j, n in names.items()}
     assert {names[c] for c in one.structure.closures} == {*other.structure.closures}
     q = home(one)
+    tolerance = 1e-9
     if one.nq < 150:
+        if one.mobility(q, local=False).singular:  # roots merge there: rounding moves them by its square root
+            tolerance = 1e-7
         assert facts(one, q) == facts(other, carried(one, other, new, q))
     at = one.configuration_space.integrate(q, rng.uniform(-NEAR, NEAR, (starts, one.nv)) / np.sqrt(one.nv))
     want, got = one.assemble(start=at), other.assemble(start=carried(one, other, new, at))
     assert np.array_equal(want.success, got.success)
     good = want.success & (want.starts == 1)  # later starts are drawn at random, coordinate after coordinate
-    np.testing.assert_allclose(got.q[good], carried(one, other, new, want.q)[good], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(got.q[good], carried(one, other, new, want.q)[good], rtol=0, atol=tolerance)
     more = np.abs(got.iterations - want.iterations)[good]
     assert np.all(more <= np.maximum(1, 0.2 * want.iterations[good]))
 
