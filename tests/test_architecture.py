@@ -359,3 +359,27 @@ def test_places_in_packed_integers_have_names():
         for node in (n for n in read if ast.unparse(n.value).split(".")[-1] == "ints"):
             last = node.slice.right if isinstance(node.slice, ast.BinOp) else node.slice
             assert not isinstance(last, ast.Constant), f"{path.name}:{node.lineno}: {ast.unparse(node)}"
+
+
+DOTTED = re.compile(r"`~?([A-Za-z_]\w*(?:\.\w+)+)(?:\(\))?`")
+TOP = {p.stem for p in SOURCE.iterdir()} - {"tasks", "constraints", "model"}  # which are names of variables, too
+
+
+def exists(name: str) -> bool:
+    """Whether a dotted name is a module of the package, or stands in one."""
+    parts = name.removeprefix("kempe.").split(".")
+    for k in range(len(parts), -1, -1):
+        path = SOURCE.joinpath(*parts[:k])
+        module = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+        if module.is_file() and (k or name.startswith("kempe.")):
+            rest = parts[k:]
+            return not rest or all(re.search(rf"\b{word}\b", module.read_text(encoding="utf-8")) for word in rest[:1])
+    return False
+
+
+@sources.each([*MODULES, *sorted((ROOT / "docs").glob("**/*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"], ROOT)
+def test_dotted_names_exist(path):
+    """Names in backticks that begin with the package, or with one of its folders."""
+    found = [name for name in DOTTED.findall(path.read_text(encoding="utf-8")) if name.split(".")[0] in TOP | {"kempe"}]
+    wrong = [name for name in found if not exists(name) and not name.endswith((".py", ".md", ".toml", ".json"))]
+    assert not wrong

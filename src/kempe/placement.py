@@ -14,7 +14,7 @@ from kempe import spatial
 from kempe.calls import explained
 from kempe.calls import numbers as numbers_of
 from kempe.errors import InputError
-from kempe.reals import is_array, is_sequence
+from kempe.reals import is_array, is_real, is_sequence
 from kempe.rigid import arrays, sound
 from kempe.values import Expression, Value, evaluate, negate, value, values
 from kempe.words import counted
@@ -102,6 +102,8 @@ def place(
     if len(given) > 1:
         raise InputError(f"orientation given twice, by {' and '.join(given)}; give one")
     if rpy is not None:
+        if is_real(rpy):
+            raise InputError(f"rpy is {rpy!r}; it must have 3 numbers; one turn about z is angle={rpy!r}")
         roll, pitch, yaw = values(rpy, 3, "rpy")
         steps += [("rz", (yaw,)), ("ry", (pitch,)), ("rx", (roll,))]
     if angle is not None:

@@ -191,7 +191,7 @@ WRONG = [
     (
         lambda m: m.revolute("j", "base", "link2", color="red"),
         DescriptionError,
-        "joint 'j':.*no option 'color'; it takes no",
+        "joint 'j':.*no keyword 'color'; they take at, child_at",
     ),
     (
         lambda m: m.revolute("j", "base", "link2", limits=3),
@@ -1019,7 +1019,12 @@ def test_constraints_and_frames_take_all_placements():
         ({"matrix": np.eye(3), "rpy": (0, 0, 0)}, "orientation given twice, by rpy and matrix"),
         ({"limits": (None, 1, 2)}, r"they must be a pair \(lower, upper\), None where there is none"),
         ({"limits": ("", 1)}, "they must be a pair"),
-        ({"color": 1}, "no option 'color'; it takes no options"),
+        ({"colour": 1}, "joints have no keyword 'colour'; they take at, child_at, rpy, .*limits"),
+        ({"origin": (0, 0, 0)}, r"no keyword 'origin': give the joint's place as at=\(x, y, z\)"),
+        ({"xyz": (0, 0, 0)}, r"no keyword 'xyz': give the joint's place as at=\(x, y, z\)"),
+        ({"length": 1.0}, "no keyword 'length': a link's length is where its next joint sits"),
+        ({"lower": 0.0}, r"no keyword 'lower': give limits=\(lower, upper\)"),
+        ({"rpy": 0.6}, "rpy is 0.6; it must have 3 numbers; one turn about z is angle=0.6"),
     ],
 )
 def test_keywords_that_are_none(keywords, words):

@@ -12,7 +12,7 @@ import numpy as np
 from kempe import spatial
 from kempe.description.parts import Body, Joint, Limits
 from kempe.errors import DescriptionError, Fault, InputError, UnknownNameError, Where, hint, shown
-from kempe.joints import TYPES, JointType, P, Product, Q, R
+from kempe.joints import JointType, P, Q, R, joint_type
 from kempe.placement import Placement
 from kempe.reals import is_mapping, is_real, is_sequence
 from kempe.values import Expression, value
@@ -92,16 +92,40 @@ def kind(dim: int, subject: str, type_: JointType, parent: Body, child: Body, wh
 
 
 def slip(kind: str | JointType, options: Iterable[str], builder: Callable[..., Joint]) -> str:
-    """Message about options that the joint type does not have, if one is a misspelt keyword of the builder."""
+    """Message about an option that the joint type does not have; empty where it has all of them.
+
+    It names the keyword that is meant, or all keywords that joints take.
+    """
     import inspect  # only here: most calls are right
 
-    made = TYPES.get(kind, Product) if isinstance(kind, str) else kind
-    own = made.defaults()
-    keywords = [k for k in inspect.signature(builder).parameters if k not in ("self", "options")]
-    for key in options:
-        if key not in own and "did you mean" in (said := hint(key, keywords)):
-            return f"joints have no keyword {key!r}{said}"
+    inner = {"self", "options", "where", "name", "kind", "parent", "child"}
+    keywords = [k for k in inspect.signature(builder).parameters if k not in inner]
+    try:
+        own, is_type = joint_type(kind).defaults(), True
+    except (InputError, UnknownNameError):  # the type itself is wrong, too
+        own, is_type = {}, False
+    for key in (key for key in options if key not in own):
+        if key in FOREIGN_KEYWORDS:
+            return f"joints have no keyword {key!r}: {FOREIGN_KEYWORDS[key]}"
+        near = hint(key, [*keywords, *own])
+        if "did you mean" in near:
+            return f"joints have no keyword {key!r}{near}"
+        if is_type:
+            return f"joints have no keyword {key!r}; they take {', '.join([*keywords, *own])}"
     return ""
+
+
+FOREIGN_KEYWORDS = {
+    **dict.fromkeys(
+        ("origin", "xyz", "position", "pos", "offset", "translation"), "give the joint's place as at=(x, y, z)"
+    ),
+    **dict.fromkeys(("lower", "upper", "limit", "range", "min", "max"), "give limits=(lower, upper)"),
+    "length": "a link's length is where its next joint sits: give at=(length, 0, 0) there",
+    **dict.fromkeys(("rotation", "R", "orientation"), "give rpy=(roll, pitch, yaw), quat_wxyz= or matrix="),
+    "theta": "give angle= in the plane, rpy= in space",
+    "direction": "give axis=(x, y, z)",
+}
+"""Keywords of other libraries and files, and what a joint takes in their place."""
 
 
 @lru_cache(maxsize=256)

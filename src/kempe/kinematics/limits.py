@@ -24,7 +24,7 @@ def with_limits(system: System, limits: Any = None, velocity: Any = None) -> Sys
     """The system with other limits; tree, coordinates, parameters and postures are the same.
 
     `limits` are pairs (lower, upper) in radians and metres by coordinate name, None for no limit (of a pair, or of one
-    of its ends); or, as in `structure.limits`, an array (nv, 2) of all. `velocity` are largest speeds by name,
+    of its ends); or, as in `system.structure.limits`, an array (nv, 2) of all. `velocity` are largest speeds by name,
     None for no limit; or one number for all, or an array (nv,). What is not named keeps its limits. A coordinate that
     follows another can be named, too. Errors: `UnknownNameError`; `InputError` for values, and where a coordinate that
     moves with a named one would not let it have the limits that are given.

@@ -176,7 +176,7 @@ class System(Compiled, Pictured, FormerNames):
         task: str | tuple[str, ArrayLike] | None = None, prefer: Any = None, method: str | None = None,
         tolerance: float | tuple[float, float] | None = None, budget: Budget | None = None, history: bool = False,
     ) -> Solution:  # fmt: skip
-        """A configuration that reaches a target or holds tasks; see `solvers.inverse.ik` and `solvers.tasks.reach`."""
+        """A configuration that reaches a target or holds tasks; see `kempe.solvers.one_frame.inverse.ik`."""
         if (
             frame.__class__ is str
             and prefer is method is tolerance is budget

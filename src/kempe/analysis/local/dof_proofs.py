@@ -9,8 +9,9 @@ clusters add up, for clusters share no unknowns. The theorems, in the order in w
   its null space has (implicit function theorem).
 - *Two groups*: a loop whose joints part into two chains, each of which fills a group of motions: what both groups
   share moves, and the number is the same everywhere.
-- *Families*: a motion in closed form keeps all loops closed (`analysis.families`).
-- *Forms*: what the reduction of Lyapunov and Schmidt leaves has leading forms that decide (`analysis.forms`).
+- *Families*: a motion in closed form keeps all loops closed (`kempe.analysis.local.known_motions`).
+- *Forms*: what the reduction of Lyapunov and Schmidt leaves has leading forms that decide
+  (`kempe.analysis.local.leading_forms`).
 """
 
 from __future__ import annotations

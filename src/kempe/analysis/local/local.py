@@ -4,7 +4,7 @@ The rank of the constraint Jacobian gives an upper bound only. Where equations a
 and Schmidt tells by Taylor coefficients whether null vectors are velocities of motions; where not all are, the
 branches are found on small spheres, and what they are is measured at their own points. Kicking the mechanism and
 letting it snap back is a second method that shares nothing with the first but equations and projection. Neither proves
-a number; where a theorem does (`analysis.certify`), the answer is certain. Limits of joints are not looked at.
+a number; where a theorem does (`kempe.analysis.local.dof_proofs`), the answer is certain. Joint limits do not count.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ class Callback:
 
     `alone` gives the values only. What it raises is kept in `error`, for no exception passes through a kernel. `scale`
     (nv,) are the units of the velocities, `support` the n of them that it depends on, by default all. See
-    `kempe.model.closures.frame_constraints.Function`.
+    `kempe.constraints.Function`.
     """
 
     def __init__(

@@ -87,7 +87,8 @@ def regauge(ints: np.ndarray, floats: np.ndarray) -> tuple[np.ndarray, np.ndarra
     are folded into the offsets of turning rows and carried on through sliding ones. A placement stays general
     where a turn is left over: after a slide or at the root (`a` has no gauge), before a ball (`b` has none).
 
-    ints, floats: table of one chain (see `kernels.layout`), not changed. ValueError for other tables.
+    ints, floats: table of one chain (see `kempe.kernels.forward.table_layout`), not changed.
+    ValueError for other tables.
     """
     if ints[IS_CHAIN] != 1:
         raise ValueError("only the table of a chain can be regauged")

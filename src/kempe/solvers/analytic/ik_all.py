@@ -95,7 +95,7 @@ def ik_all(
     with quaternions, `InputError`, `UnknownNameError`.
     For one pose or position of a frame that moves with loops, or with joints that follow others (a helical joint, a
     parallel linkage written as a coupling), the answer is that of `assembly_modes` with it known.
-    Method: see `System.inverse.plan`, and `kernels.outer`, `kernels.inner`, `kernels.elimination`.
+    Method: see `System.inverse.plan`, and `kempe.kernels.closed_form`, `kempe.kernels.elimination`.
     """
     name = system.structure.frame_name(frame)
     target, (said, axis) = given_target(system, target), task_and_axis(task)

@@ -314,8 +314,8 @@ def _of_log(w: Array) -> Array:
 def tangent_space(system: System, q: Any, dim: int | None = None) -> tuple[Array, Array]:
     """Orthonormal basis (nv, p) of the velocities that keep all loops closed at q (nq,), and the scales (nv,).
 
-    Those are left out that lead to no motion, where the equations touch all along (`analysis.deflation`); this need not
-    be looked at where p is known (`dim`).
+    Those are left out that lead to no motion, where the equations touch all along
+    (`kempe.analysis.continuation.deflation`); this need not be looked at where p is known (`dim`).
 
     Slides are measured in characteristic lengths: velocities in units are ``scale * N``. Errors: `InputError` if q
     is not closed.

@@ -58,7 +58,10 @@ class Reached(Solution):
 
     @cached_property
     def derivative(self) -> dict[str, Array]:
-        """For each task, by its label, dq (..., nv, k) for motions of its goal; see `solvers.derivative_tasks`."""
+        """For each task, by its label, dq (..., nv, k) for motions of its goal.
+
+        See `kempe.solvers.velocity.derivative_tasks`.
+        """
         from kempe.solvers.velocity.derivative_tasks import derivative
 
         return derivative(self)

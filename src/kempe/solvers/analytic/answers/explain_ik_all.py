@@ -236,7 +236,7 @@ def _without_root(solutions: Solutions, index: int) -> Evidence | None:
 
 
 def _terms(solutions: Solutions, index: int, way: Strategy) -> Array:
-    """Constant and factors (2, 2, 3) of joints x and z in both measures, see `kernels.outer`."""
+    """Constant and factors (2, 2, 3) of joints x and z in both measures, see `kempe.kernels.closed_form.arm_part`."""
     from kempe.kernels.compiled import candidates
 
     plan, aim = solutions.plan, aim_of(solutions, index)

@@ -82,7 +82,7 @@ class Solutions(ConfigurationList, Answer):
 
     @cached_property
     def _code(self) -> np.ndarray:
-        """Codes of all rows (N, K), see `kernels.analytic_layout`; 0 for rows not in use."""
+        """Codes of all rows (N, K), see `kempe.kernels.closed_form.analytic_layout`; 0 for rows not in use."""
         code = self._rows[..., len(self.plan.lines) + A.CODE]
         return np.where(code >= 0.0, code, 0.0).astype(np.int64)
 

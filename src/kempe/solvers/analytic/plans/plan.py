@@ -357,7 +357,7 @@ def pack(
     lines: Lines, task: str, locked: tuple[int, ...], extra: Extra, way: Strategy | None,
     forms: tuple[tuple[int, ...], list[int]] | None = None,
 ) -> ChainPlan:  # fmt: skip
-    """The plan with its arrays, see `kernels.analytic_layout`; forms: order and formulations of an elimination."""
+    """The plan and its arrays (`kempe.kernels.closed_form.analytic_layout`); forms: orders and ways to eliminate."""
     n, k = len(lines), len(extra.kinds)
     ints = np.zeros(A.PLAN_HEADER + n + k + n, dtype=np.int64)
     ints[[A.N_LINES, A.N_JOINTS, A.N_LOCKED]] = n + k, n, len(locked)

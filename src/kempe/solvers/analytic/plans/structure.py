@@ -48,7 +48,10 @@ class Axes:
 @dataclass(frozen=True)
 class Strategy:
     """A way to solve six lines in closed form: their `order`, the place `inner` of the three joints that leave `what`
-    (POINT or PLANE) in place, and how the outer three are solved: `mode`, `measure`, `option` (see `kernels.outer`)."""
+    (POINT or PLANE) in place, and how the outer three are solved: `mode`, `measure`, `option`.
+
+    See `kempe.kernels.closed_form.arm_part`.
+    """
 
     order: tuple[int, ...]
     inner: int
