@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import inspect
 import reprlib
+import tokenize
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
-from tokenize import TokenError
 
 PROBLEM_LIMIT = 20
 """Problems of one file that are collected before giving up."""
@@ -21,7 +21,7 @@ UNREADABLE = (
     EOFError,
     ArithmeticError,
     SyntaxError,
-    TokenError,
+    tokenize.TokenError,
 )
 """What libraries raise for a file that is not what it should be: numpy reads the header of a .npy file as Python."""
 

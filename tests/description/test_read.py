@@ -301,6 +301,12 @@ def test_xacro_arguments(tmp_path):
         ('<link name="$(env KEMPE_SECRET)"/>', "KEMPE_SECRET"),
         ('<xacro:include filename="missing.xacro"/>', "missing.xacro"),
         ("<link", "xacro failed"),
+        (
+            "<xacro:property name='x' value=\"${load_yaml('/etc/passwd')}\"/><link name='${x}'/>",
+            "/etc/passwd lies outside",
+        ),
+        ('<xacro:include filename="/etc/hostname"/>', "/etc/hostname lies outside the folders of the robot"),
+        ('<xacro:include filename="../../../../../../../../etc/hostname"/>', "/etc/hostname lies outside"),
     ],
 )
 def test_xacro_that_goes_wrong(inside: str, words: str, tmp_path, monkeypatch):
@@ -308,6 +314,33 @@ def test_xacro_that_goes_wrong(inside: str, words: str, tmp_path, monkeypatch):
     with pytest.raises(DescriptionError, match=words) as caught:
         expanded(tmp_path, inside, seconds=1)
     assert "hunter2" not in str(caught.value)
+
+
+def test_links_out_of_the_folders_of_a_robot_are_not_followed(tmp_path):
+    (tmp_path / "away").mkdir()
+    (tmp_path / "away" / "secret.yaml").write_text("word: hunter2")
+    folder = tmp_path / "robots" / "arm" / "urdf"
+    folder.mkdir(parents=True)
+    (folder / "config.yaml").symlink_to(tmp_path / "away" / "secret.yaml")
+    use = "<xacro:property name='x' value=\"${load_yaml('config.yaml')}\"/><link name=\"${x['word']}\"/>"
+    with pytest.raises(DescriptionError, match="secret.yaml lies outside") as caught:
+        expanded(folder, use)
+    assert "hunter2" not in str(caught.value)
+    assert "hunter2" in expanded(folder, use, package_dirs=[tmp_path / "away"])
+
+
+def test_neighbours_of_a_package_are_read(tmp_path):
+    folder = tmp_path / "robots" / "arm" / "urdf"
+    folder.mkdir(parents=True)
+    (tmp_path / "robots" / "arm" / "package.xml").write_text(
+        '<package format="2"><name>arm</name><version>1.0.0</version><description>d</description>'
+        '<maintainer email="a@b.c">m</maintainer><license>l</license></package>'
+    )
+    (tmp_path / "robots" / "tool.yaml").write_text("length: 0.2")
+    text = expanded(
+        folder, "<xacro:property name='x' value=\"${load_yaml('../../tool.yaml')}\"/><link name=\"${x['length']}\"/>"
+    )
+    assert '"0.2"' in text
 
 
 def test_xacro_without_the_extra(tmp_path, monkeypatch):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -17,10 +18,11 @@ SECONDS = 20
 MEMORY = 2 * 2**30
 """Bytes of memory that an expansion may use."""
 
-XACRO_ADVICE = (
-    "load it with xacro=True (it needs the extra kempe[xacro]), only if you trust it: xacro can read any file"
-)
+XACRO_ADVICE = "load it with xacro=True (it needs the extra kempe[xacro]), only if you trust it: xacro is a program"
 """What to do with a xacro file that was given in place of URDF."""
+
+ROS_PATHS = ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH", "ROS_ROOT")
+"""Variables of the environment that name folders of packages."""
 
 _PACKAGE = re.compile(r"PackageNotFoundError\W+(?:Package not found: )?([\w.-]+)")
 
@@ -43,6 +45,15 @@ for folder in [*folders, *s["package_dirs"]]:  # folders that are called like a 
             xacrodoc.packages.get_path(name)
         except xacrodoc.packages.PackageNotFoundError:
             xacrodoc.packages.update_package_cache({name: folder})
+roots = [os.path.realpath(d) + os.sep for d in [*s["roots"], sys.prefix, sys.base_prefix]]
+def guard(event, given):
+    if event == "open" and isinstance(given[0], (str, bytes)):
+        path = os.path.realpath(os.fsdecode(given[0]))
+        if not any((path + os.sep).startswith(root) for root in roots):
+            raise RuntimeError(f"{path} lies outside the folders of the robot")
+    elif event.startswith(("subprocess.", "socket.", "os.exec", "os.fork", "os.posix_spawn", "os.system", "ctypes.")):
+        raise RuntimeError(f"{event} is no part of a robot")
+sys.addaudithook(guard)
 document = xacrodoc.XacroDoc.from_file(s["path"], subargs=s["arguments"], resolve_packages=False)
 sys.stdout.buffer.write(document.dom.toprettyxml(indent="  ").encode("utf-8"))
 """
@@ -57,9 +68,10 @@ def expand_xacro(
 ) -> str:
     """URDF text that a xacro file expands to, with `arguments` for its ``<xacro:arg>``.
 
-    Only for files that you trust: xacro reads any file that it names. It runs in a process with little
-    environment, bounded in time, memory and output. `package_dirs` are searched by ``$(find package)``: for a
-    package.xml with that name at any depth, then for a folder of that name in them or above the file.
+    Only for files that you trust: xacro is a program. It runs in a process with little environment, bounded in time,
+    memory and output, which opens files in `folders_to_read` only. `package_dirs` are searched by
+    ``$(find package)``: for a package.xml with that name at any depth, then for a folder of that name in them or above
+    the file.
     Errors: `MissingExtraError` without the extra [xacro], `DescriptionError` with xacro's own message.
     """
     if importlib.util.find_spec("xacrodoc") is None:
@@ -69,6 +81,7 @@ def expand_xacro(
         "path": str(path),
         "arguments": {str(k): str(v) for k, v in (arguments or {}).items()},
         "package_dirs": [str(Path(d).resolve()) for d in package_dirs],
+        "roots": [str(d) for d in folders_to_read(path, package_dirs)],
     }
     ended = run_limited(_WORKER, settings, seconds=seconds, memory=MEMORY, output=SIZE_LIMIT)
     if ended.reason == "time":
@@ -82,6 +95,21 @@ def expand_xacro(
     if ended.reason:
         raise _failed(last_words(ended.said), where, package_dirs)
     return ended.output.decode("utf-8", "replace")
+
+
+def folders_to_read(path: Path, package_dirs: Iterable[str | Path]) -> list[Path]:
+    """The folders of which an expansion may read files.
+
+    These are `package_dirs`, the folders of packages that ROS names in the environment, and the folder that holds the
+    file's package (the nearest folder above with a package.xml) and its neighbours; of a file without a package, the
+    folder that holds its own. A home folder and the first level of a disk are never taken as a whole.
+    """
+    found = [Path(d).resolve() for d in package_dirs]
+    found += [Path(d) for name in ROS_PATHS for d in os.environ.get(name, "").split(os.pathsep) if d]
+    package = next((d for d in path.parents if (d / "package.xml").is_file()), path.parent)
+    wide = package.parent
+    is_wide = len(wide.parts) < 3 or wide == Path.home() or wide in Path.home().parents
+    return [*found, package if is_wide else wide, path.parent]
 
 
 def _failed(said: str, where: Where, package_dirs: tuple[str | Path, ...]) -> DescriptionError:
