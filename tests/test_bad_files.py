@@ -47,6 +47,10 @@ tests/test_bad_files.py::test_what_is_said --> What is legal but strange loads, 
   ties links. Other unknown elements directly in the robot, a link or a joint are noted, and so are unknown attributes
   of joints and their parts, and joints inside `<gazebo>`. So nothing that decides on the motion vanishes without a
   note. <!-- hunted: tests/description/test_urdf_unknown.py::test_nothing_that_matters_vanishes_silently -->
+- An archive, a web page, a Git LFS pointer, an SRDF, a USD scene, a mesh or a picture that was saved in place of a
+  robot file is named, with what to do. <!-- hunted:
+  tests/description/test_read.py::test_a_file_of_another_kind_is_named
+  tests/description/test_read.py::test_no_valid_file_is_taken_for_another_kind -->
 - [Files of other people](collected.md): how 1400 real ones are read.
 - A prefix that is bound to `http://www.ros.org`, or to the namespace of the outermost element, changes no name.
 - The version of `<robot>` is 1.0, 1.1 or 1.2, and 1.0 where it is left out; ROS refuses others, too.

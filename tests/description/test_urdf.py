@@ -322,7 +322,8 @@ def test_what_is_not_read_is_noted():
     ("sdf", "SDF"),
     ("mujoco", "MJCF"),
     ("launch", "launch file"),
-    ("svg", "starts with <robot"),
+    ("svg", "SVG picture"),
+    ("kml", "starts with <robot"),
 ])  # fmt: skip
 def test_other_files_are_named(tag, words):
     with pytest.raises(DescriptionError, match=words):

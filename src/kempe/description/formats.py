@@ -6,6 +6,7 @@ Reading, writing, messages, the command line and the page of formats follow from
 
 from __future__ import annotations
 
+import codecs
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -116,6 +117,99 @@ FORMATS: dict[str, Format] = {"urdf": URDF, "toml": TOML, "sdf": SDF, "mjcf": MJ
 
 DEFAULT = TOML
 """Format of a text that no row recognises, in a file whose ending no row has."""
+
+
+@dataclass(frozen=True)
+class OtherKind:
+    """A kind of file that often stands where a description is expected, known by its first bytes."""
+
+    what: str
+    """What the file is, after 'this is'."""
+    advice: str
+    """What to do."""
+    signature: bytes = rb"(?!)"
+    """Regular expression that the beginning of the file matches, blanks left out."""
+    elements: tuple[str, ...] = ()
+    """Names of outermost elements of XML and HTML, in lower case, that tell the kind, too."""
+
+
+HEAD = 4096
+"""Bytes of a file by which its kind is recognised."""
+
+_MESH = "a mesh has no joints: load the robot description that names this mesh"
+_ARCHIVE = "unpack it, and load the robot description in it"
+_PICTURE = "load the robot description, not a picture of it"
+_TABLE = "load the robot description; kempe.System.map_file reads tables of configurations"
+
+OTHER_KINDS = (
+    OtherKind(
+        "a Git LFS pointer, which stands in place of the file",
+        "run git lfs pull in the repository, or download the file itself",
+        rb"version https://(git-lfs|hawser)\.github\.com/spec/",
+    ),
+    OtherKind(
+        "a symbolic link that Git wrote as text", "load the file that it names", rb"(\.\.?/)+[^\s<>=\"'\\]+\s*\Z"
+    ),
+    OtherKind(
+        "a web page (HTML)",
+        "get the file itself: the page that shows a file on GitHub or GitLab has a button Raw or Download",
+        rb"(?i:<!doctype\s+html\b)",
+        ("html", "head", "body"),
+    ),
+    OtherKind("an error message of a web server", "check the address of the download", rb"[45]\d\d: [A-Z]", ("error",)),
+    OtherKind("a file compressed by gzip", "unpack it first: gunzip, or tar -xzf for an archive", rb"\x1f\x8b"),
+    OtherKind("a file compressed by bzip2", "unpack it first: bunzip2, or tar -xjf for an archive", rb"BZh[1-9]1AY&SY"),
+    OtherKind("a file compressed by xz", "unpack it first: unxz, or tar -xJf for an archive", rb"\xfd7zXZ\0"),
+    OtherKind("a file compressed by Zstandard", "unpack it first: unzstd", rb"\x28\xb5\x2f\xfd"),
+    OtherKind("a ZIP archive", _ARCHIVE, rb"PK(\x03\x04|\x05\x06)"),
+    OtherKind("a 7z archive", _ARCHIVE, rb"7z\xbc\xaf\x27\x1c"),
+    OtherKind("a RAR archive", _ARCHIVE, rb"Rar!\x1a\x07"),
+    OtherKind("a tar archive", _ARCHIVE, rb"(?=[^\0]{0,99}\0).{257}ustar[\0 ]"),
+    OtherKind(
+        "a USD scene (OpenUSD)",
+        "Kempe does not read USD: load the URDF that it was made from, or export one",
+        rb"#usda\s+\d|PXR-USDC",
+    ),
+    OtherKind("a COLLADA mesh", _MESH, elements=("collada",)),
+    OtherKind("an STL mesh", _MESH, rb"solid\b[^\n]*\s+facet\s+normal\b"),
+    OtherKind("an OBJ mesh", _MESH, rb"((#|(mtllib|o|g|s)\s)[^\n]*\n\s*)*v\s+[-+.\d]+\S*\s+[-+.\d]+\S*\s+[-+.\d]"),
+    OtherKind("a PLY mesh", _MESH, rb"ply\s+format\s"),
+    OtherKind("a glTF scene", _MESH, rb"glTF[\x01\x02]\0\0\0"),
+    OtherKind("a STEP file of a CAD program", "export URDF from the CAD program", rb"ISO-10303-21"),
+    OtherKind("a PDF document", "load the robot description", rb"%PDF-"),
+    OtherKind("a PNG picture", _PICTURE, rb"\x89PNG\r\n"),
+    OtherKind("a JPEG picture", _PICTURE, rb"\xff\xd8\xff"),
+    OtherKind("a GIF picture", _PICTURE, rb"GIF8[79]a"),
+    OtherKind("an SVG picture", _PICTURE, elements=("svg",)),
+    OtherKind("an array of numpy (.npy)", _TABLE, rb"\x93NUMPY"),
+    OtherKind("a Parquet table", _TABLE, rb"PAR1(?!\s*=)"),
+    OtherKind("an HDF5 file", "load the robot description", rb"\x89HDF\r\n\x1a\n"),
+    OtherKind(
+        "a JSON file",
+        "Kempe reads no JSON: load the robot description, or the file itself where this is the answer of a web service",
+        rb"\{\s*(\"(\\.|[^\"\\])*\"\s*:|\}\s*\Z)",
+    ),
+    OtherKind("a ROS launch file", "load the URDF that it names (often as robot_description)", elements=("launch",)),
+    OtherKind("a ROS package manifest", "load a robot description of the package", elements=("package",)),
+)
+"""Kinds of files that are no descriptions; none of the rows fits a text that a reader of Kempe takes."""
+
+
+def other_kind(data: str | bytes) -> OtherKind | None:
+    """The kind of a file that is no description, by its first bytes or characters; None where it may be one."""
+    text = data[:HEAD] if isinstance(data, str) else decoded_head(data)
+    text = text.removeprefix("\ufeff").lstrip()
+    head = text.encode("utf-8", "replace") if isinstance(data, str) or data[:2] in UTF16_MARKS else data[:HEAD]
+    head, element = head.removeprefix(codecs.BOM_UTF8).lstrip(), root_element(text).lower()
+    return next((k for k in OTHER_KINDS if element in k.elements or re.match(k.signature, head, re.DOTALL)), None)
+
+
+UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+
+
+def decoded_head(data: bytes) -> str:
+    """The beginning of a file as text, whatever its bytes: enough to recognise a format."""
+    return data[:HEAD].decode("utf-16" if data[:2] in UTF16_MARKS else "utf-8", "replace")
 
 
 def by_ending(name: str) -> Format | None:

@@ -17,6 +17,7 @@ from kempe.description.formats import (
     Format,
     by_contents,
     by_ending,
+    decoded_head,
     joined,
     named,
     read_by,
@@ -105,8 +106,17 @@ def check(
         return Check(error.problems, ())
     except (InputError, UnknownNameError, UnsupportedError) as error:
         where = Where("<text>" if isinstance(source, bytes) or _is_text(str(source)) else str(source))
-        return Check((Fault(str(error), "", where),), ())
+        return Check((Fault(_without_place(str(error), where), "", where),), ())
     return Check((), tuple(mechanism.notes))
+
+
+def _without_place(message: str, where: Where) -> str:
+    """A message without the path at its start, which the place of a `Fault` says again."""
+    for path in (where.file, os.path.expanduser(where.file), os.path.normpath(os.path.expanduser(where.file))):
+        for place in (f"{path}: ", f"{path} (expanded): "):
+            if message.startswith(place):
+                return message.removeprefix(place)
+    return message
 
 
 def _is_text(source: str) -> bool:
@@ -193,10 +203,7 @@ def _read_text(text: str | bytes, name: str, how: _How) -> Mechanism:
 
 def _format_of(text: str | bytes, given: Format | None) -> Format:
     """The format that is given, if it is read; else that of the contents, which also tell a format that is not read."""
-    if isinstance(text, bytes):
-        head = text[:4096]
-        text = head.decode("utf-16" if head[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8", "replace")
-    found = by_contents(text)
+    found = by_contents(text if isinstance(text, str) else decoded_head(text))
     if given and given.read and not (found and not found.read):
         return given
     return found or given or DEFAULT

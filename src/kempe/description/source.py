@@ -201,6 +201,19 @@ def shorten(text: object, limit: int = 60) -> str:
     return repr(text if len(text) <= limit else text[: limit - 3] + "...")
 
 
+def refuse_other_kinds(data: bytes | str, name: str) -> None:
+    """Refuse a file of a kind that is known to be no description, such as an archive or a web page.
+
+    Errors: `DescriptionError` that says what the file is, and what to do.
+    """
+    from kempe.description.formats import HEAD, other_kind
+
+    if kind := other_kind(data):
+        start = data[:HEAD] if isinstance(data, str) else data[:200].decode("ascii", "replace")
+        line = "".join(c if c.isprintable() else "\ufffd" for c in _LINE_END.split(start)[0][:200])
+        raise fail(f"this is {kind.what}", Where(name, 1, 1, line), kind.advice)
+
+
 def decode(data: bytes | str, name: str, declared: re.Pattern[bytes] | None = None) -> str:
     """Text of a file's bytes: UTF-8, UTF-16 with a byte order mark, or what the pattern `declared` finds.
 

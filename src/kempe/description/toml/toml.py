@@ -14,7 +14,7 @@ from kempe.constraints.base import FRAMES, NUMBERS, End, fields_of, needed_by
 from kempe.description.constrain import BETWEEN, between
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body
-from kempe.description.source import Source, decode, fail, folders_of, shorten
+from kempe.description.source import Source, decode, fail, folders_of, refuse_other_kinds, shorten
 from kempe.description.toml.toml_document import PLACE, Document, joint_options
 from kempe.description.toml.toml_places import Path
 from kempe.errors import DescriptionError, InputError, UnknownNameError
@@ -29,6 +29,7 @@ def read_toml(text: str | bytes, source: str = "<text>", *, package_dirs: Iterab
     `package_dirs` are the folders in which meshes may lie. Errors: `DescriptionError` with all problems, each
     with its line; unknown keys are problems.
     """
+    refuse_other_kinds(text, source)
     document = Document(Source(source, decode(text, source)))
     document.check_format()
     head: dict[str, Any] = {"name": "mechanism", "dim": 3, "ground": "ground", "notes": []}

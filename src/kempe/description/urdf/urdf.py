@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from kempe.description.formats import URDF, by_contents
+from kempe.description.formats import URDF, by_contents, joined
 from kempe.description.mechanism import Mechanism
 from kempe.description.source import Findings, fail, folders_of, shorten
 from kempe.description.urdf.link_graph import choose_root
@@ -100,10 +100,8 @@ def read_urdf(
 def _check_is_urdf(robot: XmlElement) -> None:
     if robot.tag == "robot":
         return
-    others = {"COLLADA": "a mesh", "launch": "a ROS launch file", "package": "a ROS package manifest"}
     format = by_contents(f"<{robot.tag}/>")
-    what = others.get(robot.tag, "" if format in (None, URDF) else f"a file in {format.title}")
-    said = f": it is {what}" if what else ""
+    said = "" if format in (None, URDF) else f": it is a file in {format.title}"
     raise fail(f"the outermost element is <{robot.tag}>{said}", robot.where, "URDF starts with <robot name=...>")
 
 
@@ -129,9 +127,23 @@ def _refuse_xacro(robot: XmlElement) -> None:
             )
 
 
+_SRDF = {
+    "group", "group_state", "end_effector", "virtual_joint", "passive_joint", "disable_collisions",
+    "enable_collisions", "disable_default_collisions", "link_sphere_approximation", "joint_property",
+}  # fmt: skip
+"""Elements that MoveIt's semantic descriptions have in the outermost one, named <robot> as in URDF."""
+
+
 def _no_links(robot: XmlElement, beside: tuple[str, ...]) -> Exception:
     generated = _GENERATED.search(robot.source.text)
     joints = len(robot.of("joint"))
+    if found := sorted({e.tag for e in robot.children} & _SRDF):
+        parts = joined([f"<{tag}>" for tag in found], "and")
+        return fail(
+            f"this is an SRDF: groups, postures and pairs of links ({parts}), but no links or joints",
+            robot.where,
+            "load the URDF of the robot that it belongs to",
+        )
     holds = f"only {counted(joints, 'joint')}" if joints else "nothing but an empty <robot> element"
     message = f"there is no robot in this file: it holds {holds}, and without a <link> there is no body to move"
     allowed = "a robot has at least one <link name=...> and a <joint> for each further link"

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from xml.parsers import expat
 
-from kempe.description.source import Source, decode, fail, shorten
+from kempe.description.source import Source, decode, fail, refuse_other_kinds, shorten
 from kempe.errors import DescriptionError, Where
 
 DEPTH_LIMIT = 100
@@ -107,6 +107,7 @@ def parse_xml(data: bytes | str, name: str) -> XmlElement:
     column for what is not well-formed, truncated, too large or too deep, and for every DTD and entity
     declaration.
     """
+    refuse_other_kinds(data, name)
     source = Source(name, decode(data, name, _DECLARED))
     return _XmlBuilder(source).run()
 
