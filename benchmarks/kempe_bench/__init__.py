@@ -68,6 +68,7 @@ def benchmark(
         say(f"{i}/{len(names)} {name}: {(section.__doc__ or '').strip().splitlines()[0]}")
         table = section(bench)
         if table is not None:
+            table.remarks += table.behind()
             table.remarks.append(f"load average of the machine: {peers.load():.1f}")
             yield table
 

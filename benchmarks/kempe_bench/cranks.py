@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import importlib.util
+from typing import Any
+
 import numpy as np
 
 from kempe.description.mechanism import Mechanism
 from kempe.model.system import System
 from kempe_bench.bench import Bench
-from kempe_bench.crank_peers import DRIVES, angles, linkage
+from kempe_bench.crank_peers import DRIVES, Drive, angles, linkage
 from kempe_bench.loop_solvers import SparseMujoco
 from kempe_bench.loop_trees import Tree
 from kempe_bench.timing import Case, Grid, cases, measure
@@ -16,7 +19,8 @@ STEPS, SINGLE_STEPS = 10_000, 200
 """Steps of the crank in one call, and of a loop in Python."""
 ROWS = (10, 100, 1000)
 NOISE = 0.1
-SWEEP, ONE = "Kempe, array of angles", "Kempe, one angle"
+SWEEP, ONE = "Kempe, assemble, array, branch", "Kempe, assembler, one angle"
+"""Names of Kempe's columns: calls that users make, none from inside."""
 
 _PYLINKAGE_LOOP = """
 reset()
@@ -26,36 +30,55 @@ for _ in step(iterations=steps):
 
 
 def dyads(bench: Bench) -> Grid:
-    """Steps of a crank, placed dyad after dyad in closed form."""
+    """Steps of a crank, by the calls that users of each library make."""
     import kempe
-    from kempe.solvers.dyads.dyads import Plan, closed_form
 
     table = Grid("Dyads in closed form: time of a step of the crank", "us")
+    compiled = importlib.util.find_spec("numba") is not None
     for name, drive in DRIVES.items():
         system = kempe.load(name)
-        plan = closed_form(system, (drive.crank,))
-        assert isinstance(plan, Plan), f"{name} is made of dyads"
-        start = system.assemble({drive.crank: drive.start}, start=system.q("closed"))
-        values = angles(drive, STEPS)[:, None]
-        names = {"solve": plan.solve, "values": values, "one": values[0], "branch": plan.branch_of(start.q)}
+        names = turn(system, drive)
         timed = [
-            Case(SWEEP, name, "solve(values, branch, threads=1)", names, STEPS),
-            Case(ONE, name, "solve(one, branch)", names),
+            Case(SWEEP, name, "system.assemble({crank: values}, branch=branch, budget=budget)", names, STEPS),
+            Case(ONE, name, "bound({crank: one}, start)", names),
         ]
         if "pylinkage" in bench.versions:
             reported = linkage(system, STEPS)
             names = {"reset": reported.reset, "fast": reported.model.step_fast, "step": reported.model.step}
-            timed += [
-                Case("pylinkage, step_fast", name, "reset(); fast(iterations=steps)", names | {"steps": STEPS}, STEPS),
-                Case("pylinkage, step", name, _PYLINKAGE_LOOP, names | {"steps": SINGLE_STEPS}, SINGLE_STEPS),
-            ]
+            if compiled:
+                code = "reset(); fast(iterations=steps)"
+                timed.append(Case("pylinkage, step_fast", name, code, names | {"steps": STEPS}, STEPS))
+            timed.append(Case("pylinkage, step", name, _PYLINKAGE_LOOP, names | {"steps": SINGLE_STEPS}, SINGLE_STEPS))
         table.rows += measure(timed, 1e6)
         table.at_most(f"{name}, array of angles, at most 0.3 us a step", table.best(SWEEP, name), 0.3)
+    if "pylinkage" in bench.versions:
+        table.remarks.append(
+            "pylinkage has its numba, without which step_fast is Python"
+            if compiled
+            else "numba is missing, without which pylinkage's step_fast is Python: it is not measured"
+        )
     table.remarks += [
-        f"{STEPS:,} steps a call, one thread; step: a loop in Python. Kempe answers joint angles, pylinkage points",
+        f"{STEPS:,} steps a call, one thread; step: a loop in Python; one angle: from a start one radian away at most. "
+        "Kempe answers joint angles, pylinkage points",
         "peaucellier: the crank swings from -1.2 to 1.2, since it cannot turn fully",
     ]
     return table
+
+
+def turn(system: System, drive: Drive) -> dict[str, Any]:
+    """What the calls for a turn of the crank need, by the names in their code: angles, a start and its branch."""
+    import kempe
+
+    start = system.assemble({drive.crank: drive.start}, start=system.q("closed"))
+    plan = system.loops.closed_form((drive.crank,))
+    assert plan, f"{system.name} is made of dyads"
+    values = angles(drive, STEPS)
+    return {
+        "system": system, "crank": drive.crank, "values": values, "start": start.q,
+        "one": drive.start + 0.1 * (drive.end - drive.start), "bound": system.loops.assembler((drive.crank,)),
+        "branch": "".join("-" if sign < 0 else "+" for sign in plan.branch_of(start.q)),
+        "budget": kempe.Budget(threads=1),
+    }  # fmt: skip
 
 
 def row(bench: Bench) -> Grid:

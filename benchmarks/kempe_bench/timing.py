@@ -96,6 +96,10 @@ class Table:
         a, b = self.value(library, call), self.value("Kempe", to)
         return None if a is None or b is None else a / b
 
+    def behind(self) -> list[str]:
+        """Remarks on what of Kempe is slower than others; none where lines of different libraries do not compare."""
+        return []
+
     def data(self) -> dict[str, Any]:
         """The table as plain data."""
         return {
@@ -138,6 +142,23 @@ class Grid(Table):
         found = {(row.call, row.library): significant(row.value) for row in self.rows}
         calls = dict.fromkeys(row.call for row in self.rows)
         return [self.unit, *libraries], [[call, *(found.get((call, x), "-") for x in libraries)] for call in calls]
+
+    def behind(self) -> list[str]:
+        """A remark for each column of Kempe that is slower somewhere than the fastest other library of the line."""
+        if self.unit not in ("s", "ms", "us", "ns"):
+            return []
+        found: dict[str, list[str]] = {}
+        for call in dict.fromkeys(row.call for row in self.rows):
+            line = [row for row in self.rows if row.call == call]
+            others = [row for row in line if not row.library.startswith("Kempe")]
+            if not others:
+                continue
+            first = min(others, key=lambda row: row.value)
+            for row in line:
+                if row.library.startswith("Kempe") and row.value > first.value:
+                    text = f"{call} ({significant(row.value / first.value)} times as long as {first.library})"
+                    found.setdefault(row.library, []).append(text)
+        return [f"behind: {library}: {'; '.join(lines)}" for library, lines in found.items()]
 
 
 def measure(cases: Sequence[Case], scale: float = 1e9) -> list[Row]:

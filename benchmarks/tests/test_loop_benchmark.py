@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
+import tomllib
+from pathlib import Path
+
 import kempe_bench as benchmark
 import numpy as np
 import pytest
@@ -11,7 +15,6 @@ from kempe_bench.loop_trees import Tree, mjcf
 
 import kempe
 from kempe.errors import UnsupportedError
-from kempe.solvers.dyads.dyads import closed_form
 
 PEERS = {"mujoco": Mujoco, "pinocchio": Pinocchio}
 MORE = ("goldberg_5r", "three_rps", "delta_uu", "three_upu", "stephenson_six_bar", "stewart_sps")
@@ -178,17 +181,23 @@ def test_exudyn_gets_the_same_mechanism(name):
 
 
 @pytest.mark.parametrize("name", crank_peers.DRIVES)
-def test_pylinkage_draws_what_kempe_draws(name):
+def test_pylinkage_draws_what_kempe_draws(name, monkeypatch):
     pytest.importorskip("pylinkage")
     s, drive, n = kempe.load(name), crank_peers.DRIVES[name], 400
     reported = crank_peers.linkage(s, n)
     drawn = reported.model.step_fast(iterations=n)
     start = s.assemble({drive.crank: drive.start}, start=s.q("closed")).q
-    plan = closed_form(s, (drive.crank,))
-    q, ok, _ = plan.solve(crank_peers.angles(drive, n)[:, None], plan.branch_of(start))
-    assert ok.all() and drawn.shape == (n, len(reported.spots), 2)
+    monkeypatch.setattr(cranks, "STEPS", n)
+    given = cranks.turn(s, drive)
+    np.testing.assert_array_equal(given["start"], start)
+    answer = s.assemble({drive.crank: given["values"]}, branch=given["branch"])
+    assert answer.success.all() and drawn.shape == (n, len(reported.spots), 2)
     for i, spot in enumerate(reported.spots):
-        np.testing.assert_allclose(crank_peers.place(s, q, spot), drawn[:, i], atol=1e-11)
+        np.testing.assert_allclose(crank_peers.place(s, answer.q, spot), drawn[:, i], atol=1e-8)
+    one = given["bound"]({drive.crank: given["one"]}, given["start"]).q
+    i = np.abs(given["values"] - given["one"]).argmin()
+    assert given["one"] == pytest.approx(given["values"][i], abs=1e-12)
+    np.testing.assert_allclose(crank_peers.place(s, one, spot), crank_peers.place(s, answer.q[i], spot), atol=1e-8)
     reported.reset()
     np.testing.assert_allclose(reported.model.step_fast(iterations=n), drawn, atol=1e-11)
 
@@ -227,6 +236,29 @@ def test_grid():
     assert grid.columns() == (["mechanism", "Kempe", "pin"], [["a", "1", "-"], ["b", "2", "30"]])
     assert "| mechanism | Kempe | pin |\n| --- | --: | --: |\n| a | 1 | - |" in grid.markdown()
     assert grid.best("Kempe", "a") == 0.5
+
+
+def test_a_line_that_is_behind_says_so():
+    rows = [
+        timing.Row("Kempe, batch", "a", 1.0), timing.Row("Kempe, one", "a", 9.0), timing.Row("p, fast", "a", 3.0),
+        timing.Row("p", "a", 30.0), timing.Row("Kempe, one", "b", 8.0), timing.Row("Kempe, one", "c", 1.0),
+        timing.Row("r", "c", 0.5),
+    ]  # fmt: skip
+    said = timing.Grid("T", "us", rows).behind()
+    assert said == ["behind: Kempe, one: a (3 times as long as p, fast); c (2 times as long as r)"]
+    assert not timing.Grid("T", "%", rows).behind() and not timing.Table("T", "us", rows).behind()
+
+
+def test_sections_call_what_users_call():
+    """Nothing that is timed of Kempe begins at a module that users are not shown."""
+    source = inspect.getsource(cranks)
+    assert "kempe.solvers" not in source and "plan.solve" not in source
+
+
+def test_pylinkage_is_installed_with_its_compiler():
+    text = Path(__file__).parents[2].joinpath("pyproject.toml").read_text(encoding="utf-8")
+    bench = tomllib.loads(text)["project"]["optional-dependencies"]["bench"]
+    assert any(entry.startswith("pylinkage[numba]") for entry in bench)
 
 
 @pytest.mark.slow

@@ -139,7 +139,7 @@ HEAD = 4096
 _MESH = "a mesh has no joints: load the robot description that names this mesh"
 _ARCHIVE = "unpack it, and load the robot description in it"
 _PICTURE = "load the robot description, not a picture of it"
-_TABLE = "load the robot description; kempe.System.map_file reads tables of configurations"
+_TABLE = "load the robot description; kempe.map_file reads tables of configurations and targets"
 
 OTHER_KINDS = (
     OtherKind(
