@@ -158,6 +158,7 @@ def test_sentences_about_one_thing_agree(call):
 
 AT_LEAST_TWO = (
     "joints lead to it", "links are nobody's child", "values; a coordinate has one", "characters; at most",
+    "characters in all",
     "bodies with a joint to the ground beside it", "orientations", "events in all", "branches", "files",
     "joints; it may have", "other joints:", "signs of equality", "actuated coordinates depend",
 )  # fmt: skip

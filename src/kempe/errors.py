@@ -77,7 +77,7 @@ def shortened(message: object) -> object:
         return message
     head, tail = LONGEST // 2, LONGEST // 2 - 40
     lines = (
-        line if len(line) <= LONGEST else f"{line[:head]} ... ({len(line)} characters) ... {line[-tail:]}"
+        line if len(line) <= LONGEST else f"{line[:head]} ... ({len(line)} characters in all) ... {line[-tail:]}"
         for line in message.split("\n")
     )
     return "\n".join(lines)

@@ -176,7 +176,7 @@ def test_a_step_leads_towards_a_sphere_from_outside_and_from_inside(far):
 def test_the_gap_is_between_the_last_singular_value_that_counts_and_the_next():
     A = np.array([[1.0, 0.0, 0.0, 0.0], [1.0, 1e-2, 0.0, 0.0], [1.0, 2e-2, 1e-12, 0.0]])
     values = np.linalg.svd(A / np.linalg.norm(A, axis=1, keepdims=True), compute_uv=False)
-    rows: Any = SimpleNamespace(units=np.ones(4))
+    rows: Any = SimpleNamespace(units=np.ones(4), names=[SimpleNamespace(written=True)] * 3)
     found = _null_space(rows, np.zeros(4), 0.0, np.arange(3), A, 1e-15)
     assert found.dimension == 2 and found.gap == pytest.approx(values[1] / values[2], rel=1e-2)
 

@@ -136,6 +136,10 @@ class Constraint(ABC):
     """How it is drawn where its rows do not say it, as those of rods and slots do: "wheel", "contact", "mark"."""
     says: ClassVar[str] = ""
     """What it asks, as a sentence over its fields; `sentence` has it filled in."""
+    prevents: ClassVar[str] = "the velocity constraint {name!r} prevents the rest"
+    """What of a wanted motion it does not let happen, as a sentence over its name."""
+    scaled: ClassVar[bool] = True
+    """Whether its rows have a size of their own, and not one that a caller has written."""
     unbounded: ClassVar[str] = "it measures no single number, which alone has bounds"
     """What is said where it is given `at_least` or `at_most` and has none; see `Bounded`."""
     zero: ClassVar[float] = 0.0

@@ -69,6 +69,8 @@ class NoSideslip(Constraint):
     other: Frame | None = None
     speed: Number = 0.0
 
+    prevents: ClassVar[str] = "the wheels of {name!r} do not slip sideways"
+
     def rows(self, dim: int) -> tuple[Row, ...]:
         """One row: the velocity along y of the frame."""
         text = "xy*vx + yy*vy - speed" if dim == 2 else "xy*vx + yy*vy + zy*vz - speed"
@@ -89,6 +91,8 @@ class Rolls(Constraint):
     shape: str = "ball"
     spin: bool = True
     one_sided: bool = False
+
+    prevents: ClassVar[str] = "{name!r} does not slip"
 
     def __post_init__(self) -> None:
         flag(self.spin, f"spin of {self.label}")

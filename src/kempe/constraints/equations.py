@@ -304,6 +304,7 @@ class VelocityEquation(_WrittenKind):
     time: bool = False
     parameters: Parameters = field(default=None, repr=False, kw_only=True)
 
+    scaled: ClassVar[bool] = False
     needs: ClassVar[str] = "rows of numbers, one for each coordinate"
 
     def __post_init__(self) -> None:

@@ -30,7 +30,7 @@ ALONG, TURNED = 0.5, 0.15
 """Way along the sphere, as a part of its radius, and the turn of the tangent space over it that shows a cone."""
 FELL_BACK = 0.1
 """A start that ends nearer to the configuration than this part of the radius found no motion."""
-BATCH, MOST_STARTS, MOST_KEPT, ENOUGH = 32, 480, 20, 2
+BATCH, MOST_STARTS, MOST_KEPT, ENOUGH = 32, 480, 20, 4
 """Starts at a time and in all, points kept of a family, and hits of each beyond which the search ends."""
 SAME_PLANE = 0.2
 """Tangent spaces nearer to each other (root sum square of sines) belong to one branch."""

@@ -9,6 +9,7 @@ from typing import Any
 from kempe.analysis.maps.side_by_side import RETRIES
 from kempe.errors import InputError, KernelsError, MissingExtraError, shown, warn
 from kempe.kernels.compiled import VARIANT
+from kempe.words import counted
 
 LOOK = 0.5
 """Seconds between two looks at the clock."""
@@ -132,7 +133,7 @@ def refuse_workers(client: Any, workers: Iterable[str]) -> None:
         elif tuple(has) != (VARIANT, __version__):
             wrong.append(f"worker {worker} has Kempe {has[1]} with the kernels {has[0]!r}")
     if wrong:
-        more = [f"{len(wrong) - SHOWN} more workers"] * (len(wrong) > SHOWN)
+        more = [f"and {counted(len(wrong) - SHOWN, 'other worker')}"] * (len(wrong) > SHOWN)
         raise KernelsError(
             f"{'; '.join([*wrong[:SHOWN], *more])}. Each worker needs Kempe {__version__} with the extra [scale] and "
             f"the kernels {VARIANT!r} (KEMPE_KERNELS={VARIANT})"

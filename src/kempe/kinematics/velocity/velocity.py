@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.calls import explained
-from kempe.constraints.equations import VelocityEquation
 from kempe.constraints.tape import RATE, TIME
 from kempe.description.constrain import resolved
 from kempe.description.parts import Declared
@@ -166,8 +165,7 @@ class _Recording:
             tape, which = row.args
             value, form = self.recorder.linear(tape, seen, known, speeds, which)
             self.recorder.add_row(a, b, form, value)
-            written = isinstance(declared.of, VelocityEquation)
-            self.names.append(RowName(declared.name, row.name, row.unit, written=written))
+            self.names.append(RowName(declared.name, row.name, row.unit, written=not declared.of.scaled))
 
     def rows(self) -> VelocityRows:
         """What was recorded."""

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe.calls import brief, explained, explained_methods
-from kempe.constraints.contacts import NoSideslip, Rolls
 from kempe.errors import InputError
 from kempe.kernels.forward.table_layout import BALL, TURN
 from kempe.kinematics.common.result import by_code
@@ -86,7 +85,8 @@ class IkStep(Answer):
             none = "Nothing of the wanted motion" if self.velocity.any() else "No motion"
             text = f"{self.fraction:.3g} of the wanted motion" if self.fraction > 0.0 else none
             default = self.default_speed
-        why = [_prevents(self.system, name) for name in self.blocked_by]
+        declared = self.system.mechanism.constraints
+        why = [declared[name].of.prevents.format(name=name) for name in self.blocked_by]
         if limited := [name for name in self.saturated if name not in self.default_speed]:
             why.append(f"at a limit: {', '.join(map(repr, limited))}")
         if default:
@@ -95,14 +95,6 @@ class IkStep(Answer):
 
     def _claimed(self) -> np.ndarray:
         return np.array(False)  # a step is of first order: how far it leads away is its residual
-
-
-def _prevents(system: System, name: str) -> str:
-    """What a velocity constraint prevents, as text."""
-    of = system.mechanism.constraints[name].of
-    if isinstance(of, NoSideslip):
-        return f"the wheels of {name!r} do not slip sideways"
-    return f"{name!r} does not slip" if isinstance(of, Rolls) else f"the velocity constraint {name!r} prevents the rest"
 
 
 class Move(NamedTuple):
