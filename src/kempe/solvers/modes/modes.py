@@ -271,8 +271,7 @@ def _looked_into(question: Problem, plan: Plan, values: Array, closed: DyadAnswe
     found = new[s.free[new] == 0].tolist()
     moving = new[s.free[new] > 0]
     if len(moving) and not s.free[:before].any():
-        near = home_of(system) if question.start is None else question.start
-        found.append(int(moving[np.argmin(clusters.metric.distances(clusters.q[moving], near))]))
+        found.append(int(moving[_example(question, clusters, moving)]))
     return _Doubt(proof.branch[left], proof.reason(left), tuple(found), s.free)
 
 
@@ -315,8 +314,7 @@ def by_starts(question: Problem) -> Modes:
         besides = f"besides {counted(len(isolated), 'isolated configuration')}, " if len(isolated) else ""
         left = "1 freedom" if free.max() == 1 else f"up to {free.max()} freedoms"
         status = f"not finite: {besides}there are some with {left} left, of which one is shown; give more inputs"
-        near = home_of(system) if question.start is None else question.start
-        families = families[[int(np.argmin(found.clusters.metric.distances(q[families], near)))]]
+        families = families[[_example(question, found.clusters, families)]]
     if found.spins:
         status += f"; {counted(len(found.spins), 'idle spin')} left out: " + ", ".join(map(str, found.spins[:3]))
         status += ", ..." if len(found.spins) > 3 else ""
@@ -326,6 +324,14 @@ def by_starts(question: Problem) -> Modes:
     status += partial(interrupted, late)
     answer = _answer(question, q[keep], status, [""] * len(keep), hits[keep], free[keep], False, guess)
     return replace(answer, interrupted=interrupted, late=late)
+
+
+def _example(question: Problem, clusters: Clusters, which: np.ndarray) -> int:
+    """Of some clusters the place in the list of the one that is shown: inside the limits, if one is, and near home."""
+    q = clusters.q[which]
+    near = home_of(question.system) if question.start is None else question.start
+    away = clusters.metric.distances(q, near)
+    return int(np.argmin(np.where(_inside(question.system, q), away, away + 1e9)))
 
 
 def _up(percent: float) -> str:
@@ -339,15 +345,20 @@ def _up(percent: float) -> str:
 # ---- what both need
 
 
+def _inside(system: System, q: Array) -> np.ndarray:
+    """Which configurations (n, nq) are inside the limits (n,)."""
+    v = q[:, system.structure.layout.vector_q]
+    low, high = (x[system.structure.layout.vector_v] for x in (system.lower, system.upper))
+    return np.all((v >= low - INSIDE) & (v <= high + INSIDE), axis=-1)
+
+
 def _answer(
     question: Problem, q: Array, status: str, branches: list[str], multiplicity: np.ndarray, freedoms: np.ndarray,
     complete: bool, guess: tuple[float | None, float | None] = (None, None),
 ) -> Modes:  # fmt: skip
     """The modes, sorted, with what is outside the limits dropped or flagged."""
     system = question.system
-    v = q[:, system.structure.layout.vector_q]
-    low, high = (x[system.structure.layout.vector_v] for x in (system.lower, system.upper))
-    inside = np.all((v >= low - INSIDE) & (v <= high + INSIDE), axis=-1)
+    inside = _inside(system, q)
     bounds, left_out = one_sided_rows(system), 0
     keep = np.flatnonzero(inside) if question.limits else np.arange(len(q))
     if bounds.declared:

@@ -231,8 +231,8 @@ def _places(system: System, frame: str | None) -> tuple[str, ...]:
 
 
 def random_starts(s: ModesSearch, n: int) -> Array:
-    """Starts (n, nq): angles over their period, free lengths up to two characteristic ones; inside the limits, if these
-    count, else angles run over their period all the same, and lengths up to two characteristic ones beyond the limits.
+    """Starts (n, nq): angles over their period, free lengths up to two characteristic ones; all inside the limits, if
+    these count, else every other one: in the rest angles run over their period, and lengths beyond their limits.
     """
     system, metric = s.system, s.clusters.metric
     limits: Array = system.structure.limits
@@ -250,7 +250,8 @@ def random_starts(s: ModesSearch, n: int) -> Array:
     reach = np.where(turning, np.maximum(metric.period, 2.0 * np.pi) / 2.0, 2.0 * metric.length)
     beyond = np.where(np.isfinite(limits) & ~turning[:, None], limits, 0.0)
     low, high = np.minimum(beyond[:, 0], 0.0) - reach, np.maximum(beyond[:, 1], 0.0) + reach
-    q[:, at] = low[v] + s.rng.random((n, len(v))) * (high - low)[v]
+    wide = np.arange(n) % 2 == 1
+    q[np.ix_(wide, at)] = low[v] + s.rng.random((int(wide.sum()), len(v))) * (high - low)[v]
     return q
 
 
