@@ -10,6 +10,7 @@ import numpy as np
 from kempe import spatial
 from kempe.errors import InputError, shown, warn
 from kempe.reals import PLAIN, is_plain, reals
+from kempe.singular_values import svd
 from kempe.spatial import Array
 from kempe.words import counted
 
@@ -77,7 +78,7 @@ def sound(X: Array, what: str, exact: float = EXACT) -> Array:
     rounded = (off > exact) & (off <= ROUNDED)
     if not rounded.any() or not (rounded := rounded & (rotation_error(R) <= ROUNDED)).any():
         return X
-    U, _, Vt = np.linalg.svd(R[rounded])
+    U, _, Vt = svd(R[rounded])
     out = X.copy()
     out[rounded, :3, :3] = U @ Vt
     some = "" if off.ndim == 0 else f" in {np.count_nonzero(rounded)} of {counted(off.size, 'case')}"

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from kempe.calls import numbers, together
 from kempe.errors import InputError
+from kempe.singular_values import svd
 
 Array = NDArray[np.float64]
 
@@ -308,7 +309,7 @@ def fit_pose(particles: ArrayLike, places: ArrayLike) -> PoseFit:
     centre, target = given.mean(axis=-2), there.mean(axis=-2)
     a, b = given - centre[..., None, :], there - target[..., None, :]
     bad = ~(np.isfinite(a) & np.isfinite(b)).all(axis=(-1, -2))
-    U, S, Vt = np.linalg.svd(np.where(bad[..., None, None], 0.0, np.swapaxes(b, -1, -2) @ a))
+    U, S, Vt = svd(np.where(bad[..., None, None], 0.0, np.swapaxes(b, -1, -2) @ a))
     sense = np.ones((*bad.shape, dim))
     sense[..., -1] = np.sign(np.linalg.det(U @ Vt))
     size = np.linalg.norm(a, axis=(-1, -2)) * np.linalg.norm(b, axis=(-1, -2))

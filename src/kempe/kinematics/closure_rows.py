@@ -18,6 +18,7 @@ from kempe.kernels.compiled import closure_batch
 from kempe.kinematics.configuration import as_q
 from kempe.model.closures.packed_loops import PackedLoops, characteristic_length, loops_of, must_be_explicit
 from kempe.model.tree.own_tree import own_tree
+from kempe.singular_values import svd
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -140,5 +141,5 @@ def freedoms_left(system: System, q: Array, held: frozenset[str] = frozenset()) 
     system, q, _ = regular_chart(system, q, held)
     free = [i for i, n in enumerate(system.structure.velocity_names) if n not in held]
     J = evaluate(system, q, True, True)[1][:, free]
-    values = np.linalg.svd(J, compute_uv=False) if J.size else np.zeros(0)
+    values = svd(J, compute_uv=False) if J.size else np.zeros(0)
     return len(free) - int((values > RANK_TOLERANCE * max(1.0, values.max(initial=0.0))).sum())

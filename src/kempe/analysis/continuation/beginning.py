@@ -19,6 +19,7 @@ from kempe.kinematics.configuration import as_q, home_of, random
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.tree.coordinates import coordinate_names
 from kempe.reals import is_mapping, is_real
+from kempe.singular_values import svd
 from kempe.solvers.common.tracing import RANK, Node, node
 from kempe.spatial import Array
 from kempe.words import counted
@@ -248,12 +249,12 @@ def _at_bifurcation(equations: Closure, here: Node, driver: str | None, wish: Ar
 def too_free(equations: Closure, matrix: Array, drivers: Sequence[str]) -> str:
     """Why the motion is not one curve: which coordinates still move with the drivers held."""
     system = equations.system
-    _, s, Vt = np.linalg.svd(matrix)
+    _, s, Vt = svd(matrix)
     null_space = Vt[int(np.sum(s > RANK * s[0])) :]
     count = len(null_space)
     rows = null_space[:, [angle_or_slide(system, d) for d in drivers]].T
     if drivers:
-        _, s, Vt = np.linalg.svd(rows)
+        _, s, Vt = svd(rows)
         null_space = Vt[int(np.sum(s > RANK)) :] @ null_space
     sizes = dict(zip(system.structure.velocity_names, np.abs(null_space).max(axis=0), strict=True))
     moving = [n for n, size in sizes.items() if size > 1e-6]
@@ -262,7 +263,7 @@ def too_free(equations: Closure, matrix: Array, drivers: Sequence[str]) -> str:
     still = f"with {' and '.join(map(repr, drivers))} held still, these still move" if drivers else "these move"
     many = len(null_space) - (not drivers)
     own = null_space[:, [n in named for n in system.structure.velocity_names]]
-    enough = int(np.sum(np.linalg.svd(own, compute_uv=False) > 1e-6)) >= many if named else False
+    enough = int(np.sum(svd(own, compute_uv=False) > 1e-6)) >= many if named else False
     head = f"to first order {system.name} has {counted(count, 'freedom')} here, more than are driven; {still}: "
     if not named:
         return (

@@ -11,6 +11,7 @@ import numpy as np
 
 from kempe.analysis.continuation.continuation import Closure
 from kempe.kinematics.common.gauss_newton import gauss_newton, least_squares
+from kempe.singular_values import svd
 from kempe.solvers.common.clock import TimeLimit
 from kempe.solvers.common.tracing import RANK, Node, correct, node
 from kempe.spatial import Array
@@ -45,7 +46,7 @@ def locate(equations: Closure, x: Array, nullity: int, reach: float, tries: int 
     is no such point.
     """
     n = equations.n
-    left: Array = np.asarray(np.linalg.svd(equations.matrix(x))[0][:, n - nullity :], dtype=float)
+    left: Array = np.asarray(svd(equations.matrix(x))[0][:, n - nullity :], dtype=float)
     rows, k = left.shape
     fixed, start, nq = left, x, len(x)
 
@@ -70,7 +71,7 @@ def locate(equations: Closure, x: Array, nullity: int, reach: float, tries: int 
     if not found.size <= SINGULAR:
         return None
     x = found.x[:nq]
-    s = np.linalg.svd(equations.matrix(x), compute_uv=False)
+    s = svd(equations.matrix(x), compute_uv=False)
     found = int(np.sum(s <= RANK * s[0]))
     if found <= nullity:
         return x if found == nullity else None
@@ -80,7 +81,7 @@ def locate(equations: Closure, x: Array, nullity: int, reach: float, tries: int 
 
 def cone(equations: Closure, x: Array) -> Array:
     """Directions (k, n), of length 1 and without sign, in which second order lets the null space at `x` move."""
-    U, s, Vt = np.linalg.svd(equations.matrix(x))
+    U, s, Vt = svd(equations.matrix(x))
     n = equations.n
     d = int(np.sum(s <= RANK * max(s[0], 1e-300)))
     if d <= 1:
@@ -98,7 +99,7 @@ def cone(equations: Closure, x: Array) -> Array:
 def _two(forms: Array) -> Array:
     """Common real zeros (k, 2) of quadratic forms (m, 2, 2)."""
     rows = np.stack([forms[:, 0, 0], 2.0 * forms[:, 0, 1], forms[:, 1, 1]], axis=1)
-    Vt = np.linalg.svd(rows)[2]
+    Vt = svd(rows)[2]
     a, b, c = Vt[0]  # a u^2 + b u v + c v^2, the combination of the forms that is largest
     root = b * b - 4.0 * a * c
     if root < -1e-8:

@@ -13,6 +13,7 @@ import numpy as np
 
 from kempe.analysis.continuation.continuation import Closure
 from kempe.analysis.continuation.crossings import PROBE, second_order
+from kempe.singular_values import svd
 from kempe.solvers.common.tracing import RANK, Node, step
 from kempe.spatial import Array
 
@@ -29,7 +30,7 @@ class RankEquations:
 
     def __init__(self, equations: Closure, x: Array):
         J = equations.matrix(x)[: equations.real]
-        U, s, Vt = np.linalg.svd(J)
+        U, s, Vt = svd(J)
         self.nullity = J.shape[1] - int(np.sum(s > RANK * s.max(initial=1e-300)))
         rank = J.shape[1] - self.nullity
         self._left, self._null_space, self._before = U[:, rank:], Vt[rank:].T, len(equations.more)
@@ -42,7 +43,7 @@ class RankEquations:
     def write(self, equations: Closure, x: Array, F: Array, J: Array, at: int, with_matrix: bool) -> None:
         """Write the residuals of these equations and their derivatives into F and J (., n) from row `at` on."""
         own = J[:at] if with_matrix else equations.both(x, True, self._before)[1][:at]
-        U, _, Vt = np.linalg.svd(own)
+        U, _, Vt = svd(own)
         rank, here = own.shape[1] - self.nullity, slice(at, at + self.count)
         left, null_space = self._near(U[:, rank:], self._left), self._near(Vt[rank:].T, self._null_space)
         if min(_least(left.T @ self._left), _least(null_space.T @ self._null_space)) < ALIGNED:
@@ -57,7 +58,7 @@ class RankEquations:
     @staticmethod
     def _near(basis: Array, to: Array) -> Array:
         """The basis of the same space that is nearest to another (Procrustes)."""
-        U, _, Vt = np.linalg.svd(basis.T @ to)
+        U, _, Vt = svd(basis.T @ to)
         return basis @ (U @ Vt)
 
 
@@ -96,4 +97,4 @@ def rank_held(equations: Closure) -> bool:
 
 def _least(A: Array) -> float:
     """The least singular value."""
-    return float(np.linalg.svd(A, compute_uv=False).min(initial=1.0))
+    return float(svd(A, compute_uv=False).min(initial=1.0))

@@ -22,6 +22,7 @@ from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.velocity.velocity import rates
 from kempe.model.clocked import clocked, timed
 from kempe.reals import is_array, is_real
+from kempe.singular_values import svd
 from kempe.solvers.common.clock import BROKEN_OFF, TimeLimit
 from kempe.spatial import Array, quat_wxyz_multiply, unit
 
@@ -101,7 +102,7 @@ class Velocities:
         size = np.linalg.norm(M, axis=1)
         size = np.where(size > 1e-12, size, 1.0)
         M, wanted = M / size[:, None], wanted / size
-        U, s, Vt = np.linalg.svd(M, full_matrices=True)
+        U, s, Vt = svd(M, full_matrices=True)
         s = np.concatenate([s, np.zeros(max(0, len(scale) - len(s)))])
         rank = int(np.sum(s > RANK))
         if rank < len(scale):

@@ -11,6 +11,7 @@ import numpy as np
 from kempe.analysis.first_order.constraint_graph import structure
 from kempe.analysis.first_order.rank import NOTHING, Rank
 from kempe.errors import InputError, UnknownNameError
+from kempe.singular_values import svd
 from kempe.spatial import Array
 from kempe.words import InWords, counted
 
@@ -118,7 +119,7 @@ def _rank_and_null_space(A: Array) -> tuple[int, Array]:
     """Rank of the actuated rows of an orthonormal null space, and what of the null space they do not see."""
     if not A.size:
         return 0, np.eye(A.shape[1])
-    _, values, Vt = np.linalg.svd(A)
+    _, values, Vt = svd(A)
     rank = int((values > NOTHING).sum())
     return rank, Vt[rank:].T
 
@@ -126,7 +127,7 @@ def _rank_and_null_space(A: Array) -> tuple[int, Array]:
 def _span(X: Array) -> Array:
     if not X.size:
         return X
-    U, s, _ = np.linalg.svd(X, full_matrices=False)
+    U, s, _ = svd(X, full_matrices=False)
     return U[:, s > NOTHING]
 
 

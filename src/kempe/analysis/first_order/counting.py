@@ -18,6 +18,7 @@ import numpy as np
 from kempe.analysis.first_order.constraint_graph import ConstraintGraph, Edge, rows_of, structure
 from kempe.analysis.first_order.null_space import column_space
 from kempe.description.parts import Declared
+from kempe.singular_values import svd
 from kempe.spatial import Array
 from kempe.words import InWords, counted, verb
 
@@ -220,7 +221,7 @@ def group_basis(twists: Array, same: float) -> Array:
 
 def fills_group(twists: Array, same: float, clear: float) -> bool:
     """Whether screws (6, n) span the algebra that they generate: all brackets lie in their span, which is clear."""
-    U, s, _ = np.linalg.svd(twists, full_matrices=False)
+    U, s, _ = svd(twists, full_matrices=False)
     basis = U[:, s > same * s[0]]
     d = basis.shape[1]
     if s[d - 1] < clear * s[0]:

@@ -44,6 +44,7 @@ from kempe.analysis.first_order.rank import Rank
 from kempe.analysis.first_order.screws import Screws
 from kempe.analysis.first_order.series_joints import between, edges_at, ends_of, in_loop, parts, rigid
 from kempe.description.parts import Declared, Frame
+from kempe.singular_values import svd
 from kempe.spatial import Array
 from kempe.words import InWords
 
@@ -184,7 +185,7 @@ def _spans(W: Array, direction: Array) -> bool:
     """Whether turns about axes W (3, n) add up to one about a direction."""
     if W.shape[1] == 3 and abs(_volume(W)) > INDEPENDENT:
         return True
-    U, sizes, _ = np.linalg.svd(W, full_matrices=False)
+    U, sizes, _ = svd(W, full_matrices=False)
     U = U[:, sizes > ALONE * sizes[0]]
     return bool(np.linalg.norm(direction - U @ (U.T @ direction)) < ALONE)
 

@@ -10,6 +10,7 @@ from kempe.kinematics import closure_rows
 from kempe.kinematics.configuration import has_loops
 from kempe.kinematics.forward import fk
 from kempe.model.tree.characteristic_length import characteristic_length
+from kempe.singular_values import svd
 from kempe.solvers.assembly.charts import tangent_space
 from kempe.spatial import Array
 
@@ -37,7 +38,7 @@ def image_ranks(system: System, q: Array, rates: Array, metres: np.ndarray) -> t
     for x, J, away in zip(q, rates, far.tolist(), strict=True):
         N = tangent_space(system, x)[0] if loops else N
         n = min(n, N.shape[1])
-        s = np.linalg.svd(J @ (scale[:, None] * N) / row_unit, compute_uv=False)
+        s = svd(J @ (scale[:, None] * N) / row_unit, compute_uv=False)
         rounding = (CLOSED if loops else ROUNDED) * (1.0 + away)
         out.append(int((s > max(FULL * float(s.max(initial=0.0)), rounding)).sum()))
     return np.array(out, dtype=int), n

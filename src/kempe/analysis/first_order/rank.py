@@ -13,6 +13,7 @@ from kempe.analysis.first_order.constraint_graph import Cluster, ConstraintGraph
 from kempe.analysis.first_order.screws import Screws, screws
 from kempe.description.parts import Declared
 from kempe.kinematics import closure_rows
+from kempe.singular_values import svd
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -156,7 +157,7 @@ def _cluster(
     if not J.size:
         n = J.shape[1]
         return ClusterRank(c, J, np.zeros(0), 0, np.inf, np.eye(len(J)), np.eye(n))
-    U, values, Vt = np.linalg.svd(J)
+    U, values, Vt = svd(J)
     r, gap = decide(values, size)
     size = max(values[0], size, 1e-300)
     return ClusterRank(c, J, values / size, r, gap, U[:, r:], Vt[r:].T, size)

@@ -23,6 +23,7 @@ from kempe.constraints.base import COUNTS, Op, position_rows
 from kempe.description.parts import Declared, Joint
 from kempe.model.closures.implicit_form import ImplicitForm, implicit_form, screw, slides_along_z
 from kempe.model.tree.structural_order import natural
+from kempe.singular_values import svd
 from kempe.spatial import Array
 from kempe.words import InWords, counted, in_words
 
@@ -227,7 +228,7 @@ def _free(edge: Edge, dim: int) -> frozenset[str] | None:
 
 def _not_held(names: Sequence[str], twists: Array, moves: Array) -> frozenset[str]:
     """Directions (by their `twists`) that need not be held besides others for a joint that only `moves` (6, n)."""
-    U, size, _ = np.linalg.svd(moves, full_matrices=False)
+    U, size, _ = svd(moves, full_matrices=False)
     basis = U[:, size > CARRIES * size.max(initial=0.0)]
     held: set[str] = set()
     for part in (WELL, CARRIES):
@@ -267,7 +268,7 @@ def _choose(rows: Sequence[_JointReaction], count: int) -> list[list[_JointReact
             break
         chosen.append(found)
         held = np.stack([r.stress for r in found]) @ left
-        left = left @ np.linalg.svd(held)[2][len(found) :].T
+        left = left @ svd(held)[2][len(found) :].T
     return chosen
 
 

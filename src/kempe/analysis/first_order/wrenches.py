@@ -21,6 +21,7 @@ from kempe.kinematics import closure_rows
 from kempe.kinematics.maximal import maximal, maximal_q
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.velocity.velocity import velocity_rows
+from kempe.singular_values import svd
 from kempe.spatial import Array
 from kempe.words import InWords, cut, listed
 
@@ -108,7 +109,7 @@ class Wrenches:
         if name not in self.system.structure.joints:
             return own
         moves = np.stack([r.rates for r in rows])[:, self._bodies[-1][1] :]
-        U, sizes, _ = np.linalg.svd(moves)
+        U, sizes, _ = svd(moves)
         return _reduced(U[:, decide(sizes)[0] :].T @ own)
 
     def point(self, name: str) -> Array:
@@ -131,7 +132,7 @@ class Wrenches:
         """
         if not self._balance.size or self._rank == len(self._balance):
             return ()
-        states = np.linalg.svd(self._balance)[0][:, self._rank :].T
+        states = svd(self._balance)[0][:, self._rank :].T
         rows = [r for r in self._rows if r.lasting]
         names = tuple(dict.fromkeys(r.of for r in rows))
         parts = [self._wrench(r.of, r.rates) for r in rows]
@@ -289,7 +290,7 @@ class Wrenches:
 
     @cached_property
     def _rank(self) -> int:
-        values = np.asarray(np.linalg.svd(self._balance, compute_uv=False), dtype=float)
+        values = np.asarray(svd(self._balance, compute_uv=False), dtype=float)
         return decide(values)[0]
 
     @cached_property

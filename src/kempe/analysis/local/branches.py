@@ -14,6 +14,7 @@ import numpy as np
 from kempe.analysis.local import reduction
 from kempe.analysis.local.local_equations import Equations
 from kempe.analysis.local.reduction import Split
+from kempe.singular_values import svd
 from kempe.spatial import Array
 
 RADII = (0.06, 0.02, 0.006)
@@ -273,7 +274,7 @@ def span(x: Array) -> tuple[int, Array]:
     """Number of dimensions that vectors (n, nv) of about unit length span, and a basis (nv, dim) of their span."""
     if not len(x):
         return 0, np.zeros((x.shape[1], 0))
-    _, sigma, Vt = np.linalg.svd(x, full_matrices=False)
+    _, sigma, Vt = svd(x, full_matrices=False)
     dim = int(np.sum(sigma > max(0.1 * sigma[0], 0.1)))
     return dim, Vt[:dim].T
 

@@ -24,6 +24,7 @@ import numpy as np
 from kempe.analysis.local import reduction
 from kempe.analysis.local.local_equations import Equations
 from kempe.analysis.local.reduction import Split
+from kempe.singular_values import svd
 from kempe.spatial import Array
 
 CLEAR = 1e-5
@@ -65,7 +66,7 @@ def split_of(q: Array, J: Array, basis: Array, columns: np.ndarray) -> Here:
     m, nv = J.shape
     A = basis.T @ J[:, columns]
     n = len(columns)
-    U, sigma, Vt = np.linalg.svd(A)
+    U, sigma, Vt = svd(A)
     most = max(float(sigma[0]) if sigma.size else 0.0, reduction.LEAST)
     rank = int(np.sum(sigma > reduction.RANK * most))
     rest = float(sigma[rank]) if rank < len(sigma) else 0.0
@@ -189,7 +190,7 @@ def _regular_zero(B: Array, d: Array) -> bool:
     for _ in range(20):
         D = 2.0 * B @ d
         if np.linalg.norm(B @ d @ d) < 1e-13 * size:
-            sigma = np.linalg.svd(D, compute_uv=False)
+            sigma = svd(D, compute_uv=False)
             return bool(sigma[c - 1] > CLEAR * size)
         d = d - np.linalg.lstsq(D, B @ d @ d, rcond=CLEAR)[0]
         d = d / np.linalg.norm(d)
@@ -227,7 +228,7 @@ def _no_zero(B: Array, t: int, rng: np.random.Generator) -> bool:
                 M[n * len(forms) : (n + 1) * len(forms), place[tuple(sorted((*m, i, j)))]] += forms[:, i, j]
     if len(M) < len(place):
         return False
-    sigma = np.linalg.svd(M, compute_uv=False)
+    sigma = svd(M, compute_uv=False)
     return bool(sigma[-1] > CLEAR * sigma[0])
 
 

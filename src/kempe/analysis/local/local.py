@@ -26,6 +26,7 @@ from kempe.kinematics.ball_angles import back, regular_chart
 from kempe.kinematics.configuration import as_q
 from kempe.model.kept import kept
 from kempe.model.tree.own_tree import own_tree
+from kempe.singular_values import svd
 from kempe.solvers.common.clock import TimeLimit
 from kempe.spatial import Array
 from kempe.words import InWords
@@ -315,6 +316,6 @@ def _kicked(equations: Equations, at: Split, rng: np.random.Generator) -> int:
     for size in SMALL_KICKS:
         found = equations.project(equations.move(at.q, size * d @ at.null_space.T), at.q)
         x = equations.offset(at.q, found.q[found.residual < follow.CLOSED]) / size
-        sigma = np.linalg.svd(x, compute_uv=False) / np.sqrt(max(len(x), 1))
+        sigma = svd(x, compute_uv=False) / np.sqrt(max(len(x), 1))
         seen.append(int(np.sum(sigma > STAYS / np.sqrt(max(at.delta, 1)))))
     return min(seen)

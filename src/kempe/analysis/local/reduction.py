@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kempe.analysis.local.local_equations import Equations
+from kempe.singular_values import svd
 from kempe.spatial import Array
 
 RANK = 1e-6
@@ -82,7 +83,7 @@ def split_all(q: Array, J: Array, tolerance: float = RANK) -> list[Split]:
     if m == 0:
         return [Split(p, np.zeros(0), np.eye(nv), np.zeros((0, 0)), np.zeros((nv, 0))) for p in q]
     out: list[Split] = []
-    for p, U, sigma, Vt in zip(q, *np.linalg.svd(J), strict=True):
+    for p, U, sigma, Vt in zip(q, *svd(J), strict=True):
         rank = int(np.sum(sigma > tolerance * max(float(sigma[0]), LEAST))) if sigma.size else 0
         inverse = (Vt[:rank].T / sigma[:rank]) @ U[:, :rank].T
         out.append(Split(p, sigma, Vt[rank:].T, U[:, rank:], inverse))
@@ -196,6 +197,6 @@ def lineality(equations: Equations, at: Split, k: int, rng: np.random.Generator)
     size = np.linalg.norm(flat, axis=1)
     g = _solve(equations, at, lines(flat / size[:, None], k), None)[0][:, k] * (size**k)[:, None]
     gradient = np.einsum("ndtc,t->ncd", g.reshape(n, delta, k + 1, at.corank), pick).reshape(-1, delta)
-    _, sigma, Vt = np.linalg.svd(gradient)
+    _, sigma, Vt = svd(gradient)
     rank = int(np.sum(sigma > 1e-4 * sigma[0]))
     return Vt[rank:].T

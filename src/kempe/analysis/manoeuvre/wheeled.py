@@ -20,6 +20,7 @@ from kempe.kinematics import closure_rows
 from kempe.kinematics.configuration import random
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.velocity.velocity import rates
+from kempe.singular_values import svd
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -285,7 +286,7 @@ def _unit(pose: PlanarPlace) -> Array:
 
 def _projection(A: Array) -> Array:
     """The projection on the space of the rows."""
-    _, s, Vt = np.linalg.svd(A, full_matrices=False)
+    _, s, Vt = svd(A, full_matrices=False)
     V = Vt[: int(np.sum(s > RANK * max(float(s.max(initial=0.0)), 1e-300)))]
     return V.T @ V
 
@@ -351,7 +352,7 @@ def _normal(
         if steering is not None and k:
             x[steering_q] = random(system, np.random.default_rng([SEED, k]))[steering_q]
         N = null_space(_rows(pose, x)[:, own] * unit[own], RANK)
-        s = np.linalg.svd(N[:3], compute_uv=False)
+        s = svd(N[:3], compute_uv=False)
         if N.shape[1] > 3 or (N.shape[1] and s[N.shape[1] - 1] < RANK):
             names = ", ".join(repr(system.structure.velocity_names[v]) for v in driven)
             raise UnsupportedError(f"{system.name}: with {pose.body!r} at rest some of {names} still turn: a manoeuvre "
@@ -364,7 +365,7 @@ def _normal(
         raise UnsupportedError(f"{system.name}: the velocity constraints let {pose.body!r} move in every direction: "
                                "no manoeuvre is needed (system.configuration_space.interpolate)")  # fmt: skip
     if counts == {1} and steering is not None:
-        _, s, Vt = np.linalg.svd(np.concatenate([N.T / unit[:3] for N in twists]))
+        _, s, Vt = svd(np.concatenate([N.T / unit[:3] for N in twists]))
         if s[2] < SAME * s[0] and s[1] > RANK * s[0]:
             return Vt[2] / unit[:3], False
         name = system.structure.velocity_names[steering]

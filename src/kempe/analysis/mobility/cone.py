@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.singular_values import svd
 from kempe.spatial import Array
 
 NOTHING = 1e-6
@@ -128,14 +129,14 @@ def _null_space(rows: Array) -> tuple[int, Array]:
     """The rank of unit rows, and an orthonormal basis (n - rank, n) of what they leave at zero."""
     if not rows.any():
         return 0, np.eye(rows.shape[1])
-    _, values, Vt = np.linalg.svd(rows)
+    _, values, Vt = svd(rows)
     rank = int(np.sum(values > NOTHING * values[0]))
     return rank, Vt[rank:]
 
 
 def _complement(rows: Array, rank: int) -> Array:
     """An orthonormal basis (rank, n) of what rows span."""
-    return np.linalg.svd(rows)[2][:rank] if rank else np.zeros((0, rows.shape[1]))
+    return svd(rows)[2][:rank] if rank else np.zeros((0, rows.shape[1]))
 
 
 def _kernel_in(rows: Array, basis: Array) -> tuple[int, Array]:
@@ -198,7 +199,7 @@ def _rays(C: Array) -> Array | None:
     if comb(k, r - 1) > MOST:
         return None
     chosen = np.array([*combinations(range(k), r - 1)], dtype=np.int64)
-    _, values, Vt = np.linalg.svd(C[chosen])
+    _, values, Vt = svd(C[chosen])
     alone = np.ones(len(chosen), dtype=bool) if r == 1 else values[:, -1] > NOTHING
     lines = Vt[alone, -1]
     both = np.concatenate([lines, -lines])

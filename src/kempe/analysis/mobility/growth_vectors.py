@@ -15,6 +15,7 @@ import numpy as np
 
 from kempe.kernels.compiled import lie_brackets
 from kempe.kinematics.velocity.velocity_rows import VelocityRows
+from kempe.singular_values import svd
 from kempe.spatial import Array
 
 ROUNDING = 30.0
@@ -87,7 +88,7 @@ def _null_space(rows: VelocityRows, q: Array, t: float, which: np.ndarray, scale
     written = np.array([rows.names[int(i)].written for i in which.tolist()], dtype=bool)
     doubtful = bool(written[gone].any())
     scaled = scaled[real] / sizes[real, None]
-    values, Vt = np.linalg.svd(scaled)[1:] if len(real) else (np.zeros(0), np.eye(n))
+    values, Vt = svd(scaled)[1:] if len(real) else (np.zeros(0), np.eye(n))
     computed = sizes[real[~written[real]]]  # scaled up, with their rounding
     small = float((computed / sizes.max(initial=1e-300)).min(initial=1.0))
     rank = int(np.sum(values > max(CONDITION, ROUNDED / small) * values[:1]))
@@ -197,7 +198,7 @@ class _GrowingSpan:
         inside = self.basis.T @ words
         rest = words - self.basis @ inside
         rest -= self.basis @ (self.basis.T @ rest)
-        U, values, _ = np.linalg.svd(rest, full_matrices=False)
+        U, values, _ = svd(rest, full_matrices=False)
         bound = float(np.max(noise + self.rounding @ np.abs(inside))) * np.sqrt(words.shape[1])
         error = max(self.least, max(self.shares[-2:]) * bound)
         rank = int(np.sum(values > ROUNDING * error))

@@ -18,6 +18,7 @@ from kempe.analysis.continuation.continuation import Closure, close
 from kempe.errors import UnsupportedError
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.velocity.velocity import rates
+from kempe.singular_values import svd
 from kempe.solvers.common.clock import BROKEN_OFF, TimeLimit
 from kempe.solvers.common.slip import slip_of
 from kempe.solvers.common.tracing import RANK
@@ -116,7 +117,7 @@ class _Follow:
         J = self.closure.matrix(q)[: self.loops]
         M = np.concatenate([J, np.eye(len(unit))[self.index]])
         wanted = np.concatenate([np.zeros(len(J)), np.append(speeds, self.held) / unit[self.index]])
-        U, s, Vt = np.linalg.svd(M)
+        U, s, Vt = svd(M)
         rank = int(np.sum(s > RANK))
         z = Vt[:rank].T @ ((U.T @ wanted)[:rank] / s[:rank])
         if np.abs(M @ z - wanted).max(initial=0.0) > MISS * max(1.0, float(np.abs(wanted).max(initial=0.0))):
@@ -125,7 +126,7 @@ class _Follow:
         N = Vt[rank:].T
         if not N.shape[1]:
             return z
-        _, s, Vt = np.linalg.svd(A @ N)
+        _, s, Vt = svd(A @ N)
         free = int(np.sum(s > RANK))
         if free < N.shape[1]:
             loose = Vt[free:] @ N.T

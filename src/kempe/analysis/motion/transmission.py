@@ -25,6 +25,7 @@ from kempe.joints import P, R
 from kempe.kinematics.common.result import Cells, Report
 from kempe.kinematics.configuration import as_q
 from kempe.reals import reals
+from kempe.singular_values import svd
 from kempe.solvers.assembly.ideal import said, tolerant
 from kempe.solvers.common.slip import hard_rows, rolls
 from kempe.solvers.common.tracing import RANK
@@ -135,7 +136,7 @@ def loop_jacobian(
             for kind, n in kinds
         ])  # fmt: skip
         nullity[i] = free.shape[1]
-        U, s, Vt = np.linalg.svd(free[index])
+        U, s, Vt = svd(free[index])
         rank[i] = int(np.sum(s > RANK))
         margin[i] = s[len(index) - 1] if len(s) >= len(index) else 0.0
         rest = out @ Vt[rank[i] :].T
@@ -214,11 +215,11 @@ def mechanical_advantage(
     for k in np.ndindex(out.shape):
         motion = allowed(closure, q[k]) * closure.unit[:, None]
         if others:
-            _, s, Vt = np.linalg.svd(motion[others])
+            _, s, Vt = svd(motion[others])
             motion = motion @ Vt[int(np.sum(s > RANK)) :].T
         far = motion[angle_or_slide(system, name)] if kind == "joint" else (
             push / np.linalg.norm(push) @ system.jacobian(q[k], name)[:3] @ motion)  # fmt: skip
-        s, Vt = np.linalg.svd(np.vstack([motion[i] / closure.unit[i], far]))[1:]
+        s, Vt = svd(np.vstack([motion[i] / closure.unit[i], far]))[1:]
         if not len(s) or s[0] < RANK or (len(s) > 1 and s[1] > RANK * max(s[0], 1.0)):
             continue
         near, far = motion[i] @ Vt[0], far @ Vt[0]

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 
+from kempe.singular_values import svd
 from kempe.solvers.common.clock import TimeLimit
 from kempe.spatial import Array
 
@@ -262,7 +263,7 @@ def nearest_inside(v: Array, N: Array, w: Array) -> Array | None:
     for count in range(1, len(v) + 1):
         for some in itertools.combinations(range(len(N)), count):
             A: Array = unit[list(some)]
-            if np.linalg.svd(A, compute_uv=False)[-1] < 1e-9:
+            if svd(A, compute_uv=False)[-1] < 1e-9:
                 continue
             push = np.linalg.solve(A @ A.T, -A @ v - w[list(some)])
             x = v + A.T @ push

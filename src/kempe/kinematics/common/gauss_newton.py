@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kempe.singular_values import svd
 from kempe.spatial import Array
 
 CUT = 1e-9
@@ -80,7 +81,7 @@ def least_squares_of_many(A: Array, b: Array, cut: float = CUT) -> Array:
 
 def damped_least_squares(A: Array, b: Array, damping: float) -> Array:
     """The vector y (n,) that minimises |A y - b|^2 + damping |y|^2."""
-    U, s, Vt = np.linalg.svd(A, full_matrices=False)
+    U, s, Vt = svd(A, full_matrices=False)
     return Vt.T @ (s / (s * s + damping) * (U.T @ b))
 
 

@@ -27,6 +27,7 @@ from kempe.kinematics.common.gauss_newton import gauss_newton
 from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import as_q
 from kempe.reals import plain
+from kempe.singular_values import svd
 from kempe.solvers.assembly.assembled import Assembly
 from kempe.solvers.assembly.assembler import TOLERANCE
 from kempe.solvers.assembly.assembly import assemble
@@ -189,7 +190,7 @@ class Chart(Report):
         if any(np.linalg.norm(way[i : i + 3]) > FARTHEST for i in own):
             return 0.0
         rates = self._rates(q, self.independent) * scale / scale[self._rows(), None]
-        return float(np.linalg.svd(rates @ N, compute_uv=False).min(initial=1.0)) if self.dim else 1.0
+        return float(svd(rates @ N, compute_uv=False).min(initial=1.0)) if self.dim else 1.0
 
     def valid(self, q: Any) -> bool:
         """Whether the chart can still be used at the closed configuration q (nq,)."""
@@ -326,7 +327,7 @@ def tangent_space(system: System, q: Any, dim: int | None = None) -> tuple[Array
     error, J = evaluate(system, q, True, True)
     if not np.linalg.norm(error) <= 10.0 * TOLERANCE:
         raise InputError(f"q is not closed: the loops' equations are off by {np.linalg.norm(error):.3g}; use assemble")
-    U, values, Vt = np.linalg.svd(J, full_matrices=True)
+    U, values, Vt = svd(J, full_matrices=True)
     rank = int((values > RANK_TOLERANCE * max(1.0, values.max(initial=0.0))).sum())
     N, scale = Vt[rank:].T, scales(system)
     if rank < len(J) and 1 < N.shape[1] != dim:
@@ -336,7 +337,7 @@ def tangent_space(system: System, q: Any, dim: int | None = None) -> tuple[Array
 
 def _quality(N: Array, rows: list[int]) -> float:
     """The smallest singular value of these rows of an orthonormal basis."""
-    return float(np.linalg.svd(N[rows], compute_uv=False).min(initial=1.0)) if rows else 1.0
+    return float(svd(N[rows], compute_uv=False).min(initial=1.0)) if rows else 1.0
 
 
 def _worst(p: int, n: int) -> float:

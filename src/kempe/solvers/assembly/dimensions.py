@@ -17,6 +17,7 @@ from kempe.model.closures.packed_loops import PackedLoops, loops_of, plane_norma
 from kempe.model.tree.characteristic_length import as_large_as, characteristic_length
 from kempe.model.tree.own_tree import own_tree
 from kempe.placement import Placement, place
+from kempe.singular_values import svd
 from kempe.solvers.common.clock import TimeLimit
 from kempe.spatial import Array
 
@@ -162,7 +163,7 @@ class Valley:
     def at(self, q: Array) -> tuple[Array, Array, Array, Array]:
         """Residual (m,), left vectors (m, m), singular values (rank + 1 or rank,), right vectors (n, n) at q (nq,)."""
         f, J = evaluate(self.system, q, True, True)
-        U, s, Vt = np.linalg.svd(J)
+        U, s, Vt = svd(J)
         return f, U, s, Vt
 
     def converge(self, q: Array, rounds: int = 12) -> Array:
@@ -170,7 +171,7 @@ class Valley:
         r, system = self.rank, self.system
 
         def step(q: Array, f: Array, J: Array) -> Array:
-            U, s, Vt = np.linalg.svd(J)
+            U, s, Vt = svd(J)
             return -Vt[:r].T @ ((U[:, :r].T @ f) / np.maximum(s[:r], 1e-300))
 
         return gauss_newton(lambda q: evaluate(system, q, True, True), q, rounds, step=step, last=1e-13, longest=0.3,
@@ -181,7 +182,7 @@ class Valley:
         r, system = self.rank, self.system
 
         def step(f: Array, J: Array) -> Array:
-            U, s, Vt = np.linalg.svd(J)
+            U, s, Vt = svd(J)
             part = (np.swapaxes(U[..., :r], -1, -2) @ f[..., None])[..., 0] / np.maximum(s[..., :r], 1e-300)
             return -(np.swapaxes(Vt[..., :r, :], -1, -2) @ part[..., None])[..., 0]
 
@@ -208,7 +209,7 @@ class Valley:
         """Regular configurations some way along the valley from q (N, nq)."""
         if self.rank == self.system.nv:
             return []
-        ways = np.linalg.svd(evaluate(self.system, q, True, True)[1])[2][:, -1]
+        ways = svd(evaluate(self.system, q, True, True)[1])[2][:, -1]
         found = self.converge_all(self.system.structure.layout.integrate(q, 0.37 * STRIDE * self.scale * ways))
         return [x for x in found if np.isfinite(x).all() and self.regular(x)]
 
@@ -286,12 +287,12 @@ def _fit(
         before.append(left)
         if np.abs(p - at).max() > 1e-6:
             P, at = shape.derivative(p, q), p
-        U = np.linalg.svd(J)[0][:, :, rank:]
+        U = svd(J)[0][:, :, rank:]
         G = np.concatenate([*(np.swapaxes(U, -1, -2) @ P), H])
         g = np.concatenate([*(np.swapaxes(U, -1, -2) @ F[..., None])[..., 0], h])
         if not U.size:  # no equation too many
             return p, q, np.inf
-        L, s, Rt = np.linalg.svd(G, full_matrices=False)
+        L, s, Rt = svd(G, full_matrices=False)
         least = LEAST if left < LITTLE and k < SOON else LATE
         damping = max(least, damped * left) * max(float(s[0]), 1e-300)
         p = p - Rt.T @ (s * (L.T @ g) / (s * s + damping * damping))
@@ -300,7 +301,7 @@ def _fit(
 
 def moves(valley: Valley, q: Array) -> bool:
     """Whether the equations have no more than their rank at all configurations q (N, nq)."""
-    s = np.linalg.svd(evaluate(valley.system, q, True, True)[1], compute_uv=False)
+    s = svd(evaluate(valley.system, q, True, True)[1], compute_uv=False)
     few = valley.rank < valley.system.nv and s.shape[-1] > valley.rank
     return not (few and np.any(s[:, valley.rank] > ZERO * s[:, 0]))
 

@@ -9,6 +9,7 @@ import numpy as np
 from kempe.kinematics.configuration import has_loops
 from kempe.model.kept import kept
 from kempe.model.tree.own_tree import own_tree
+from kempe.singular_values import svd
 from kempe.spatial import Array, skew
 
 if TYPE_CHECKING:
@@ -87,11 +88,11 @@ def idle_part(system: System, q: Array, N: Array, scale: Array, spins: tuple[Spi
             keeps = np.concatenate([J[:3] - skew(arm) @ J[3:], skew(line) @ J[3:]])
             rows = _nothing(np.concatenate([N[~spin.moves], keeps @ (scale[:, None] * N)]))
         found.append(rows)
-    _, sizes, V = np.linalg.svd(np.concatenate(found), full_matrices=False)
+    _, sizes, V = svd(np.concatenate(found), full_matrices=False)
     return V[sizes > ZERO].T
 
 
 def _nothing(A: Array) -> Array:
     """A basis (k, p) of what a matrix (n, p) makes nothing of."""
-    _, sizes, V = np.linalg.svd(A, full_matrices=True)
+    _, sizes, V = svd(A, full_matrices=True)
     return V[int(np.sum(sizes > ZERO)) :]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.kinematics.closure_rows import evaluate
+from kempe.singular_values import svd
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ def moving(system: System, q: Array, left: Array, null_space: Array, scale: Arra
     if not np.abs(_change(system, q, left, null_space, scale, some)).max() > VANISHES:
         return null_space
     blocks = _change(system, q, left, null_space, scale, np.eye(null_space.shape[1]))
-    _, sizes, V = np.linalg.svd(blocks.reshape(-1, null_space.shape[1]))
+    _, sizes, V = svd(blocks.reshape(-1, null_space.shape[1]))
     shaky = int(np.sum(sizes > VANISHES))
     if not 0 < shaky < null_space.shape[1] or system.mobility(q).dof != null_space.shape[1] - shaky:
         return null_space

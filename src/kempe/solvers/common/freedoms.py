@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kempe.kinematics.common.gauss_newton import damped_least_squares, gauss_newton
+from kempe.singular_values import svd
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -107,7 +108,7 @@ class Local:
         r, J = self._own(*self.equations(q, tasks))
         if not J.size:
             return self.spread(np.eye(J.shape[1])), True
-        U, s, Vt = np.linalg.svd(J)
+        U, s, Vt = svd(J)
         error = max(float(np.linalg.norm(r)), ROUNDING)
         rank = int((s > RANK_TOLERANCE * max(1.0, s[0])).sum())
         while rank and s[rank - 1] ** 2 <= 2.0 * SAME * error * STEEPEST:
@@ -171,7 +172,7 @@ class Local:
         if independent or basis.shape[1] == 1:
             return basis.shape[1]
         landed = self._landed(there, basis, tuple(0.1 * h for h in LENGTHS))
-        return int((np.linalg.svd(landed, compute_uv=False) > 0.1).sum()) if len(landed) else 0
+        return int((svd(landed, compute_uv=False) > 0.1).sum()) if len(landed) else 0
 
     def _landed(self, q: Array, basis: Array, lengths: tuple[float, ...]) -> Array:
         """Directions (n, nv) in which steps from q along a null space stay away from it when they are led back."""
@@ -216,5 +217,5 @@ def null(J: Array) -> Array:
     """Orthonormal basis (n, k) of the null space of J (m, n)."""
     if not J.size:
         return np.eye(J.shape[1])
-    _, s, Vt = np.linalg.svd(J, full_matrices=True)
+    _, s, Vt = svd(J, full_matrices=True)
     return Vt[int((s > RANK_TOLERANCE * max(1.0, s.max(initial=0.0))).sum()) :].T

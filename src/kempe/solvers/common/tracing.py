@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from kempe.kinematics.common.gauss_newton import LARGE, GaussNewtonEnd, gauss_newton, least_squares
+from kempe.singular_values import svd
 from kempe.spatial import Array
 
 RANK = 1e-8
@@ -97,7 +98,7 @@ class Node:
 def node(equations: Curve, x: Array, toward: Array | None = None, J: Array | None = None) -> Node:
     """The `Node` at a point of the curve; its tangent is the null vector nearest to `toward` (n,)."""
     J = equations.matrix(x) if J is None else J
-    U, s, Vt = np.linalg.svd(J, full_matrices=False)
+    U, s, Vt = svd(J, full_matrices=False)
     n = equations.n
     scale = s[0] if s[0] > 0.0 else 1.0
     nullity = int(np.sum(s <= RANK * scale))

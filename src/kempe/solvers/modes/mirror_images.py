@@ -16,6 +16,7 @@ from kempe.description.parts import Declared
 from kempe.kinematics.forward import fk
 from kempe.model.closures.packed_loops import characteristic_length
 from kempe.model.kept import kept
+from kempe.singular_values import svd
 from kempe.solvers.assembly.poses import coordinates_at
 from kempe.spatial import Array
 
@@ -86,7 +87,7 @@ def _plane(system: System) -> tuple[Array, Array] | None:
     if not len(points):
         return None
     center = points.mean(axis=0)
-    _, sizes, V = np.linalg.svd((points - center)[:, :dim])
+    _, sizes, V = svd((points - center)[:, :dim])
     if len(sizes) == dim and sizes[-1] > FLAT * characteristic_length(system):
         return None
     return center, np.append(V[-1], np.zeros(3 - dim))
@@ -105,7 +106,7 @@ def _fitted(system: System, body: int, points: Array, image: Array, poses: Array
     dim = system.dim
     scale = np.linalg.norm(H, axis=(1, 2), keepdims=True)
     old = np.swapaxes(poses[:, :dim, :dim], 1, 2)  # where the points leave a turn open it stays small
-    U, _, V = np.linalg.svd(H[:, :dim, :dim] + 1e-9 * np.maximum(scale, 1e-300) * old)
+    U, _, V = svd(H[:, :dim, :dim] + 1e-9 * np.maximum(scale, 1e-300) * old)
     flip = np.linalg.det(U @ V)
     U[:, :, -1] *= flip[:, None]
     R = np.swapaxes(U @ V, 1, 2)

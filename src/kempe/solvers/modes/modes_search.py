@@ -26,6 +26,7 @@ from kempe.kinematics.closure_rows import RANK_TOLERANCE, evaluate
 from kempe.kinematics.configuration import home_of, random
 from kempe.model.tree.coordinates import distinct
 from kempe.model.tree.own_tree import own_tree
+from kempe.singular_values import svd
 from kempe.solvers.assembly.assembler import Assembler, of_equations
 from kempe.solvers.common.clock import BROKEN_OFF, TimeLimit
 from kempe.solvers.modes.mirror_images import mirrored, mixed
@@ -269,13 +270,13 @@ def freedoms(system: System, bound: Assembler, known: dict[str, Any], clusters: 
     if not len(q):
         return out
     J = evaluate(system, q, True, True)[1][..., free]
-    values = np.linalg.svd(J, compute_uv=False)
+    values = svd(J, compute_uv=False)
     ranks = (values > RANK_TOLERANCE * np.maximum(1.0, values.max(axis=-1, initial=0.0))[:, None]).sum(axis=-1)
     owner: list[int] = []
     kicks: list[Array] = []
     sizes: list[float] = []
     loose = np.arange(len(q)) if bound.frames else np.flatnonzero(ranks < len(free))
-    spaces = np.linalg.svd(J[loose])[2] if len(loose) and not bound.frames else J[loose]
+    spaces = svd(J[loose])[2] if len(loose) and not bound.frames else J[loose]
     for k, space in zip(loose.tolist(), spaces, strict=True):
         if bound.frames:
             null_space, size = np.random.default_rng(0).normal(size=(2, len(free))), np.ones(2)
@@ -305,7 +306,7 @@ def _moving(system: System, clusters: Clusters, q: Array, free: list[int], null_
     scale = clusters.metric.scale[free]
     J = np.concatenate([system.jacobian(q, f)[:, free] * scale for f in clusters.frames])
     J.reshape(-1, 6, len(free))[:, :3] /= clusters.metric.length
-    _, sizes, V = np.linalg.svd(J @ null_space.T)
+    _, sizes, V = svd(J @ null_space.T)
     moving = sizes > RANK_TOLERANCE * 1e2
     return V[: len(sizes)][moving] @ null_space, sizes[moving]
 
@@ -328,7 +329,7 @@ def must_be_even(s: ModesSearch) -> bool:
     J = evaluate(system, s.clusters.q, True, True)[1][..., free]
     if J.shape[1] + len(s.spins) != J.shape[2] or not J.size or not all(_rigid(s, f) for f in s.spins):
         return False
-    values = np.linalg.svd(J, compute_uv=False)
+    values = svd(J, compute_uv=False)
     if np.any(values[:, -1] < REGULAR * values[:, 0]):
         return False
     return all(metric.period[i] > 0.0 or _round(system, i) or _tied(system, i) for i in free)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kempe.errors import InputError
+from kempe.singular_values import svd
 from kempe.solvers.common.targets import Z_AXIS, frame_of
 from kempe.solvers.one_frame.solution import Solution
 from kempe.spatial import Array
@@ -49,5 +50,5 @@ def derivative(solution: Solution) -> Array:
 
 def _rank(J: Array, whole: Array) -> np.ndarray:
     """Ranks (...) of Jacobians, counted against the largest singular value of the whole ones."""
-    most = np.linalg.svd(whole, compute_uv=False).max(axis=-1, initial=0.0)
-    return (np.linalg.svd(J, compute_uv=False) > RANK_TOLERANCE * most[..., None]).sum(axis=-1)
+    most = svd(whole, compute_uv=False).max(axis=-1, initial=0.0)
+    return (svd(J, compute_uv=False) > RANK_TOLERANCE * most[..., None]).sum(axis=-1)

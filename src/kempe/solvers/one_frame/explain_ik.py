@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from kempe.model.immovable import immovable
+from kempe.singular_values import svd
 from kempe.solvers.common import wording
 from kempe.solvers.common.proofs import Evidence, evidence, lengths
 from kempe.solvers.common.serial_chain import Chain, chain_of, slides_of
@@ -122,7 +123,7 @@ def _rows(task: FrameProblem, q: Array, tolerance: float) -> int:
     J = J[:, [i for i, used in enumerate(task.mask) if used]]
     if J.shape[-1] == 0:
         return 0
-    values = np.linalg.svd(J, compute_uv=False)
+    values = svd(J, compute_uv=False)
     return int((values > tolerance * values[:, :1]).sum(axis=1).max())
 
 

@@ -18,6 +18,7 @@ from kempe.kernels.base.search_layout import SOLVED
 from kempe.kinematics.tasks.packed import refuse
 from kempe.reals import reals
 from kempe.rigid import arrays, sound
+from kempe.singular_values import svd
 from kempe.solvers.assembly.assembly import assemble
 from kempe.solvers.common import wording
 from kempe.solvers.common.answer import Configurations
@@ -221,9 +222,9 @@ class _FollowedPath(PathSteps):
         other = assemble(self.system, start=near)
         for x in (q, other.q) if other.success else ():
             J = self.missing(problem, x)[1]
-            U, s, _ = np.linalg.svd(J)
+            U, s, _ = svd(J)
             tasks = len(J) - len(names)
-            alone = np.linalg.svd(J[:tasks], compute_uv=False)
+            alone = svd(J[:tasks], compute_uv=False)
             if s[-1] > SAME * s[0] or len(J) > J.shape[1] or alone[-1] < SINGULAR * alone[0]:
                 return ""
             name = names[int(np.argmax(np.abs(U[tasks:, -1])))]

@@ -14,6 +14,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.kernels.base.search_layout import SOLVED
+from kempe.singular_values import svd
 from kempe.solvers.common.clock import TimeLimit
 from kempe.solvers.common.serial_chain import inside
 from kempe.solvers.tasks.ik_tasks import Demands, judge
@@ -101,7 +102,7 @@ class PathSteps:
         e, J = self.missing(problem, q)
         if not J.size:
             return Order(np.zeros(self.system.nv), 1.0, np.zeros(self.system.nv), 0.0)
-        U, s, Vt = np.linalg.svd(J, full_matrices=False)
+        U, s, Vt = svd(J, full_matrices=False)
         part = s / (s * s + DAMPING**2)
         if weak:
             part[s < weak * s[0]] = 0.0
@@ -216,7 +217,7 @@ class PathSteps:
         pull[v] = (1.0 / low**2 - 1.0 / high**2) / wide * self.scale[v]
         pull[v[np.isin(at, np.flatnonzero(apart(self.problem.packed, self.problem.pins)))]] = 0.0
         J = self.missing(self.rows[i], q)[1]
-        _, s, Vt = np.linalg.svd(J, full_matrices=True)
+        _, s, Vt = svd(J, full_matrices=True)
         N = Vt[int(np.sum(s > 1e-6 * s.max(initial=0.0))) :]
         way = N.T @ (N @ pull)
         size = float(np.linalg.norm(way))

@@ -10,6 +10,7 @@ import numpy as np
 from kempe.errors import InputError
 from kempe.kinematics.tasks.derivatives import REAL_STEP, checked_value, jacobian_of, way_of
 from kempe.model.closures.callback import Callback
+from kempe.singular_values import svd
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def log_manipulability(problem: Demands, q: Array) -> Array:
     C = packed.evaluate(q, problem.pins, closures=True)[1]
     if C.shape[-2]:
         J = J - J @ np.linalg.pinv(C, rcond=1e-9) @ C
-    s = np.linalg.svd(J, compute_uv=False)
+    s = svd(J, compute_uv=False)
     return 0.5 * np.sum(np.log(s * s + SMALL), axis=-1)
 
 

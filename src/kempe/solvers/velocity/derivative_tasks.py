@@ -12,6 +12,7 @@ from kempe.errors import InputError, UnsupportedError
 from kempe.kernels.base.search_layout import AHEAD, NOTHING
 from kempe.kinematics.tasks.derivatives import REAL_STEP
 from kempe.kinematics.tasks.task import Goals
+from kempe.singular_values import svd
 from kempe.solvers.one_frame.derivative import AT_LIMIT
 from kempe.solvers.tasks.reached import Reached
 from kempe.solvers.velocity.servo_closed import ends_of_rows
@@ -143,7 +144,7 @@ def _free(problem: Demands, q: Array, H: Array) -> np.ndarray:
     if free.all() or not len(H):
         return free
     most = float(np.linalg.norm(H, 2))
-    ranks = [int((np.linalg.svd(A, compute_uv=False) > RANK * most).sum()) for A in (H, H[:, free])]
+    ranks = [int((svd(A, compute_uv=False) > RANK * most).sum()) for A in (H, H[:, free])]
     return free if ranks[0] == ranks[1] else np.ones(system.nv, dtype=bool)
 
 

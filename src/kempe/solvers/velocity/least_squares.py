@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kempe.singular_values import svd
 from kempe.solvers.common.freedoms import null
 from kempe.spatial import Array
 
@@ -109,7 +110,7 @@ class Wish(NamedTuple):
 
 def wish(A: Array, b: Array, damping: float, near: float | None = NEAR, more: float = 0.0) -> Wish:
     """The solution of `damped` without bounds; `more` damps all directions."""
-    U, s, Vt = np.linalg.svd(A, full_matrices=True)
+    U, s, Vt = svd(A, full_matrices=True)
     most = float(s[0]) if len(s) else 0.0
     seen = s > FLAT * most
     if near is None:
@@ -136,7 +137,7 @@ def scaled(
     inside = np.minimum(np.maximum(0.0, low), high) if G is None else np.zeros(n)
     if not size or inside.any() or not n:
         return inside
-    U, s, Vt = np.linalg.svd(A, full_matrices=True)
+    U, s, Vt = svd(A, full_matrices=True)
     k, most = len(s), float(s[0])
     near, G = near or NEAR * (most or 1.0), np.eye(n) if G is None else G
     along = U[:, :k].T @ b

@@ -19,6 +19,7 @@ from kempe.errors import InputError
 from kempe.kinematics.closure_rows import evaluate, full
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.velocity.velocity import row_names
+from kempe.singular_values import svd
 from kempe.solvers.assembly.ideal import ideal_of
 from kempe.solvers.common.freedoms import null
 from kempe.solvers.common.slip import at_rest, hard_rows, rolls
@@ -475,7 +476,7 @@ def convex(H: Array, pull: Array, J: Array, damping: float) -> tuple[Array, Arra
 
     What damping the equations J would have is added.
     """
-    _, s, Vt = np.linalg.svd(J, full_matrices=True)
+    _, s, Vt = svd(J, full_matrices=True)
     s = np.concatenate([s, np.zeros(len(Vt) - len(s))]) / max(float(s.max(initial=0.0)), 1e-300)
     weak = damping * np.sqrt(np.maximum(1.0 - (s / NEAR) ** 2, 0.0)) * float(np.linalg.norm(J, 2))
     values, V = np.linalg.eigh(H + (Vt.T * weak**2) @ Vt)

@@ -20,6 +20,7 @@ from kempe.kinematics.closure_rows import RANK_TOLERANCE
 from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import has_loops, random, winding_angles
 from kempe.kinematics.one_sided import one_sided_rows
+from kempe.singular_values import svd
 from kempe.solvers.assembly.idle import moved_by_spins
 from kempe.solvers.common.arguments import start_count
 from kempe.solvers.common.clock import TIME_LIMIT, TimeLimit, TimeUp, partial
@@ -351,7 +352,7 @@ def _traced(
 def _of_one_freedom(system: System, q: Array, dof: int) -> tuple[Array, frozenset[int]]:
     """Those of configurations (k, nq) at which the rank leaves `dof` freedoms, or as few as anywhere, and the true
     numbers of others."""  # fmt: skip
-    s = np.linalg.svd(Manifold(system, 1).equations(q)[1], compute_uv=False)
+    s = svd(Manifold(system, 1).equations(q)[1], compute_uv=False)
     left = system.nv - (s > RANK_TOLERANCE * s.max(axis=1, initial=1.0, keepdims=True)).sum(axis=1)
     most = max(dof, int(left.min(initial=system.nv)))
     others = {system.mobility(q[left == k][0]).dof or 0 for k in np.unique(left) if k > most}

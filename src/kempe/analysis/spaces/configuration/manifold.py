@@ -15,6 +15,7 @@ from kempe.kinematics import closure_rows
 from kempe.kinematics.common.gauss_newton import gauss_newton_of_many, least_squares_of_many
 from kempe.kinematics.configuration import by_short_turns, circles, random
 from kempe.kinematics.one_sided import one_sided_rows
+from kempe.singular_values import svd
 from kempe.solvers.modes.same_configuration import metric_of
 from kempe.spatial import Array
 
@@ -90,7 +91,7 @@ class Manifold:
             return Frames(
                 Q[..., rank:], Q[..., :rank], size.min(axis=1) > REGULAR * np.maximum(size.max(axis=1), 1e-300)
             )
-        _, s, Vt = np.linalg.svd(J, full_matrices=True)
+        _, s, Vt = svd(J, full_matrices=True)
         least = REGULAR * np.maximum(s[:, 0], 1e-300)
         regular = s[:, rank - 1] > least
         if s.shape[1] > rank:

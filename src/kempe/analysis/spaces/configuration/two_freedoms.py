@@ -27,6 +27,7 @@ from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.configuration import by_short_turns, circles, has_loops, sampling_box
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.tasks.packed import Packed
+from kempe.singular_values import svd
 from kempe.solvers.assembly.charts import tangent_space
 from kempe.solvers.common.clock import TimeLimit
 from kempe.solvers.dyads.dyads import Incomplete, Plan, closed_form
@@ -371,7 +372,7 @@ def _pair(system: System) -> tuple[str, ...]:
     names, pairs = system.structure.velocity_names, list(_pairs(system))
     at = [[names.index(n) for n in pair] for pair in pairs]
     # the area that rates of two coordinates span: what spins idly adds nothing
-    areas = [float(np.median([np.prod(np.linalg.svd(x[i], compute_uv=False)[:2]) for x in N])) for i in at]
+    areas = [float(np.median([np.prod(svd(x[i], compute_uv=False)[:2]) for x in N])) for i in at]
     ended = circles(system) | (np.isfinite(system.lower) & np.isfinite(system.upper))
     driving = set(pairs[0]) == {names[i] for i in driven(system, None) or ()}
     good = [k for k, x in enumerate(areas) if x > (FLAT if driving and k == 0 else max(SETS * max(areas), FLAT))]

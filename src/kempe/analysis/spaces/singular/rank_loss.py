@@ -17,6 +17,7 @@ import numpy as np
 
 from kempe.kinematics import closure_rows
 from kempe.kinematics.common.gauss_newton import gauss_newton_of_many
+from kempe.singular_values import svd
 from kempe.solvers.assembly.idle import not_spun, spin_rates
 from kempe.spatial import Array
 
@@ -101,7 +102,7 @@ class RankLoss:
     def null_vectors(self, q: Array) -> Array:
         """Orthonormal bases V (k, n, d) of what the matrices at q (k, nq) lead to the least."""
         A = self._transposed(self.matrices(q))
-        return np.swapaxes(np.linalg.svd(A)[2][:, self.rank - 1 :], 1, 2)
+        return np.swapaxes(svd(A)[2][:, self.rank - 1 :], 1, 2)
 
     def _products(self, q: Array, V: Array, steps: Array) -> Array:
         """The matrices at steps (nv, nv) from q (k, nq), times V (k, n, d): (k, nv, m, d)."""
@@ -186,7 +187,7 @@ class RankLoss:
 
     def least(self, q: Array) -> Array:
         """The singular values (k,) at q (k, nq) that are zero in the set, as parts of the largest."""
-        s = np.linalg.svd(self.matrices(q), compute_uv=False)
+        s = svd(self.matrices(q), compute_uv=False)
         return s[:, self.rank - 1] / np.maximum(s[:, 0], 1e-300) if self.rank else np.zeros(len(q))
 
     def tangents(self, q: Array) -> Array:
@@ -197,13 +198,13 @@ class RankLoss:
         nv = self.system.nv
         V = self.null_vectors(q[None])
         J = self.equations(q[None], V, V)[1][0]
-        _, s, Vt = np.linalg.svd(J)
+        _, s, Vt = svd(J)
         null_space = Vt[int(np.sum(s > FLAT * max(s[0], 1.0))) :, :nv].T
-        U, s, _ = np.linalg.svd(null_space, full_matrices=False)
+        U, s, _ = svd(null_space, full_matrices=False)
         return U[:, s > FLAT]
 
 
 def generic_rank(A: Array) -> int:
     """The largest rank of matrices (k, m, n)."""
-    s = np.linalg.svd(A, compute_uv=False)
+    s = svd(A, compute_uv=False)
     return int((s > ZERO * np.maximum(s[:, :1], 1e-300)).sum(axis=1).max(initial=0))

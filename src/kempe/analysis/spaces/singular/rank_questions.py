@@ -22,6 +22,7 @@ from kempe.constraints.flat_tasks import DIRECTION, PLANES
 from kempe.errors import InputError
 from kempe.kinematics import closure_rows
 from kempe.kinematics.configuration import random
+from kempe.singular_values import svd
 from kempe.solvers.common.targets import twist_rows
 from kempe.spatial import Array
 from kempe.words import counted
@@ -80,7 +81,7 @@ class RankQuestions:
         self.twists = np.eye(len(self.rows))
         if frame is not None:
             seen = self.task_jacobians(self.starts).swapaxes(1, 2).reshape(-1, len(self.rows))
-            _, s, Vt = np.linalg.svd(seen, full_matrices=False)
+            _, s, Vt = svd(seen, full_matrices=False)
             self.twists = Vt[: int(np.sum(s > ZERO * max(s.max(initial=0.0), 1e-300)))].T
             if not self.twists.size:
                 raise InputError(f"frame {frame!r} of {system.name} does not move: nothing of it can be lost")
@@ -199,7 +200,7 @@ class RankQuestions:
         if self.frame is not None:
             J = self.task_jacobians(q[None])[0]
             B = null_space((self.twists.T @ self._axes(q))[None], ZERO) if self.of_axis else np.eye(len(J))
-            U, _, Vt = np.linalg.svd(B.T @ J @ N)
+            U, _, Vt = svd(B.T @ J @ N)
             rank = _rank(J @ N, J)
             lost = self.in_si(B @ U[:, rank:]) if rank < self.frame_rank else none
             still = (N @ Vt[rank:].T).T * self.unit
@@ -207,7 +208,7 @@ class RankQuestions:
         if self.loops and self.inputs is not None:
             free = null_space(self._with_inputs(q[None])[0], ZERO)
             if self.frame is not None:
-                W, s, _ = np.linalg.svd(J @ free, full_matrices=False)
+                W, s, _ = svd(J @ free, full_matrices=False)
                 gained = self.in_si(W[:, s > ZERO])
         if CONSTRAINT in kinds:
             kinds = [CONSTRAINT, *(k for k in kinds if k != CONSTRAINT)]
@@ -229,4 +230,4 @@ def _led_inside(system: System, q: Array) -> Array:
 
 def _rank(A: Array, whole: Array) -> int:
     """The rank of what is left of a `whole` matrix."""
-    return int(np.sum(np.linalg.svd(A, compute_uv=False) > ZERO * max(np.linalg.norm(whole, 2), 1e-300)))
+    return int(np.sum(svd(A, compute_uv=False) > ZERO * max(np.linalg.norm(whole, 2), 1e-300)))

@@ -13,6 +13,7 @@ from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.closed_form.analytic_layout import AT_REST, COUPLED, PLANE, POINT, X_FIRST
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.model.immovable import immovable
+from kempe.singular_values import svd
 from kempe.solvers.analytic.answers.families import EXACT, Family
 from kempe.solvers.analytic.answers.nearest import aim_of, fixed_joints, held_coordinates, nearest
 from kempe.solvers.analytic.plans.plan import ChainPlan, carried_lines, free_lines
@@ -339,7 +340,7 @@ def _conditions(family: Family) -> list[tuple[str, float]]:
         other = theta.copy()
         other[i] += PERTURBED
         J = motion.linear(other)[1][:, at]
-        if J.shape[0] >= len(at) and np.linalg.svd(J, compute_uv=False)[-1] > CONDITION:
+        if J.shape[0] >= len(at) and svd(J, compute_uv=False)[-1] > CONDITION:
             x = float(family.q[0, lines.q_index[i]])
             out.append((names[int(i)], 0.0 if abs(x) < AT_ZERO and not motion.aim.slides[i] else x))
     return out

@@ -14,6 +14,7 @@ from kempe.calls import explained_methods
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.reals import reals
+from kempe.singular_values import svd
 from kempe.solvers.analytic.answers.family_curves import TolerantMotion
 from kempe.solvers.analytic.answers.family_points import SINGULAR
 from kempe.solvers.analytic.answers.nearest import Aim, aim_of, held_coordinates
@@ -215,7 +216,7 @@ def families_of(solutions: Solutions, index: int) -> tuple[list[Family], np.ndar
         return [], row_family
     J = motion.shift @ J if len(motion.shift) else J
     if J.shape[1] >= J.shape[2]:
-        weak = np.linalg.svd(J, compute_uv=False)[:, -1] < SINGULAR
+        weak = svd(J, compute_uv=False)[:, -1] < SINGULAR
         rows, theta = rows[weak], theta[weak]
     base = solutions._base[index if len(solutions._base) > 1 else 0]
     families: list[Family] = []

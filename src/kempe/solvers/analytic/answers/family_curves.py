@@ -10,6 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from kempe.kinematics.common.gauss_newton import GaussNewtonEnd, gauss_newton, least_squares
+from kempe.singular_values import svd
 from kempe.solvers.analytic.answers.family_points import CORRECTIONS, DIRECTIONS, SINGULAR, Points
 from kempe.solvers.common.tracing import NONE, Curve, Node, step, walk
 from kempe.spatial import Array
@@ -117,7 +118,7 @@ class TolerantMotion(Points, Curve):
     def node(self, x: Array, toward: Array, J: Array) -> Node:
         """The node at a configuration (n,); its `sigma` is the second smallest singular value."""
         moves, t = self.aim.moves, np.zeros(len(x))
-        _, s, Vt = np.linalg.svd(J[:, moves])
+        _, s, Vt = svd(J[:, moves])
         s = np.append(s, np.zeros(len(moves) - len(s)))
         free = Vt[len(moves) - max(1, int((s <= SINGULAR).sum())) :]
         t[moves] = (free @ toward[moves]) @ free

@@ -10,6 +10,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.kinematics.common.gauss_newton import GaussNewtonEnd, gauss_newton, gauss_newton_of_many, least_squares
+from kempe.singular_values import svd
 from kempe.solvers.analytic.answers.nearest import Aim
 from kempe.spatial import Array
 
@@ -87,7 +88,7 @@ class Points:
     def null_space(self, J: Array, least: int = 1) -> Array:
         """Orthonormal directions (d, n), at least so many, in which the tip hardly moves, the freest last."""
         moves = self.aim.moves
-        _, s, Vt = np.linalg.svd(J[:, moves])
+        _, s, Vt = svd(J[:, moves])
         d = max(least, len(moves) - int((s > SINGULAR).sum()))
         out = np.zeros((d, J.shape[1]))
         out[:, moves] = Vt[len(moves) - d :]
@@ -113,7 +114,7 @@ class Points:
 
     def spectrum(self, J: Array) -> tuple[float, float]:
         """The smallest and the second smallest singular value of the joints that move."""
-        k, s = len(self.aim.moves), np.linalg.svd(J[:, self.aim.moves], compute_uv=False)
+        k, s = len(self.aim.moves), svd(J[:, self.aim.moves], compute_uv=False)
         least, second = sorted([*s, *[0.0] * (k - len(s)), math.inf])[:2]
         return float(least), float(second)
 
@@ -136,7 +137,7 @@ class Points:
         if not len(x):
             return free[-1:]
         ways = (x - theta) / np.linalg.norm(x - theta, axis=1, keepdims=True)
-        _, s, Vt = np.linalg.svd(ways)
+        _, s, Vt = svd(ways)
         return Vt[: min(len(free), int((s > SPANNED * s[0]).sum()))]
 
     def at_distance(self, centre: Array, starts: Array, far: float) -> Array:

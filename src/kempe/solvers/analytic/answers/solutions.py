@@ -13,6 +13,7 @@ from kempe.errors import InputError
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.kinematics.common.result import Cells, by_code
+from kempe.singular_values import svd
 from kempe.solvers.analytic.plans.branch_names import Kind, branch_names, kind_of, named
 from kempe.solvers.analytic.plans.outcome import codes, goals
 from kempe.solvers.analytic.plans.plan import TASKS
@@ -243,7 +244,7 @@ class Solutions(ConfigurationList, Answer):
         scale = np.array([1.0 / plan.lines.length] * 3 + [1.0] * 3)[:, None]
         units = np.where(plan.lines.kinds == SLIDE, plan.lines.length, 1.0)
         moves = [i for i in range(len(plan.lines)) if i not in plan.locked]
-        values = np.linalg.svd((J * scale * units)[..., moves], compute_uv=False)
+        values = svd((J * scale * units)[..., moves], compute_uv=False)
         rank = min(len(moves), int(np.sum(TASKS[plan.task])))
         if self.system.dim == 2:
             rank = min(rank, 2 if plan.task == "position" else 3)

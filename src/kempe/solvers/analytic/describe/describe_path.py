@@ -9,6 +9,7 @@ from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.closed_form.analytic_layout import AT_REST, COUPLED, PLANE, POINT, X_FIRST
 from kempe.kernels.compiled import candidates
 from kempe.kernels.forward.table_layout import SLIDE
+from kempe.singular_values import svd
 from kempe.solvers.analytic.plans.chain_lines import Lines
 from kempe.solvers.analytic.plans.plan import ChainPlan, carried_lines, free_lines, freedoms, motion, spread, sweep
 from kempe.solvers.analytic.plans.structure import EXACT, Axes, Strategy
@@ -105,7 +106,7 @@ def _why(plan: ChainPlan, planar: bool) -> str:
         return "; the frame never turns"
     if turning > 1:
         return ""
-    n = np.linalg.svd(twists[3:])[0][:, 0]
+    n = svd(twists[3:])[0][:, 0]
     level = float(np.abs(n @ twists[:3]).max()) <= EXACT
     return "; the frame never tilts" + (" and stays in one plane" if level else "")
 
@@ -123,7 +124,7 @@ def _twists(lines: Lines, theta: Array, locked: tuple[int, ...]) -> Array:
 
 
 def _rank(M: Array) -> int:
-    values = np.linalg.svd(M, compute_uv=False)
+    values = svd(M, compute_uv=False)
     return int((values > 1e-7 * max(values[0], 1e-300)).sum()) if values[0] > EXACT else 0
 
 

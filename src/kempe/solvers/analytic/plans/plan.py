@@ -14,6 +14,7 @@ from kempe.errors import UnsupportedError
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.closed_form.analytic_layout import X_FIRST, Z_FIRST
 from kempe.kernels.forward.table_layout import SLIDE, TURN
+from kempe.singular_values import svd
 from kempe.solvers.analytic.plans.chain_lines import Lines
 from kempe.solvers.analytic.plans.structure import Axes, Strategy, ways
 from kempe.solvers.common.targets import TASKS as TASKS
@@ -193,7 +194,7 @@ def resting(lines: Lines, free: Extra, unknown: list[int], planar: bool) -> Iter
     J[..., : len(unknown)] = samples
     J[..., len(unknown) : 6 - count] = at_tip
     J[..., 6 - count :] = np.moveaxis(pool[:, np.array(choices)], 0, 1)[:, None]
-    least = np.median(np.linalg.svd(J, compute_uv=False)[..., -1], axis=1)
+    least = np.median(svd(J, compute_uv=False)[..., -1], axis=1)
     scored = list(zip(least.tolist(), choices, strict=True))
     best = max(s for s, _ in scored)
     good = [(s, c) for s, c in scored if s > 0.05 * best]
@@ -233,7 +234,7 @@ def freedoms(lines: Lines, free: Extra, unknown: list[int]) -> int:
     o = np.concatenate([o[:, unknown], moved], axis=1)
     J = np.concatenate([np.where(turns[:, None], np.cross(o, h), h), np.where(turns[:, None], h, 0.0)], axis=2)
     J = J / np.linalg.norm(J, axis=2, keepdims=True)  # seen from the chain, whatever the tool
-    values = np.linalg.svd(J, compute_uv=False)
+    values = svd(J, compute_uv=False)
     return int((values > RANK * values[:, :1]).sum(axis=1).max())
 
 

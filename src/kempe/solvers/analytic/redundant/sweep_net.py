@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from kempe.singular_values import svd
 from kempe.solvers.analytic.redundant.sweep_curves import LONGEST, ChainMotion, CurvePiece, follow, pieces
 from kempe.solvers.common.tracing import BEND
 from kempe.spatial import Array
@@ -29,7 +30,7 @@ class Net:
 
     def __init__(self, motion: ChainMotion, values: Array, x: Array, level: np.ndarray):
         self.motion, self.values, self.x, self.level = motion, values, x, level
-        t = np.linalg.svd(motion.jacobian(x))[2][:, -1] if len(x) else np.zeros_like(x)
+        t = svd(motion.jacobian(x))[2][:, -1] if len(x) else np.zeros_like(x)
         self.t = np.where(t[:, motion.p, None] < 0.0, -t, t)
         self.up: dict[int, tuple[int, Piece]] = {}
         self.below: set[int] = set()

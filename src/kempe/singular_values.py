@@ -1,0 +1,37 @@
+"""Singular value decomposition that does not fail: the one place where the library calls it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+
+def svd(A: Any, full_matrices: bool = True, compute_uv: bool = True) -> Any:
+    """Singular value decomposition of matrices (..., m, n), as `numpy.linalg.svd` gives it.
+
+    LAPACK's divide and conquer (gesdd), which numpy calls, does not converge for some finite matrices with several
+    singular values near rounding. These are decomposed by QR iteration (gesvd), which is slower and does.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        For matrices with entries that are not finite.
+    """
+    try:
+        return np.linalg.svd(A, full_matrices=full_matrices, compute_uv=compute_uv)
+    except np.linalg.LinAlgError:
+        matrices = np.asarray(A)
+        if not np.isfinite(matrices).all():
+            raise
+    from scipy.linalg import svd as by_qr  # only here: it takes long to import
+
+    lead = matrices.shape[:-2]
+    found = [
+        by_qr(M, full_matrices=full_matrices, compute_uv=compute_uv, lapack_driver="gesvd")
+        for M in matrices.reshape(-1, *matrices.shape[-2:])
+    ]
+    if not compute_uv:
+        return np.reshape(found, (*lead, -1))
+    U, s, Vt = (np.reshape([part[k] for part in found], (*lead, *np.shape(found[0][k]))) for k in range(3))
+    return U, s, Vt
