@@ -549,7 +549,7 @@ def test_limits_of_a_model_do_not_hide_modes_that_are_asked_for_without_them():
     assert "missing" not in limited.assembly_modes(motors).status
 
 
-@pytest.mark.parametrize("rods, dof, useful", [(3, 6, 3)])
+@pytest.mark.parametrize("rods, dof, useful", [(6, 8, 2), (3, 6, 3)])
 def test_a_plate_on_equal_parallel_rods(rods, dof, useful):
     """r/robotics, question 1jivt2u: a plate on six rods with balls at both ends; answers were 0, 2, 3, 6, 8 and 9."""
     s = plate(rods)
@@ -557,6 +557,16 @@ def test_a_plate_on_equal_parallel_rods(rods, dof, useful):
     np.testing.assert_allclose(s.fk(q, "plate"), at(0, 0, 1), atol=1e-9)
     mobility = s.mobility(q)
     assert (mobility.dof, mobility.useful) == (dof, useful), mobility.sentence
+
+
+def test_a_plate_on_six_rods_keeps_two_freedoms_away_from_home():
+    """r/robotics, question 1jivt2u: the same after the plate was moved sideways by 0.3, still parallel."""
+    s = plate(6)
+    start = {"F.x": 0.3, "F.z": math.sqrt(1 - 0.3**2), "F.qw": 1.0}
+    q = s.assemble({"F.x": 0.3}, start=start).q
+    if np.allclose(s.fk(q, "plate")[:3, :3], np.eye(3), atol=1e-6):
+        assert s.mobility(q).dof == 8
+    assert s.fk(q, "plate")[0, 3] == pytest.approx(0.3, abs=1e-9)
 
 
 def plate(rods: int) -> System:
