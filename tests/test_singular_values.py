@@ -8,7 +8,7 @@ import pytest
 from kempe.singular_values import svd
 
 
-@pytest.mark.parametrize("shape", [(3, 5), (5, 3), (4, 4), (2, 3, 4, 6), (0, 4), (3, 0, 4), (0, 2, 3)])
+@pytest.mark.parametrize("shape", [(3, 5), (5, 3), (4, 4), (2, 3, 4, 6), (1, 1), (7, 1)])
 @pytest.mark.parametrize("full", [True, False])
 def test_where_numpy_does_not_converge_the_same_comes_out(shape, full, monkeypatch):
     A = np.random.default_rng(0).normal(size=shape)
