@@ -20,7 +20,8 @@ SOURCE = ROOT / "src" / "kempe"
 MODULES = sorted(SOURCE.rglob("*.py"))
 
 LAYERS = [
-    {"errors", "reals", "calls", "former", "budget", "spatial", "rigid", "status", "words", "singular_values"}, {"kernels"}, {"joints"},
+    {"errors", "reals", "calls", "former", "budget", "spatial", "rigid", "status", "words",
+     "singular_values"}, {"kernels"}, {"joints"},
     {"values", "placement"}, {"constraints"}, {"description", "library"}, {"model"},
     {"kinematics"}, {"solvers"}, {"analysis"}, {"views", "cli", "tasks", "convert", "__main__"},
 ]  # fmt: skip

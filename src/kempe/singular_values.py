@@ -21,17 +21,17 @@ def svd(A: Any, full_matrices: bool = True, compute_uv: bool = True) -> Any:
     try:
         return np.linalg.svd(A, full_matrices=full_matrices, compute_uv=compute_uv)
     except np.linalg.LinAlgError:
-        matrices = np.asarray(A)
+        matrices = np.asarray(A, dtype=np.float64)
         if not np.isfinite(matrices).all():
             raise
-    from scipy.linalg import svd as by_qr  # only here: it takes long to import
+    import scipy.linalg  # only here: it takes long
 
+    library: Any = scipy.linalg
     lead = matrices.shape[:-2]
-    found = [
-        by_qr(M, full_matrices=full_matrices, compute_uv=compute_uv, lapack_driver="gesvd")
+    found: list[Any] = [
+        library.svd(M, full_matrices=full_matrices, compute_uv=compute_uv, lapack_driver="gesvd")
         for M in matrices.reshape(-1, *matrices.shape[-2:])
     ]
     if not compute_uv:
         return np.reshape(found, (*lead, -1))
-    U, s, Vt = (np.reshape([part[k] for part in found], (*lead, *np.shape(found[0][k]))) for k in range(3))
-    return U, s, Vt
+    return tuple(np.reshape([part[k] for part in found], (*lead, *np.shape(found[0][k]))) for k in range(3))
