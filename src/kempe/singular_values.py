@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal, overload
 
 import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
 
 
+@overload
+def svd(A: Any, full_matrices: bool = True, compute_uv: Literal[True] = True) -> tuple[Floats, Floats, Floats]: ...
+@overload
+def svd(A: Any, full_matrices: bool = True, *, compute_uv: Literal[False]) -> Floats: ...
 def svd(A: Any, full_matrices: bool = True, compute_uv: bool = True) -> Any:
     """Singular value decomposition of matrices (..., m, n), as `numpy.linalg.svd` gives it.
 
@@ -18,8 +25,9 @@ def svd(A: Any, full_matrices: bool = True, compute_uv: bool = True) -> Any:
     numpy.linalg.LinAlgError
         For matrices with entries that are not finite.
     """
+    numpys: Any = np.linalg
     try:
-        return np.linalg.svd(A, full_matrices=full_matrices, compute_uv=compute_uv)
+        return numpys.svd(A, full_matrices=full_matrices, compute_uv=compute_uv)
     except np.linalg.LinAlgError:
         matrices = np.asarray(A, dtype=np.float64)
         if not np.isfinite(matrices).all():
