@@ -71,7 +71,8 @@ def damped(
         return least_in_box(H, H @ x, low, high)[0]
     kept = hard > 0.0
     rows = np.concatenate([A, hard[kept, None] * Vt[:k][kept], weak * np.eye(n)])
-    return bounded(rows, rows @ x, low, high, np.zeros(A.shape[1]), G)
+    still: Array = np.zeros(n)
+    return bounded(rows, rows @ x, low, high, still, G)
 
 
 def _way_out(A: Array, b: Array, s: Array, Vt: Array, bend: Bend) -> tuple[float, Array] | None:
