@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import bz2
-import contextlib
 import gzip
 import io
 import lzma
@@ -233,8 +232,8 @@ def test_a_file_of_another_kind_is_named(what: str, advice: str, data: bytes, tm
     for name in ("a.urdf", "a.toml", "a.xml", "a"):
         (tmp_path / name).write_bytes(data)
         sources.append((str(tmp_path / name), tmp_path / name, None))
-    with contextlib.suppress(UnicodeDecodeError):
-        text = data.decode()
+    text = data.decode(errors="replace")
+    if text.encode() == data:
         sources += [("<text>", f"\n{text}", "urdf"), ("<text>", f" {text}\n ", "toml")]
         if b"\0" not in data:
             sources += [("<text>", text.encode(encoding), None) for encoding in ("utf-8-sig", "utf-16")]
