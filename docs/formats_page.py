@@ -27,8 +27,7 @@ CANNOT = """
 ## What a format does not have
 
 What a format does not have is refused with the name of the joint, body or constraint, and no file is
-written. <!-- hunted: tests/description/test_formats.py::test_what_cannot_be_said_is_refused
-tests/description/test_formats.py::test_models_of_the_library_come_back -->
+written.
 
 """
 

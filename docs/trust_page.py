@@ -1,7 +1,6 @@
-"""Writes docs/trust.md from the marks in README.md and docs/*.md: `python docs/trust_page.py`.
+"""Writes docs/trust.md from docs/claims.toml: `python docs/trust_page.py`.
 
-A mark is a comment after a sentence, ``<!-- hunted: tests/path/test_file.py::test_name -->``, with several tests
-separated by blanks. A test fails where the page is stale and where a mark names no hunt.
+A test fails where the page is stale, where a claim does not stand on its page, and where it names no hunt.
 """
 
 from __future__ import annotations
@@ -9,30 +8,23 @@ from __future__ import annotations
 import ast
 import json
 import re
-from collections.abc import Iterator
+import tomllib
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-FENCE = re.compile(r"^(`{3,}|:{3,})[^\n]*\n.*?^\1\s*$", re.DOTALL | re.MULTILINE)
-FRONT = re.compile(r"\A---\n.*?^---\n", re.DOTALL | re.MULTILINE)
-MARK = re.compile(r"<!--\s*hunted:\s*(.*?)\s*-->", re.DOTALL)
-COMMENT = re.compile(r"<!--(?!\s*hunted:).*?-->", re.DOTALL)
-BLOCK = re.compile(r"\n\s*\n|\n(?=\s*(?:[-*]|\d+\.)\s|\||#)")
-STOP = re.compile(r"(?<=[.!?])(?<!e\.g\.)(?<!\bp\.)\s+(?!<!--)(?=[^a-z])|(?<=-->)\s*(?=\S)")
 HEAD = """\
 # What has been hunted
 
-<!-- Written by docs/trust_page.py from the marks in README.md and docs/*.md; do not edit. -->
+<!-- Written by docs/trust_page.py from docs/claims.toml; do not edit. -->
 
-A sentence that says *every*, *never*, *all* or *none* is false if one counter-example exists. So each such sentence of
-these pages names the tests that look for one, in a comment of its source that readers do not see. A *hunt* draws its
-cases at random and judges them by something else than the code that it tests: another library, a closed form, brute
-force. A *property* is a test by Hypothesis, which shrinks the counter-example that it finds, and a *battery* goes
-through a list of cases, such as all joint types or all shipped models. None of them is a proof: they say where
-somebody has looked.
+A sentence that says *every*, *never*, *all* or *none* is false if one counter-example exists. This page lists such
+sentences of the documentation with the tests that look for a counter-example. A *hunt* draws its cases at random and
+judges them by something else than the code that it tests: another library, a closed form, brute force. A *property* is
+a test by Hypothesis, which shrinks the counter-example that it finds. A *battery* goes through a list of cases, such as
+all joint types or all shipped models. None of them is a proof: they say where somebody has looked.
 
 The tests that everybody runs take a quarter of the cases; `--hunt-times 1` takes all of them. For each change
 half of them are taken. The same hunts on other cases, and on ten times as many:
@@ -57,37 +49,18 @@ reason is that it changes nothing: so most kills are of the tests as they were b
 """
 
 
-class Sentence(NamedTuple):
-    """A sentence of a page: its text in one line without marks, the tests that hunt it, whether it is in a table."""
+class Claim(NamedTuple):
+    """A general sentence of a page, in one line, and the tests that hunt it (`tests/path/test_file.py::test_name`)."""
 
     page: str
-    text: str
+    sentence: str
     tests: tuple[str, ...]
-    cell: bool
 
 
-def pages() -> list[Path]:
-    """README.md and the pages of docs and docs/add but this one."""
-    found = [*sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("add/*.md"))]
-    return [ROOT / "README.md", *(p for p in found if p.name != "trust.md")]
-
-
-def sentences(path: Path) -> Iterator[Sentence]:
-    """The sentences of a page outside code and headings; items of lists and cells of tables are sentences, too."""
-    text = FRONT.sub("", path.read_text(encoding="utf-8"))
-    yield from sentences_of(COMMENT.sub("", FENCE.sub("\n\n", text)), path.relative_to(ROOT).as_posix())
-
-
-def sentences_of(text: str, page: str) -> Iterator[Sentence]:
-    """The sentences of Markdown without code."""
-    for block in map(str.strip, BLOCK.split(text)):
-        row = block.startswith("|")
-        parts = re.split(r"(?<!\\)\|", block.strip("|")) if row else [] if block.startswith("#") else [block]
-        for part in parts:
-            for piece in STOP.split(" ".join(part.split())):
-                tests = tuple(test for found in MARK.findall(piece) for test in found.split())
-                if said := MARK.sub("", piece).strip():
-                    yield Sentence(page, said, tests, row)
+def claims() -> list[Claim]:
+    """The claims of docs/claims.toml."""
+    found = tomllib.loads((DOCS / "claims.toml").read_text(encoding="utf-8"))["claim"]
+    return [Claim(c["page"], c["sentence"], tuple(c["tests"])) for c in found]
 
 
 @cache
@@ -115,13 +88,12 @@ def kind(test: str) -> str:
 def page() -> str:
     """The page as Markdown."""
     lines = ["| page | sentence | tested by |\n", "|---|---|---|\n"]
-    for path in pages():
+    for claim in claims():
+        path = ROOT / claim.page
         name = path.name if path.stem == "README" else f"[{path.stem}]({path.relative_to(DOCS).as_posix()})"
-        for s in sentences(path):
-            if s.tests:
-                said = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", s.text.removeprefix("- ")).replace("|", "\\|")
-                tests = "<br>".join(f"`{t.removeprefix('tests/')}` ({kind(t)})" for t in s.tests)
-                lines.append(f"| {name} | {said} | {tests} |\n")
+        said = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", claim.sentence).replace("|", "\\|")
+        tests = "<br>".join(f"`{t.removeprefix('tests/')}` ({kind(t)})" for t in claim.tests)
+        lines.append(f"| {name} | {said} | {tests} |\n")
     return HEAD + "".join(lines) + mutants()
 
 

@@ -261,8 +261,7 @@ The URDF files of the packages below were read by Kempe and by two judges that s
 limits and followers, and links in the same places to 1e-12 (of the largest coordinate, at least 1 m) at three random
 configurations. The files belong to others and are not part of Kempe; `tests/description/test_collected.py` reads those
 of a folder and writes this page. What it reads is equal or refused for a reason that is listed, for every file of
-example-robot-data and of such a folder. <!-- hunted:
-tests/description/test_collected.py::test_files_are_read_as_their_owners_read_them -->
+example-robot-data and of such a folder.
 
 | package | files | with joints | equal | of these by numpy alone | refused |
 |---|---|---|---|---|---|
