@@ -37,14 +37,12 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Hunts and properties have the mark `hunt`. Former names are errors, but for long batteries, which only warn."""
+    """Hunts and properties have the mark `hunt`."""
     for item in items:
         if "hunt" in getattr(item, "fixturenames", ()) or getattr(
             getattr(item, "obj", None), "is_hypothesis_test", False
         ):
             item.add_marker(pytest.mark.hunt)
-        if item.get_closest_marker("slow") is None:
-            item.add_marker(pytest.mark.filterwarnings("error:.*former name:DeprecationWarning"))
 
 
 def pytest_report_header(config: pytest.Config) -> str:

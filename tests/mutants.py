@@ -51,7 +51,6 @@ AREAS = {
 """Modules of each area, by patterns; the first area that has a module takes it."""
 TEXTS = [
     "*text*", "*describe*", "*explain*", "*words*", "*/__init__.py", "model/system.py", "model/namespaces.py",
-    "model/former*",
 ]  # fmt: skip
 """Modules that make sentences, or only delegate."""
 MEMORY = 8 << 30

@@ -20,7 +20,7 @@ SOURCE = ROOT / "src" / "kempe"
 MODULES = sorted(SOURCE.rglob("*.py"))
 
 LAYERS = [
-    {"errors", "reals", "calls", "former", "budget", "spatial", "rigid", "status", "words",
+    {"errors", "reals", "calls", "budget", "spatial", "rigid", "status", "words",
      "singular_values"}, {"kernels"}, {"joints"},
     {"values", "placement"}, {"constraints"}, {"description", "library"}, {"model"},
     {"kinematics"}, {"solvers"}, {"analysis"}, {"views", "cli", "tasks", "convert", "__main__"},
@@ -56,7 +56,7 @@ LATER = {
 
 UPWARD = {
     ("description/mechanism.py", "build"), ("model/system.py", "*"), ("model/namespaces.py", "*"),
-    ("model/pictured.py", "*"), ("model/former_names.py", "found"),
+    ("model/pictured.py", "*"),
 }  # fmt: skip
 """Functions that import upwards inside their bodies: the builder's last step, and the map of the library.
 

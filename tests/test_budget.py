@@ -1,4 +1,4 @@
-"""Calls as they are written: few arguments, one budget for all verbs, former names with a warning."""
+"""Calls as they are written: few arguments, one budget for all verbs."""
 
 from __future__ import annotations
 
@@ -99,42 +99,6 @@ def test_tolerances_are_pairs():
     assert near and near.task.tolerance == (1e-3, 0.01)
 
 
-FORMER = {
-    "ik": (lambda **o: ARM.ik(X, "tool", **o), [
-        ({"starts": 3, "rng": 1}, {"budget": Budget(starts=3, rng=1)}), ({"position_only": True}, {"task": "position"}),
-        ({"task": "direction", "axis": (1, 0, 0)}, {"task": ("direction", (1, 0, 0))}), ({"throw": True}, {}),
-        ({"time_limit": None}, {"budget": Budget(time_limit=math.inf)})]),
-    "ik_all": (lambda **o: SEVEN.ik_all(P, "tool", **o), [
-        ({THIRD: 0.2}, {"fixed": {THIRD: 0.2}}), ({"inside_only": True}, {"limits": True}),
-        ({"expand_turns": True, "inside_only": True}, {"limits": "turns"}),
-        ({"threads": 1}, {"budget": Budget(threads=1)})]),
-    "ik_sweep": (lambda **o: SEVEN.inverse.sweep(P, "tool", **o), [
-        ({"samples": 64}, {"budget": Budget(points=64)}),
-        ({"reference": (1, 0, 0)}, {"parameter": ("arm_angle", (1, 0, 0))})]),
-    "ik_plan": (lambda **o: SEVEN.inverse.plan("tool", **o), [({THIRD: 0.2}, {"fixed": [THIRD]})]),
-    "assemble": (lambda **o: LINKAGE.assemble({"A": [0.3, 0.4]}, **o), [
-        ({"nearest": True}, {"prefer": "nearest"}), ({"continuous": True}, {"prefer": "continuous"}),
-        ({"nearest": False}, {}), ({"starts": 4}, {"budget": Budget(starts=4)}), ({"t": 0.0}, {})]),
-    "trace": (lambda **o: LINKAGE.trace("A", **o), [
-        ({"max_points": 20}, {"budget": Budget(points=20)}), ({"both": False}, {"ways": "forward"}),
-        ({"switch": True}, {"ways": "branches"}), ({"step": 0.05}, {"budget": Budget(step=0.05)})]),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize(("verb", "former", "present"), [
-    pytest.param(verb, *pair, id=f"{verb} {'+'.join(pair[0])}") for verb, (_, pairs) in FORMER.items() for pair in pairs
-])  # fmt: skip
-def test_former_options_warn_and_say_the_same(verb, former, present):
-    call = FORMER[verb][0]
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        wanted = call(**present)
-    with pytest.warns(DeprecationWarning, match="former name; the present one is") as said:
-        found = call(**former)
-    assert {w.filename for w in said} == {__file__}
-    assert str(found) == str(wanted)
-
-
 def test_what_raised_is_expected():
     far = X.copy()
     far[0, 3] = 9.0
@@ -142,8 +106,6 @@ def test_what_raised_is_expected():
         with pytest.raises(NoSolutionError) as error:
             found.expect()
         assert error.value.solution is found
-    with pytest.warns(DeprecationWarning), pytest.raises(NoSolutionError):
-        ARM.ik(far, "tool", throw=True)
     good = ARM.ik(X, "tool")
     assert good.expect() is good
 

@@ -21,7 +21,6 @@ from kempe.analysis.spaces.configuration.configuration_space import Configuratio
 from kempe.errors import InputError, KempeError
 from kempe.model import namespaces
 from kempe.model.compiled_system import Structure
-from kempe.model.former_names import FORMER
 
 FAMILIES: dict[str, type] = {
     "structure": Structure, "configuration_space": ConfigurationSpace, "loops": namespaces.Loops,
@@ -43,11 +42,10 @@ def listed() -> dict[str, Callable[..., Any]]:
     for name, function in vars(kempe.System).items():
         if inspect.isfunction(function) and not name.startswith("_"):
             out[f"System.{name}"] = function
-    for former, place in FORMER.items():  # methods of namespaces, by the names that tell them apart
-        family, _, name = place.partition(".")
-        function = vars(FAMILIES[family]).get(name) if family in FAMILIES else None
-        if inspect.isfunction(function):
-            out[f"System.{former}"] = through(family, function, former)
+    for family, kind in FAMILIES.items():
+        for name, function in vars(kind).items():
+            if inspect.isfunction(function) and not name.startswith("_"):
+                out[f"System.{family}.{name}"] = through(family, function, f"{family}_{name}")
     return out
 
 
@@ -144,7 +142,7 @@ def usual(system: kempe.System, verb: str = "") -> dict[str, Any]:
         "targets": np.stack([X, X]), "seed": q, "near": q, "start": q, "known": {name: q[0]}, "u": q[:1],
         "wanted": [kempe.tasks.Pose(tip, X)] if verb == "reach" else np.full(6, 0.01),
         "coordinates": {name: 0.5}, "dt": 0.01, "tasks": tip,
-        "inputs": [name] if verb == "loop_jacobian" else {name: [1.0, 1.1]},
+        "inputs": [name] if verb == "loops_jacobian" else {name: [1.0, 1.1]},
         "poses": system.fk(q)[1:], "outputs": [other], "input": name, "output": other,
         "at": X[: system.dim, 3] if verb == "workspace" else q,
         "joint": system.coordinate_names[-2], "toward": {name: 1.0}, "direction": np.ones(3), "fixed": {name: q[0]},
@@ -159,7 +157,7 @@ def usual(system: kempe.System, verb: str = "") -> dict[str, Any]:
 
 NO_ARRAYS = {"self", "system", "options", "numbers", "frame", "joint", "input", "output", "inputs", "outputs", "driver"}
 NOT_REQUIRED = {
-    "System.frame_name", "System.coordinates_of_joint",  # no numbers
+    "System.structure.frame_name", "System.structure.coordinates_of_joint",  # no numbers
     "kempe.views.viewer.live.show", "kempe.views.viewer.pages.save_html",  # serve, write: see test_viewer.py
     "kempe.analysis.motion.transmission.pressure_angle",  # by bodies, see test_transmission.py
     "System.manoeuvre", "System.simulate",  # of what rolls and bounces, see test_manoeuvre.py and test_simulate.py

@@ -47,8 +47,6 @@ def explained(function: Function) -> Function:
         except KempeError:
             raise
         except FOREIGN as error:
-            if options and error.__class__ is TypeError and (called := _renamed(function, args, options)):
-                return called[1](call(**called[0]))
             blame(function, args, options, error)
             raise
 
@@ -85,12 +83,6 @@ def until_interrupt(verb: Callable[Options, Kept], *args: Options.args, **option
             raise
         answer: Any = stop.answer
         return answer
-
-
-def _renamed(function: Callable[..., Any], args: tuple[Any, ...], options: Mapping[str, Any]) -> Any:
-    from kempe.former import renamed  # only here: most calls succeed
-
-    return renamed(function, args, options)
 
 
 def with_options(cls: type) -> Callable[[Function], Function]:

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from kempe.calls import explained
 from kempe.model.compiled_system import Compiled, FrameLike
-from kempe.model.former_names import FormerNames
 from kempe.model.pictured import Pictured
 from kempe.spatial import Array
 
@@ -47,7 +46,7 @@ ARRAY = np.ndarray
 """Looked up once: bound calls take four microseconds."""
 
 
-class System(Compiled, Pictured, FormerNames):
+class System(Compiled, Pictured):
     """A multibody system, compiled from a `Mechanism`: spanning tree, loop closures, coordinates, primitive table.
 
     Frozen, hashable by content, picklable, safe to share between threads. A configuration `q` is an array (..., nq) in
