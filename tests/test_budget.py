@@ -7,7 +7,6 @@ import inspect
 import math
 import pickle
 import pkgutil
-import warnings
 from typing import Any
 
 import numpy as np

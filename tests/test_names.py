@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import inspect
 import pickle
-import warnings
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
