@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import gc
 import itertools
 import os
 import types
 from collections.abc import Callable, Iterator
+
+os.environ.setdefault("KEMPE_QUIET", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy is loaded: the suite runs a process for each core
 
 import hunts
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
-os.environ.setdefault("KEMPE_QUIET", "1")
+FAR = 1e6
+"""Seconds that are added to the usual time limits."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -22,7 +27,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Properties take the factor that hunts take; modules of tests read it when they are imported."""
+    """Properties take the factor that hunts take; modules of tests read it when they are imported.
+
+    While tests are collected nothing is garbage, and there are so many objects that looking for it takes most of the
+    time: the collector begins with the first test, and leaves alone what was there before.
+    """
+    gc.disable()
     hunts.TIMES = config.getoption("--hunt-times") or hunts.QUICK
     settings.register_profile(
         "kempe",
@@ -45,6 +55,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.hunt)
 
 
+def pytest_collection_finish() -> None:
+    """What exists now stays until the end."""
+    gc.freeze()
+    gc.enable()
+
+
 def pytest_report_header(config: pytest.Config) -> str:
     """The line that tells how to run the same hunts again."""
     return f"hunts: --hunt-seed {config.getoption('--hunt-seed')} --hunt-times {hunts.TIMES:g}"
@@ -56,6 +72,22 @@ def hunt(request: pytest.FixtureRequest) -> hunts.Hunt:
     slow = request.node.get_closest_marker("slow") is not None
     times = request.config.getoption("--hunt-times") or (1.0 if slow else hunts.QUICK)
     return hunts.Hunt(request.config.getoption("--hunt-seed"), times, request.node.name)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def usual_time_limits_are_far() -> Iterator[None]:
+    """Limits that are for people, of half a minute and more, never end a test: it may run on a busy machine."""
+    from kempe.solvers.common import arguments, clock
+    from kempe.solvers.one_frame import inverse
+    from kempe.solvers.tasks import ik_tasks
+
+    def far(limit: float | None) -> float:
+        return arguments.deadline(limit) + (FAR if limit is not None and limit >= clock.SHORT else 0.0)
+
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (clock, inverse, ik_tasks):
+            patch.setattr(module, "deadline", far)
+        yield
 
 
 @pytest.fixture(scope="module")

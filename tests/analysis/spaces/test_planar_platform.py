@@ -150,7 +150,7 @@ def counted_alike(w, rng, n):
         assert region.area == pytest.approx(box * share, abs=5.0 * box * np.sqrt((share * (1.0 - share) + 1.0 / n) / n))
 
 
-def test_solutions_of_a_point_aside_of_a_five_bar():
+def test_solutions_of_a_point_aside_of_a_five_bar(hunt: Hunt):
     """A point of one distal link is reached in as many ways as all solutions of the inverse model are found."""
     legs = [("RR", (-0.3, 0.0), (0.0, 0.0), (0.5, 0.0), FREE),
             ("RRR", (0.3, 0.0), (0.6, 0.0), (0.5, 0.6), (None, (-1.5, 2.5)))]  # fmt: skip
@@ -158,7 +158,7 @@ def test_solutions_of_a_point_aside_of_a_five_bar():
     w = planar_workspace(system, "tool")
     assert w.region.counted and {r.solutions for r in w.regions} >= {1, 2}
     low, high = w.extent
-    points = np.random.default_rng(4).uniform(low - 0.1, high + 0.1, (60, 2))
+    points = hunt.rng().uniform(low - 0.1, high + 0.1, (hunt.cases(60), 2))
     points = points[w.distance(points) > 1e-4]
     every = [len(system.ik_all(p, "tool", task="position", limits=True).q) for p in points]
     assert w.solutions(points).tolist() == every

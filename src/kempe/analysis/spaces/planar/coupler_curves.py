@@ -99,37 +99,39 @@ class FourBar:
         """Whether each end (2,) of the interval is a dead centre."""
         return self._chord(self.turns(np.array([0.0, 1.0])))[2] < FLAT * self.first.radius**2
 
-    def of_first(self, s: np.ndarray) -> np.ndarray:
-        """Where the point a is (...)."""
-        u = self.turns(s)
+    def _of_first(self, s: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Where the point a is (...); u (...) are the turns there."""
         if not self.first.is_arc:  # both are segments, which are not parallel
             one, two = self.first, self.second
             gap = two.centre - u * (self.b - self.a) - one.centre
             return one.centre + one.way * np.imag(gap * np.conj(two.way)) / np.imag(one.way * np.conj(two.way))
-        foot, way, _ = self._chord(u)
+        foot, way, square = self._chord(u)
+        s, half = np.asarray(s), np.asarray(np.sqrt(np.maximum(square, 0.0)))
         # beside a dead centre the chord grows with sin(pi s): there its square is lost in rounding
         low, high = np.where(self._dead, (BESIDE, 1.0 - BESIDE), (-1.0, 2.0))
-        inside = np.clip(s, low, high)
-        half = np.sqrt(np.maximum(self._chord(self.turns(inside))[2], 0.0))
-        moved = inside != s
-        ratio = np.divide(np.sin(np.pi * s), np.sin(np.pi * inside), out=np.ones(np.shape(s)), where=moved)
-        return foot + self.branch * half * ratio * way
+        beside = (s < low) | (s > high)
+        if beside.any():
+            inside = np.clip(s[beside], low, high)
+            there = np.sqrt(np.maximum(self._chord(self.turns(inside))[2], 0.0))
+            half[beside] = there * np.sin(np.pi * s[beside]) / np.sin(np.pi * inside)
+        return foot + self.branch * half * way
 
-    def place(self, s: np.ndarray) -> np.ndarray:
-        """Where the body is (...)."""
-        return self.of_first(s) - self.turns(s) * self.a
+    def place(self, s: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Where the body is (...); u (...) are the turns there."""
+        return self._of_first(s, u) - u * self.a
 
-    def velocities(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives (...) by s of the place and of the angle. At dead centres they are those close to it."""
+    def velocities(self, s: np.ndarray, point: complex) -> np.ndarray:
+        """Derivatives (...) by s of a point of the body. At dead centres they are those close to it."""
         s = np.clip(s, NEAR, 1.0 - NEAR)
-        u, p = self.turns(s), self.place(s)
+        u = self.turns(s)
+        p = self.place(s, u)
         turning = 0.5 * (self.high - self.low) * np.sin(np.pi * s) * np.pi
         one, two = (p + u * x - piece.centre if piece.is_arc else 1j * piece.way / abs(piece.way) + 0.0 * u
                     for piece, x in ((self.first, self.a), (self.second, self.b)))  # fmt: skip
         e, f = (-np.real(np.conj(n) * 1j * u * x) for n, x in ((one, self.a), (two, self.b)))
         across = np.imag(np.conj(one) * two)
         across = np.where(across == 0.0, np.inf, across)
-        return turning * -1j * (e * two - f * one) / across, turning
+        return turning * -1j * (e * two - f * one) / across + turning * 1j * u * point
 
 
 def four_bars(first: PlanePiece, second: PlanePiece, a: complex, b: complex) -> Iterator[FourBar]:
@@ -211,13 +213,12 @@ class CouplerCurve(PlaneCurve):
     def at(self, t: np.ndarray | float) -> np.ndarray:
         """Points (...) at parameters t (...)."""
         s = self._s(t)
-        return self.bar.place(s) + self.bar.turns(s) * self.point
+        u = self.bar.turns(s)
+        return self.bar.place(s, u) + u * self.point
 
     def velocity(self, t: np.ndarray | float) -> np.ndarray:
         """Derivatives (...) by t."""
-        s = self._s(t)
-        v, turning = self.bar.velocities(s)
-        return self.sweep * (v + turning * 1j * self.bar.turns(s) * self.point)
+        return self.sweep * self.bar.velocities(self._s(t), self.point)
 
     def of(self, point: complex) -> CouplerCurve:
         """The curve of another point of the body, with the same parameters."""
@@ -256,12 +257,12 @@ class CouplerCurve(PlaneCurve):
     @cached_property
     def moment(self) -> float:
         """Half of the integral of x dy - y dx along it: its part of the area that a closed curve has to its left."""
-        value = np.inf
+        value, rounding = np.inf, ROUNDING * self.length * (self.length + float(np.abs(self._fine[1]).max()))
         for n in NODES:
             before = value
             x, w = _gauss(n)
             value = 0.5 * float(w @ np.imag(np.conj(self.at(x)) * self.velocity(x)))
-            if abs(value - before) <= ROUNDING * self.length**2:
+            if abs(value - before) <= rounding:
                 break
         return value
 
