@@ -61,6 +61,11 @@ def pytest_collection_finish() -> None:
     gc.enable()
 
 
+def pytest_sessionfinish() -> None:
+    """The process ends: no garbage is looked for."""
+    gc.freeze()
+
+
 def pytest_report_header(config: pytest.Config) -> str:
     """The line that tells how to run the same hunts again."""
     return f"hunts: --hunt-seed {config.getoption('--hunt-seed')} --hunt-times {hunts.TIMES:g}"

@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -104,15 +103,31 @@ def test_assembly_modes(tmp_path):
     assert done.returncode == 130 and "interrupted" in done.stdout, (done.stdout, done.stderr)
 
 
+COUNTED = """
+import itertools, math, types, kempe.solvers.common.clock, kempe.analysis.continuation.path as module
+own, count = module.gauss_newton_of_many, itertools.count(1)
+def counted(*given, **more):
+    n = next(count)
+    {then}
+    return own(*given, **more)
+module.gauss_newton_of_many = counted
+"""
+"""What happens at the n-th piece of points at equal distances."""
+SAYS = COUNTED.format(then="if n == 5: print('begun', flush=True)\n    while n == 20: signal.pause()")
+"""The process says when some are done, and soon after that it waits for the signal."""
+LATE = COUNTED.format(
+    then="if n == 10: kempe.solvers.common.clock.time = types.SimpleNamespace(monotonic=lambda: math.inf)"
+)
+"""The time is up when some are done."""
+
+
 @pytest.mark.slow
 def test_a_signal_from_outside(tmp_path):
     """Ctrl-C from a terminal, at whatever it does then."""
     out = tmp_path / "path.csv"
-    before = "import kempe.cli, kempe.analysis.motion.motion\nprint('begun', flush=True)\n"
-    words = command("trace", "four_bar", "--points", 10_000_000, "-o", out, before=before)
+    words = command("trace", "four_bar", "--points", 1_000_000, "-o", out, before=SAYS)
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None and process.stdout.readline() == "begun\n"
-        time.sleep(5.0)
         process.send_signal(signal.SIGINT)
         said, wrong = process.communicate(timeout=300)
     assert process.returncode == 130 and "Traceback" not in wrong and "interrupted" in said, (said, wrong)
@@ -125,9 +140,10 @@ def test_a_signal_from_outside(tmp_path):
 @pytest.mark.slow
 def test_a_time_limit_leaves_what_was_done(tmp_path):
     out = tmp_path / "path.csv"
-    done = run(command("trace", "four_bar", "--points", 10_000_000, "--time-limit", 1, "-o", out))
+    words = command("trace", "four_bar", "--points", 1_000_000, "--time-limit", 1000, "-o", out, before=LATE)
+    done = run(words)
     assert done.returncode == 1 and "stopped by the time limit" in done.stdout, done.stderr
-    assert "of 10000000 points at equal distances" in " ".join(done.stdout.split())
+    assert "of 1000000 points at equal distances" in " ".join(done.stdout.split())
     assert len(out.read_text(encoding="utf-8").splitlines()) > 10
 
 

@@ -13,7 +13,7 @@ from hunts import some
 
 import kempe
 from kempe import library
-from kempe.errors import InputError
+from kempe.errors import InputError, UnsupportedError
 from kempe.joints import TYPES, joint_type
 
 pytest.importorskip("matplotlib")
@@ -171,7 +171,9 @@ def test_what_cannot_be_built_or_drawn_is_text():
     assert m._repr_html_() is None
     far = kempe.Mechanism("far", dim=2)
     far.revolute("A", far.ground, far.body("b"), at=(1e300, 0.0))
-    assert "C = {0}" in far.build()._repr_html_()
+    assert "C = {0}" in far.build()._repr_html_() and "<img" not in far.build()._repr_html_()
+    with pytest.raises(UnsupportedError, match="body 'b' is 1e[+]300 from the origin; up to 1e[+]100 can be drawn"):
+        far.build().plot()
 
 
 @pytest.mark.slow

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import gzip
 import html.parser
 import http.client
@@ -10,11 +9,13 @@ import json
 import os
 import random
 import shutil
+import socket
 import subprocess
 import sys
 import threading
 import types
 import zipfile
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
@@ -23,11 +24,11 @@ import numpy as np
 import pytest
 import trimesh
 import viser
-import websockets
 from command import Result
-from test_viewer import CHROMIUM, SOFTWARE
 from websockets.datastructures import Headers
+from websockets.exceptions import InvalidStatus
 from websockets.http11 import Request
+from websockets.sync.client import connect
 
 import kempe
 from kempe.views.viewer import live_page, mesh_files
@@ -45,18 +46,19 @@ FOREIGN = "http://evil.example"
 # ---- who may open it
 
 
-async def opened(url: str, origin: str | None, host: str | None = None) -> int | str:
+def opened(url: str, origin: str | None, host: str | None = None) -> int | str:
     """Bytes of the first message that a page of an origin receives at a websocket, or the refusal."""
     scheme, _, rest = url.partition("://")
     place, _, path = rest.partition("/")
     name, _, port = place.partition(":")
     uri = f"ws://{f'{host}:{port}' if host else place}/{path}"
-    try:
-        async with websockets.connect(uri, origin=origin, host=name, port=int(port), subprotocols=[VISER],
-                                      max_size=None, compression=None) as socket:  # fmt: skip
-            return len(await asyncio.wait_for(socket.recv(), 20.0))
-    except websockets.exceptions.InvalidStatus as error:
-        return f"{error.response.status_code} {bytes(error.response.body).decode()}"
+    with socket.create_connection((name, int(port)), 120.0) as way:
+        try:
+            with connect(uri, sock=way, origin=origin, subprotocols=[VISER], max_size=None, compression=None,
+                         open_timeout=120.0, proxy=None) as page:  # fmt: skip
+                return len(page.recv(120.0))
+        except InvalidStatus as error:
+            return f"{error.response.status_code} {bytes(error.response.body).decode()}"
 
 
 @contextmanager
@@ -67,9 +69,11 @@ def served(*options: str):
     with subprocess.Popen([*command, *options], stdout=subprocess.PIPE, text=True, env=environment) as process:
         try:
             assert process.stdout is not None
-            text = process.stdout.readline()
+            text = ""
             while text.count("{") != text.count("}") or "{" not in text:
-                text += process.stdout.readline()
+                line = process.stdout.readline()
+                assert line, "it has ended"
+                text += line
             yield json.loads(text)["url"]
         finally:
             process.terminate()
@@ -81,8 +85,8 @@ def test_only_who_has_the_address_and_comes_from_the_page_opens_a_websocket():
         base, _, token = url.rpartition("/")
         assert len(token) >= 32 and base.startswith("http://127.0.0.1:")
         port = base.rpartition(":")[2]
-        assert int(asyncio.run(opened(url, base))) > 0
-        assert int(asyncio.run(opened(url, f"http://localhost:{port}", "localhost"))) > 0
+        assert int(opened(url, base)) > 0
+        assert int(opened(url, f"http://localhost:{port}", "localhost")) > 0
         for address, origin, host, why in (
             (base, base, None, "the address is incomplete"),
             (f"{base}/{token[:-1]}", base, None, "the address is incomplete"),
@@ -95,7 +99,7 @@ def test_only_who_has_the_address_and_comes_from_the_page_opens_a_websocket():
             (url, f"{FOREIGN}:{port}", "evil.example", "names a host"),
             (url, base, "evil.example", "names a host"),
         ):
-            said = asyncio.run(opened(address, origin, host))
+            said = opened(address, origin, host)
             assert str(said).startswith("403 Refused") and why in str(said), (address, origin, host, said)
 
 
@@ -122,7 +126,7 @@ def test_two_servers_have_two_tokens_and_other_servers_of_viser_are_as_they_were
     first, second = PageServer(port=0), PageServer(port=0)
     assert first.guard.token != second.guard.token and viser.infra.WebsockServer._background_worker is plain
     other = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    assert int(asyncio.run(opened(f"http://127.0.0.1:{other.get_port()}/", FOREIGN))) > 0
+    assert int(opened(f"http://127.0.0.1:{other.get_port()}/", FOREIGN)) > 0
     for server in (first, second, other):
         server.stop()
 
@@ -177,17 +181,6 @@ def changed(rng: random.Random, text: str, letters: str) -> str:
     return "".join(out)
 
 
-@pytest.fixture(scope="module")
-def chromium():
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    if CHROMIUM is None:
-        pytest.skip("Chromium is not installed")
-    with playwright.sync_playwright() as p:
-        one = p.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
-        yield one
-        one.close()
-
-
 @contextmanager
 def website(page: str = ""):
     """The address of a web server on this machine, and the paths that were requested from it."""
@@ -214,13 +207,13 @@ def website(page: str = ""):
 
 
 @pytest.mark.slow
-def test_another_page_in_the_same_browser_cannot_open_the_websocket(chromium):
+def test_another_page_in_the_same_browser_cannot_open_the_websocket(browser):
     """Not with the address, and not as a frame of it; the page itself can, also in a frame as in a notebook."""
     script = """([url, protocol]) => new Promise(done => {
         const s = new WebSocket(url, [protocol]);
         s.onmessage = () => done("open"); s.onclose = () => done("closed")})"""
     with kempe.load("two_link").show(port=0, browser=False) as viewer, website("<p>foreign</p>") as (site, _):
-        tab = chromium.new_page()
+        tab = browser.new_page()
         tab.goto(f"http://{site}/")
         for url in (viewer.url, viewer.url.rpartition("/")[0]):
             assert tab.evaluate(script, [url.replace("http", "ws"), VISER]) == "closed"
@@ -273,13 +266,13 @@ def test_names_are_text_in_notebooks_and_on_saved_pages(tmp_path):
 
 
 @pytest.mark.slow
-def test_names_are_text_on_the_page_and_request_nothing(chromium, tmp_path, monkeypatch):
+def test_names_are_text_on_the_page_and_request_nothing(browser, tmp_path, monkeypatch):
     """With what a browser may load left open, too: the names are seen letter by letter, and no request leaves."""
     monkeypatch.setattr("kempe.views.viewer.server.POLICY", "default-src * data: blob: 'unsafe-inline' 'unsafe-eval'")
     with website() as (site, asked):
         system = named(site, tmp_path)
         with system.show(port=0, browser=False) as viewer:
-            tab, requests = chromium.new_page(viewport={"width": 1000, "height": 900}), []
+            tab, requests = browser.new_page(viewport={"width": 1000, "height": 900}), []
             tab.on("request", lambda r: requests.append(r.url))
             tab.goto(viewer.url)
             tab.get_by_text("random", exact=True).wait_for()
@@ -294,7 +287,7 @@ def test_names_are_text_on_the_page_and_request_nothing(chromium, tmp_path, monk
             assert not tab.locator("img[src*='/a']").count() and not tab.locator("img[src*='/b']").count()
             tab.close()
         system.save_html(tmp_path / "page.html")
-        tab = chromium.new_page()
+        tab = browser.new_page()
         tab.on("request", lambda r: requests.append(r.url))
         tab.goto((tmp_path / "page.html").as_uri())
         tab.get_by_text("Sliders need the live page").wait_for()
@@ -306,19 +299,27 @@ def test_names_are_text_on_the_page_and_request_nothing(chromium, tmp_path, monk
 # ---- sliders
 
 
-def page_of(system: kempe.System, q: object = None, deg: bool = False) -> tuple[Viewer, Page]:
-    """A page whose messages go to all clients: there are none."""
-    session = Session(system, q)
-    viewer = Viewer(session, True, 0, deg)
-    page = viewer.pages[0] = Page(viewer, viewer.server, session, viewer.drawn)
-    return viewer, page
+@pytest.fixture
+def page_of(monkeypatch) -> Iterator[Callable[..., Page]]:
+    """Makes pages whose messages go to all clients, of whom there are none, and that do nothing by themselves."""
+    viewers = []
+    monkeypatch.setattr(Page, "_work", lambda page: None)
+
+    def made(system: kempe.System, deg: bool = False) -> Page:
+        session = Session(system)
+        viewers.append(Viewer(session, True, 0, deg))
+        return Page(viewers[-1], viewers[-1].server, session, viewers[-1].drawn)
+
+    yield made
+    for viewer in viewers:
+        viewer.close()
 
 
 @pytest.mark.parametrize("name", ["jansen", "two_link", "klann", "ball"])
-def test_sliders_show_the_value_that_is_beyond_a_turn_too(name):
+def test_sliders_show_the_value_that_is_beyond_a_turn_too(name, page_of):
     """Also where an angle has wound up, and back."""
     system = kempe.load(name)
-    viewer, page = page_of(system)
+    page = page_of(system)
     session = page.session
     page.show()
     for turns in (0.0, 4.295, -3.5, 11.0, -40.0, 0.3):
@@ -330,13 +331,12 @@ def test_sliders_show_the_value_that_is_beyond_a_turn_too(name):
         for one in session.sliders:
             handle = page.sliders[one.name]
             assert handle.value == pytest.approx(one.value, abs=1e-9) and handle.min <= handle.value <= handle.max
-    viewer.close()
 
 
-def test_the_page_speaks_degrees_where_these_are_wanted():
+def test_the_page_speaks_degrees_where_these_are_wanted(page_of):
     """By `deg=True`, and by the switch; limits in degrees are the limits, and lengths stay metres."""
     system = kempe.load("stanford")
-    viewer, page = page_of(system, deg=True)
+    page = page_of(system, deg=True)
     page.show()
     for s in page.session.sliders:
         handle, factor = page.sliders[s.name], np.pi / 180.0 if s.unit == "rad" else 1.0
@@ -348,7 +348,6 @@ def test_the_page_speaks_degrees_where_these_are_wanted():
     page.degrees.value = False
     page._make_sliders()
     assert {h.label.rpartition(" ")[2] for h in page.sliders.values()} == {"[rad]", "[m]"}
-    viewer.close()
     with kempe.load("two_link").show({"q1": 0.5}, deg=True, port=0, browser=False) as shown:
         assert shown.deg
     with pytest.raises(kempe.errors.InputError, match="deg is 'yes'; it must be True or False"):

@@ -8,15 +8,12 @@ import json
 import os
 import shutil
 import signal
-import subprocess
-import sys
-import time
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hunts import some
-from interrupts import Interrupt
+from interrupts import Interrupt, ended
 
 import kempe
 from kempe import Budget, Status, spatial
@@ -30,6 +27,7 @@ parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installe
 pyarrow = pytest.importorskip("pyarrow", reason="pyarrow is not installed (extra scale)")
 PUMA, BAR, TWO = kempe.load("puma560"), kempe.load("four_bar"), kempe.load("two_link")
 N = 1000
+MODULES = (file_map, row_store, side_by_side, part_log)
 
 
 @pytest.fixture(autouse=True)
@@ -339,18 +337,18 @@ def test_an_interrupted_map_is_gone_on_with(tmp_path, whole):
 
 def test_an_interrupt_at_any_line(tmp_path, hunt):
     """Where the work is broken off, the same call goes on to what was to be written, and nothing is made twice."""
-    modules, rows = (file_map, row_store, side_by_side, part_log), PUMA.random(0, 300)
+    rows = PUMA.random(0, 300)
     file = written(tmp_path, "x.npy", rows)
 
     def done(name):
         return until_interrupt(kempe.map_file, PUMA, "fk", file, tmp_path / name, "tool", budget=Budget(threads=2))
 
-    with Interrupt(0, *modules) as none:
+    with Interrupt(0, *MODULES) as none:
         done("whole.zarr")
     assert none.lines > 300
     for at in hunt.rng().permutation(none.lines)[: hunt.cases(40)].tolist():
         first = None
-        with Interrupt(1 + at, *modules) as interrupt:
+        with Interrupt(1 + at, *MODULES) as interrupt:
             first = done(f"{at}.zarr")
         assert first is None or (first.code is Status.INTERRUPTED) == interrupt.came
         second = done(f"{at}.zarr")
@@ -510,34 +508,28 @@ def test_a_place_that_may_not_be_written(tmp_path, whole, monkeypatch):
         mapped(whole[0], tmp_path / "out.zarr")
 
 
-SCRIPT = """
-import sys, kempe
-from kempe.analysis.maps import file_map
-file_map.CHUNK_BYTES = 2**14
-kempe.map_file(kempe.load("puma560"), "ik", {file!r}, {path!r}, "tool", budget=kempe.Budget(threads=2))
+WORK = """
+    import kempe
+    from kempe.analysis.maps import file_map
+    file_map.CHUNK_BYTES = 2**14
+    kempe.map_file(kempe.load("puma560"), "ik", {file!r}, {path!r}, "tool", budget=kempe.Budget(threads=2))
 """
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGINT])
-def test_a_process_that_is_ended_at_any_moment(tmp_path, ending):
-    X = PUMA.fk(PUMA.random(0, 20_000), "tool")
+def test_a_process_that_is_ended_at_any_moment(tmp_path, hunt, ending):
+    """Three times, each in the next sixth of the work at most."""
+    X = PUMA.fk(PUMA.random(0, 5000), "tool")
     file, path = written(tmp_path, "x.npy", X), tmp_path / "out.zarr"
-    command = [sys.executable, "-c", SCRIPT.format(file=str(file), path=str(path))]
-    log, ended = tmp_path / "out.zarr.parts" / "parts.jsonl", 0
-    for lines in (40,):
-        process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
-        end = time.monotonic() + 60.0
-        while process.poll() is None and time.monotonic() < end:
-            if log.exists() and log.read_bytes().count(b"\n") > lines:
-                process.send_signal(ending)
-                ended += 1
-                break
-            time.sleep(0.005)
-        process.wait()
-    subprocess.run(command, check=True)
+    lines = ended(ending, 0, MODULES, WORK.format(file=str(file), path=str(tmp_path / "whole.zarr")))
+    for _ in range(3):
+        at = int(hunt.rng().integers(1, lines // 6))
+        ended(ending, at, MODULES, WORK.format(file=str(file), path=str(path)))
+        assert not path.exists()
+    assert ended(ending, 0, MODULES, WORK.format(file=str(file), path=str(path))) is not None
     plain, found = PUMA.ik(X, "tool"), arrays(path)
-    assert ended and np.array_equal(found["q"], plain.q) and np.array_equal(found["code"], plain.code)
+    assert np.array_equal(found["q"], plain.q) and np.array_equal(found["code"], plain.code)
 
 
 # ---- something else, and what is wrong

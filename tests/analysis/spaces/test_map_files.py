@@ -8,8 +8,6 @@ import json
 import math
 import shutil
 import signal
-import subprocess
-import sys
 import threading
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -18,7 +16,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from interrupts import Interrupt
+from interrupts import Interrupt, ended
 from reached_sets import shell, two_bars
 
 import kempe
@@ -338,24 +336,25 @@ def test_what_stands_at_the_path_is_kept(tmp_path):
     assert (tmp_path / "data" / "x").read_text() == "precious"
 
 
-SCRIPT = """
-import kempe
-from kempe.analysis.spaces.workspace import recipe
-recipe.PART, recipe.PIECE = 2_000_000, 100_000
-kempe.load("puma560").workspace("tool", n=40_000_000, cells=32, path={path!r})
+WORK = """
+    import kempe
+    from kempe.analysis.spaces.workspace import recipe
+    recipe.PART, recipe.PIECE = 200_000, 20_000
+    kempe.load("puma560").workspace("tool", n=4_000_000, cells=32, path={path!r}, budget=kempe.Budget(threads=2))
 """
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGINT])
-def test_a_process_that_is_ended_at_any_moment(tmp_path, ending):
-    path, rng = tmp_path / "map.zarr", np.random.default_rng(0)
+def test_a_process_that_is_ended_at_any_moment(tmp_path, hunt, ending):
+    """Six times, each in the next twelfth of the work at most."""
+    path, rng = tmp_path / "map.zarr", hunt.rng()
+    lines = ended(ending, 0, MODULES, WORK.format(path=str(tmp_path / "whole.zarr")))
     for _ in range(6):
-        process = subprocess.Popen([sys.executable, "-c", SCRIPT.format(path=str(path))], stderr=subprocess.DEVNULL)
-        time.sleep(rng.uniform(0.3, 1.5))
-        process.send_signal(ending)
-        process.wait()
-    subprocess.run([sys.executable, "-c", SCRIPT.format(path=str(path))], check=True)
-    whole = kempe.load("puma560").workspace("tool", n=40_000_000, cells=32)
+        at = int(rng.integers(1, lines // 12))
+        ended(ending, at, MODULES, WORK.format(path=str(path)))
+        assert not path.exists()
+    assert ended(ending, 0, MODULES, WORK.format(path=str(path))) is not None
+    whole = kempe.load("puma560").workspace("tool", n=4_000_000, cells=32)
     assert np.array_equal(kempe.open_workspace(path).map.counts, whole.map.counts)
-    assert math.isclose(float(whole.map.counts.sum()), 4e7) and Path(path).is_dir()
+    assert math.isclose(float(whole.map.counts.sum()), 4e6) and Path(path).is_dir()

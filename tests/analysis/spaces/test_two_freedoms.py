@@ -144,7 +144,7 @@ def test_places_without_a_closed_form_are_counted_from_node_to_node(monkeypatch)
 def test_the_time_limit_ends_a_search_with_what_is_found():
     from kempe.solvers.common.clock import TimeLimit
 
-    space = spaces.two_freedoms(spherical_five_bar(1.0, 1.2, 1.1, 0.9, 1.3), "tip", DIRECTION, TimeLimit(1e-3))
+    space = spaces.two_freedoms(spherical_five_bar(1.0, 1.2, 1.1, 0.9, 1.3), "tip", DIRECTION, TimeLimit(1e-9))
     assert not space.over_grid(60)[1].any() and space.broken is kempe.Status.OUT_OF_TIME
 
 

@@ -245,8 +245,9 @@ def test_answers_are_said():
     assert data["samples"] == 10**5 and data["area"] == workspace.area[0] and data["box"]["x"][0] < -0.8
 
 
-def test_the_time_limit_ends_it_with_what_was_done():
+def test_the_time_limit_ends_it_with_what_was_done(looks):
     said = []
+    looks(9)
     budget = Budget(time_limit=0.5, threads=1, progress=lambda *x: said.append(x))
     workspace = two_bars(0.5, 0.3).workspace("tip", n=1e13, budget=budget)
     assert workspace.code is Status.OUT_OF_TIME and 0 < workspace.samples < 1e13 and not workspace

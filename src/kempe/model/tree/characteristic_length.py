@@ -39,17 +39,30 @@ def characteristic_length(system: System) -> float:
     found: list[float] = []
     for links in _links(system).values():
         points = np.array(links)
-        spread = float(2.0 * np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=-1).mean()))
+        unit = _unit(points)
+        off = (points - points.mean(axis=0)) / unit
+        spread = unit * float(2.0 * np.sqrt((off**2).sum(axis=-1).mean()))
         if spread > NOTHING * (1.0 + float(np.abs(points).max())):
             found.append(spread)
     if found:
         least = SHORT * sorted(found)[-2:][0]
         return median([x for x in found if x > least])
     table = own_tree(system).structure.table
-    found = np.linalg.norm(table.placement[..., :3, 3], axis=-1).ravel().tolist()
-    found += [float(np.linalg.norm(np.asarray(X)[..., :3, 3], axis=-1).max()) for _, X, _ in table.at.values()]
+    found = _lengths(table.placement[..., :3, 3]).ravel().tolist()
+    found += [float(_lengths(np.asarray(X)[..., :3, 3]).max()) for _, X, _ in table.at.values()]
     real = [x for x in found if x > NOTHING * (1.0 + max(found))]
     return float(np.mean(real)) if real else 1.0
+
+
+def _unit(v: np.ndarray) -> float:
+    """A power of two by which vectors are divided before they are squared: 1 unless squares would be infinite."""
+    return 2.0**600 if np.abs(v).max(initial=0.0) > 1e150 else 1.0
+
+
+def _lengths(v: np.ndarray) -> np.ndarray:
+    """Lengths (...) of vectors (..., 3)."""
+    unit = _unit(v)
+    return unit * np.linalg.norm(v / unit, axis=-1)
 
 
 def as_large_as(system: System, other: System) -> System:

@@ -9,6 +9,7 @@ import numpy as np
 
 from kempe.constraints.base import Op, position_rows, with_numbers
 from kempe.description.parts import Declared
+from kempe.errors import UnsupportedError
 from kempe.joints import Primitive
 from kempe.kinematics.closure_errors import closure_error, coordinate_value
 from kempe.kinematics.forward import fk
@@ -17,6 +18,9 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.description.mechanism import Mechanism
     from kempe.model.system import System
+
+FARTHEST = 1e100
+"""Largest coordinate of a point that is drawn: squares and cubes of lengths are still finite."""
 
 
 @dataclass(frozen=True)
@@ -163,9 +167,16 @@ def distinct(points: Array, near: float = 1e-7) -> Array:
 
 
 def look(system: System, q: Array, drivers: tuple[str, ...] = ()) -> Scene:
-    """The scene of a system at one configuration (nq,). `drivers` names joints to mark beside the actuated ones."""
+    """The scene of a system at one configuration (nq,). `drivers` names joints to mark beside the actuated ones.
+
+    Errors: `UnsupportedError` where a body is too far away to be drawn.
+    """
     mechanism = system.mechanism
     poses = dict(zip(system.body_names, fk(system, q), strict=True))
+    for name, X in poses.items():
+        if np.abs(X[:3, 3]).max() > FARTHEST:
+            far = np.abs(X[:3, 3]).max()
+            raise UnsupportedError(f"body {name!r} is {far:g} from the origin; up to {FARTHEST:g} can be drawn")
     number = links_of(system)
     gaps = dict(zip(system.structure.closures, closure_error(system, q)[:, :3], strict=True))
     joints: list[SeenJoint] = []
