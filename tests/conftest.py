@@ -47,12 +47,14 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Hunts and properties have the mark `hunt`."""
+    """Hunts and properties have the mark `hunt`. By default warnings from inside Kempe are errors."""
     for item in items:
         if "hunt" in getattr(item, "fixturenames", ()) or getattr(
             getattr(item, "obj", None), "is_hypothesis_test", False
         ):
             item.add_marker(pytest.mark.hunt)
+        if item.get_closest_marker("slow") is None and item.get_closest_marker("rest") is None:
+            item.add_marker(pytest.mark.filterwarnings("error:::kempe[.]"))
 
 
 def pytest_collection_finish() -> None:
