@@ -10,6 +10,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 BLOCKED = "import sys; sys.modules.update(numba=None, llvmlite=None)\n"
 """Makes Numba impossible to import."""
@@ -51,3 +53,9 @@ def once(folder: Path, make: Callable[[Path], object]) -> Path:
     finally:
         done.touch()
     return folder
+
+
+def of_all_processes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of all processes of this run of the tests."""
+    base = tmp_path_factory.getbasetemp()
+    return base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base

@@ -196,3 +196,20 @@ def allowed(arm: Arm, theta, curve) -> np.ndarray:
 
 def _unit(arm: Arm) -> float:
     return max(1.0, arm.model.size) if (arm.model.kinds == oracle.SLIDE).any() else 1.0
+
+
+def assert_found_near_singular(arm: Arm, seed: int, number: int, missed: int | None = None):
+    """The answer for configurations moved off random singular ones by 1e-12 to 1e-3: these are among the solutions.
+
+    As many as that may be missed where the answer is not complete, by default any number.
+    """
+    theta, curve = near_singular(arm, seed, number, 10.0 ** -np.arange(3, 13))
+    far = allowed(arm, theta, curve[:, None]).ravel()
+    theta = theta.reshape(-1, arm.model.n)
+    X = arm.model.pose(theta)
+    answer = ask(arm, X)
+    assert_true(arm, answer, X)
+    q = np.zeros((len(X), arm.system.nq))
+    q[:, arm.model.index] = (theta - arm.model.offset) / arm.model.multiplier
+    assert_found(arm, answer, q, far, len(q) if missed is None else missed)
+    return answer

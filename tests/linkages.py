@@ -31,3 +31,13 @@ def planar_arm(*lengths: float, limits: Sequence[Any] | None = None) -> System:
         before, at = m.bodies[f"b{k}"], length
     m.frame("tip", before, at=(at, 0.0))
     return m.build()
+
+
+def two_bars() -> Mechanism:
+    """Bars `upper` and `lower` of 1 m, which turn in the plane by A and B; frame `tip`."""
+    m = Mechanism("arm", dim=2)
+    upper, lower = m.body("upper"), m.body("lower")
+    m.revolute("A", m.ground, upper)
+    m.revolute("B", upper, lower, at=(1.0, 0.0))
+    m.frame("tip", lower, at=(1.0, 0.0))
+    return m

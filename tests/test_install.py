@@ -14,7 +14,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from copies import once
+from copies import of_all_processes, once
 from test_docs import README_COMMAND, blocks, is_code, same_output
 
 from kempe.cli import app
@@ -101,9 +101,7 @@ def floored(to: Path, clone: Path) -> None:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """A folder of all processes of this run of the tests."""
-    base = tmp_path_factory.getbasetemp()
-    return base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base
+    return of_all_processes(tmp_path_factory)
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from pathlib import Path
 import hunts
 import numpy as np
 import pytest
-from copies import once
+from copies import of_all_processes, once
 
 from kempe.kernels.digest import source_digests
 
@@ -50,9 +50,7 @@ def built(to: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def shared(tmp_path_factory) -> Path:
-    """A folder of all processes of this run of the tests."""
-    base = tmp_path_factory.getbasetemp()
-    return base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base
+    return of_all_processes(tmp_path_factory)
 
 
 @pytest.fixture(scope="session")

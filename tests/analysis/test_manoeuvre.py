@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from analysis import wheels
+from linkages import planar_arm
 from scipy.integrate import solve_ivp
 
 import kempe
@@ -318,17 +319,12 @@ def test_it_is_saved_and_drawn_like_other_paths(tmp_path):
 
 
 def test_what_does_not_roll_is_told_what_holds_on_the_way():
-    m = Mechanism("arm", dim=2)
-    last = m.ground
-    for i in range(4):
-        m.revolute(f"j{i}", last, m.body(f"L{i}"), at=(0.4, 0) if i else (0, 0))
-        last = f"L{i}"
-    m.frame("tip", last, at=(0.3, 0))
-    free = m.build()
+    free = planar_arm(0.4, 0.4, 0.4, 0.3)
     with pytest.raises(UnsupportedError, match="nothing keeps it from going straight there"):
         free.manoeuvre(free.neutral, free.neutral)
     with pytest.raises(UnsupportedError, match="limits or one-sided constraints hold on the way.*path"):
-        free.with_limits({"j1": (-1.0, 1.0)}).manoeuvre(free.neutral, free.neutral)
+        free.with_limits({"q2": (-1.0, 1.0)}).manoeuvre(free.neutral, free.neutral)
+    m = free.mechanism
     m.constrain(kempe.constraints.OnLine("tip", [0, 0.5], [1, 0]), "rail")
     railed = m.build()
     q = railed.assemble({}, start=np.ones(4)).q

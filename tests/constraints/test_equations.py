@@ -7,21 +7,13 @@ import pickle
 
 import numpy as np
 import pytest
+from linkages import two_bars
 
 import kempe
 from kempe.constraints import Equation, Inequality, VelocityEquation
 from kempe.constraints.text import from_text
 from kempe.errors import DescriptionError, InputError, KempeError, UnknownNameError
 from kempe.kinematics import closure_rows
-
-
-def arm() -> kempe.Mechanism:
-    m = kempe.Mechanism("arm", dim=2)
-    upper, lower = m.body("upper"), m.body("lower")
-    m.revolute("A", m.ground, upper)
-    m.revolute("B", upper, lower, at=(1.0, 0.0))
-    m.frame("tip", lower, at=(1.0, 0.0))
-    return m
 
 
 def branching(x):
@@ -38,7 +30,7 @@ FORMS = {
 
 @pytest.mark.parametrize("form", FORMS)
 def test_forms_agree(form: str):
-    m = arm()
+    m = two_bars()
     m.equation("law", *FORMS[form])
     s = m.build()
     q = np.array([0.7, 0.4])
@@ -49,7 +41,7 @@ def test_forms_agree(form: str):
 
 
 def test_several_equations_and_names_of_rows():
-    m = arm()
+    m = two_bars()
     m.equation("laws", ["A - 0.3", "B = 0.1"])
     m.equation("more", lambda x: [x["A"] - 0.3, 2 * (x["B"] - 0.1)], of=("A", "B"))
     s = m.build()
@@ -59,7 +51,7 @@ def test_several_equations_and_names_of_rows():
 
 
 def test_parameters_are_data():
-    m = arm()
+    m = two_bars()
     m.parameter("k", 2.0)
     m.equation("law", "A = k*B")
     m.equation("same", lambda x: x["A"] - x["k"] * x["B"], of=("A", "B", "k"))
@@ -72,7 +64,7 @@ def test_parameters_are_data():
 @pytest.mark.parametrize("law", ["A = B", lambda x: x["A"] - x["B"], branching])
 def test_coordinates_that_follow_or_are_held(law):
     """J = 0.5 B + 0.1 follows B; what reads it reads B."""
-    m = arm()
+    m = two_bars()
     more = m.body("more")
     m.revolute("J", "lower", more, at=(1.0, 0.0))
     m.couple("J", {"B": 0.5}, 0.1)
@@ -89,7 +81,7 @@ def test_coordinates_that_follow_or_are_held(law):
 
 
 def test_functions_that_branch_are_called():
-    m = arm()
+    m = two_bars()
     m.equation("law", branching, of=("A", "B"))
     s = m.build()
     value, J = closure_rows.evaluate(s, np.array([0.2, 0.4]))
@@ -102,7 +94,7 @@ def test_functions_that_branch_are_called():
 
 
 def test_callbacks_have_declared_support():
-    m = arm()
+    m = two_bars()
     third = m.body("third")
     m.revolute("C", "lower", third, at=(1.0, 0.0))
     m.equation("law", branching, of=("A", "B"))
@@ -114,14 +106,14 @@ def test_callbacks_have_declared_support():
 
 
 def test_lambdas_that_branch_cannot_be_pickled():
-    m = arm()
+    m = two_bars()
     m.equation("law", lambda x: abs(x["A"]) - 1, of=("A",))
     with pytest.raises(InputError, match="equation 'law'.*cannot be pickled"):
         pickle.dumps(m)
 
 
 def everything() -> kempe.Mechanism:
-    m = arm()
+    m = two_bars()
     m.parameter("k", 2.0)
     m.equation("law", lambda x: x["A"] - np.hypot(x["B"], 0.5) * x["k"], of=("A", "B", "k"))
     m.equation("two", ["A = B^2", "exp(A) - 1"])
@@ -160,7 +152,7 @@ def test_attached_with_a_prefix():
 def test_velocity_rows():
     from kempe.kinematics.velocity.velocity import rates, row_names
 
-    m = arm()
+    m = two_bars()
     m.couple("B", {"A": 2.0}, 0.1)
     m.velocity_equation("w", [["sin(B)", "t"]], of=("A", "B"), b=lambda x, t: x["A"] * t, time=True)
     s = m.build()
@@ -174,7 +166,7 @@ def test_velocity_rows():
 
 
 def test_as_a_task_of_ik():
-    s = arm().build()
+    s = two_bars().build()
     answer = s.ik([Equation("A = 3*B"), kempe.constraints.OnLine("tip", (0.0, 0.5), (1.0, 0.0))])
     assert answer.success
     assert answer.q[0] == pytest.approx(3 * answer.q[1], abs=1e-7)
@@ -187,7 +179,7 @@ def test_as_a_task_of_ik():
 
 def test_velocities_are_no_tasks_of_ik():
     with pytest.raises(InputError, match="about velocities"):
-        arm().build().ik([VelocityEquation([[1, 0]], of=("A", "B"))])
+        two_bars().build().ik([VelocityEquation([[1, 0]], of=("A", "B"))])
 
 
 # ---- refusals
@@ -223,7 +215,7 @@ WRONG = {
 @pytest.mark.parametrize("case", WRONG)
 def test_refused(case: str):
     make, kind, said = WRONG[case]
-    m = arm()
+    m = two_bars()
     with pytest.raises(kind, match=said):
         make(m)
         m.build()
@@ -237,11 +229,11 @@ def test_hidden_state_is_named():
         return x["A"] * len(calls)
 
     with pytest.raises(InputError, match="equation 'e'.*hidden state"):
-        arm().equation("e", counting, of=("A",))
+        two_bars().equation("e", counting, of=("A",))
 
 
 def test_a_name_that_is_a_coordinate_and_a_parameter():
-    m = arm()
+    m = two_bars()
     m.parameter("B", 2.0)
     m.equation("e", "A - B")
     with pytest.raises(DescriptionError, match="'B' is a coordinate and a parameter"):
@@ -260,7 +252,7 @@ def test_a_function_that_changes_its_size_is_named_with_the_call():
     def growing(x):
         return [x["A"], 1.0] if x["A"] > 50.0 else [x["A"]]
 
-    m = arm()
+    m = two_bars()
     m.equation("e", growing, of=("A",))
     with pytest.raises(InputError, match="'e' gave 1 number, and gives 2 at A = 60.0"):
         closure_rows.residual(m.build(), [60.0, 0.0])

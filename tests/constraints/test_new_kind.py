@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from linkages import two_bars
 from on_ellipse import OnEllipse
 
 import kempe
@@ -12,18 +13,9 @@ from kempe.analysis.mobility.classify import classify
 A, B = 1.5, 1.0
 
 
-def arm() -> kempe.Mechanism:
-    m = kempe.Mechanism("arm", dim=2)
-    upper, lower = m.body("upper"), m.body("lower")
-    m.revolute("A", m.ground, upper)
-    m.revolute("B", upper, lower, at=(1.0, 0.0))
-    m.frame("tip", lower, at=(1.0, 0.0))
-    return m
-
-
 @pytest.fixture(scope="module")
 def mechanism() -> kempe.Mechanism:
-    m = arm()
+    m = two_bars()
     m.parameter("half", A)
     m.constrain(OnEllipse("tip", "half", B), name="ellipse")
     return m
@@ -61,7 +53,7 @@ def test_traced(mechanism: kempe.Mechanism):
 
 
 def test_as_a_task_of_ik():
-    s = arm().build()
+    s = two_bars().build()
     answer = s.ik([OnEllipse("tip", A, B), kempe.constraints.Posture({"A": 0.4}, weight=None)])
     assert answer.success and abs(off(answer.q)) < 1e-6
     batch = s.ik([OnEllipse("tip", np.array([1.2, 1.5, 1.8]), B)])
@@ -71,7 +63,7 @@ def test_as_a_task_of_ik():
 
 
 def test_refused_where_it_cannot_hold():
-    answer = arm().build().ik([OnEllipse("tip", 3.0, 3.0)])
+    answer = two_bars().build().ik([OnEllipse("tip", 3.0, 3.0)])
     assert not answer.success and "OnEllipse of 'tip'" in str(answer.status)
 
 

@@ -13,8 +13,8 @@ from ik_all_checks import (
     ask,
     assert_distinct,
     assert_found,
+    assert_found_near_singular,
     assert_sound,
-    assert_true,
     model,
     near_singular,
     nearest,
@@ -77,17 +77,7 @@ def test_near_singularities(name, hunt):
     No two answers are nearer than 1e-6.
     """
     arm = ARMS[name]
-    sizes = 10.0 ** -np.arange(3, 13)
-    theta, curve = near_singular(arm, 3, hunt.cases(30), sizes)
-    far = allowed(arm, theta, curve[:, None]).ravel()
-    theta = theta.reshape(-1, arm.model.n)
-    X = arm.model.pose(theta)
-    answer = ask(arm, X)
-    assert_true(arm, answer, X)
-    q = np.zeros((len(X), arm.system.nq))
-    q[:, arm.model.index] = (theta - arm.model.offset) / arm.model.multiplier
-    assert_found(arm, answer, q, far, MISSED.get(name, 0))
-    assert_distinct(arm, answer)
+    assert_distinct(arm, assert_found_near_singular(arm, 3, hunt.cases(30), MISSED.get(name, 0)))
 
 
 @pytest.mark.parametrize("name", [n for n in SQUARE if n not in MISSED])

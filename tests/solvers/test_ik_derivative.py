@@ -5,21 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import kempe
 from kempe import System, spatial
 from kempe.errors import InputError
 
 HAND, H = "panda_link7", 1e-5
-
-
-@pytest.fixture(scope="module")
-def panda() -> System:
-    return kempe.load("panda")
-
-
-@pytest.fixture(scope="module")
-def six(panda) -> System:
-    return panda.mechanism.lock({"panda_joint3": 0.4}).build()
 
 
 def moved(X: np.ndarray, twist: np.ndarray) -> np.ndarray:

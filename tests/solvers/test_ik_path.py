@@ -192,12 +192,7 @@ def test_lines_of_joints_of_redundant_arms_are_followed(name, frame, every):
 def test_an_ik_path_names_the_constraint_that_the_targets_leave(hunt):
     """The tip of an arm is on a rail; targets beside it are refused by the rail's name, not by a singularity."""
     rng = hunt.rng()
-    m = Mechanism("arm", dim=2)
-    last = m.ground
-    for i in range(4):
-        m.revolute(f"j{i}", last, m.body(f"L{i}"), at=(0.4, 0) if i else (0, 0))
-        last = f"L{i}"
-    m.frame("tip", last, at=(0.3, 0))
+    m = planar_arm(0.4, 0.4, 0.4, 0.3).mechanism
     m.constrain(kempe.constraints.OnLine("tip", [0, 0.5], [1, 0]), "rail")
     system = m.build()
     tried = 0

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog, lsq_linear
 
-import kempe
 from kempe import Mechanism, System, spatial
 from kempe.errors import InputError
 from kempe.solvers.velocity.least_squares import SHIFT, bounded
@@ -16,17 +15,6 @@ from kempe.solvers.velocity.servo import Servo
 
 HAND = "panda_link7"
 DT = 0.01
-
-
-@pytest.fixture(scope="module")
-def panda() -> System:
-    return kempe.load("panda")
-
-
-@pytest.fixture(scope="module")
-def six(panda) -> System:
-    """Six joints, no redundancy."""
-    return panda.mechanism.lock({"panda_joint3": 0.4}).build()
 
 
 def box(system: System, q: np.ndarray, speed: float) -> tuple[np.ndarray, np.ndarray]:

@@ -34,11 +34,6 @@ def flat_arm(n: int = 3) -> System:
     return m.build()
 
 
-@pytest.fixture(scope="module")
-def panda() -> System:
-    return kempe.load("panda")
-
-
 # ---- opposite axes
 
 
