@@ -135,7 +135,7 @@ def test_three_joints_off_by_rounding_of_their_table():
         off = 3e-9 * rng.standard_normal((3, 3))
         table = [(*(x + e for x, e in zip(row, o, strict=True)), 0.0) for row, o in zip(rows, off, strict=True)]
         arm = arms.table("rounded", table, "nearly structured", 16)
-        q = rng.uniform(-PI, PI, (200, 3))
+        q = rng.uniform(-PI, PI, (100, 3))
         answer = arm.system.ik_all(arm.model.fk(q), arm.frame, task="position")
         assert answer.complete.all()
         assert not false_of(arm, "position", rng, q=q)

@@ -173,7 +173,7 @@ def test_what_cannot_be_drawn_is_said():
 
 @pytest.fixture(scope="module")
 def five():
-    return FIVE.plot_spaces("tip", points=[(0.1, 0.35), (0.6, 0.3)], resolution=60)
+    return FIVE.plot_spaces("tip", points=[(0.1, 0.35), (0.6, 0.3)], resolution=40)
 
 
 def shades(ax):
