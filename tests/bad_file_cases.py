@@ -197,6 +197,13 @@ URDF_CASES = [
         encoding="utf-16-le",
         any_encoding=False,
     ),
+    Case(
+        "binary data behind a few letters",
+        "mesh\0\0\0\1",
+        ("binary data",),
+        1,
+        any_encoding=False,
+    ),
     Case("UTF-8 names with accents", robot(joint("épaule"), WRIST), holds=lambda m: "épaule" in m.joints),
     Case(
         "a child link that does not exist",

@@ -16,7 +16,7 @@ PLAIN = frozenset({float, int, np.float64})
 """Numbers of which a sequence needs no closer look."""
 LISTS = frozenset({list, tuple})
 DEEPEST = 64
-"""Lists within lists that are read."""
+"""Lists within lists that are read: as many as numpy has axes."""
 LARGEST = int(np.finfo(np.float64).max)
 """The largest float: whole numbers and fractions can be larger."""
 KINDS = {
@@ -40,7 +40,7 @@ def reals(given: Any, what: str, wanted: str = "an array of real numbers") -> ND
     if not is_plain(given):
         try:
             held = next((said for part in _parts(given) if (said := _trouble(part))), "")
-        except RecursionError:  # numpy has at most 64 axes, and a list that holds itself has no end
+        except RecursionError:  # a list that holds itself has no end
             held = f"has lists nested more than {DEEPEST} deep"
         if held:
             raise InputError(f"{what} {held}; it must be {wanted}")

@@ -9,7 +9,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.errors import InputError, shown, warn
-from kempe.reals import PLAIN, is_plain, reals
+from kempe.reals import DEEPEST, PLAIN, is_plain, reals
 from kempe.singular_values import svd
 from kempe.spatial import Array
 from kempe.words import counted
@@ -25,10 +25,6 @@ ROS = (("position", "orientation"), ("translation", "rotation"))
 """Parts of the messages Pose and Transform of ROS, whose quaternion is x y z w."""
 WORDS = ("at", "rpy", "angle", "quat_wxyz", "quat_xyzw", "matrix")
 """What a pose in words can have: its place, and its orientation in one way."""
-
-
-DEEPEST = 32
-"""Lists within lists that are read: as many as numpy has axes."""
 
 
 def arrays(x: Any, what: str, depth: int = 0) -> Any:

@@ -193,6 +193,8 @@ OTHERS = [
     ("tar archive", "unpack", packed(tarred)),
     ("USD", "URDF", b'#usda 1.0\ndef Xform "a" {}\n'),
     ("USD", "URDF", b"PXR-USDC\0\x08"),
+    ("VRML", "URDF", b"#VRML V2.0 utf8\nTransform {}\n"),
+    ("VRML", "URDF", b"#VRML_SIM R2022b utf8\nWorldInfo {\n}\n"),
     ("COLLADA", "joints", b'<?xml version="1.0"?><COLLADA version="1.4.1"></COLLADA>'),
     ("STL", "joints", b"solid part of a robot\n facet normal 0 0 1\n  outer loop\n"),
     ("OBJ", "joints", b"# a mesh\nmtllib a.mtl\no box\nv 0.0 -1e-3 2\nv 1 0 0\n"),

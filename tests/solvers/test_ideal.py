@@ -277,6 +277,25 @@ def test_parts_that_share_no_joint_are_compared_one_by_one(hunt, monkeypatch):
     assert set(sizes) == {4} and set(answer.within.absorbed) == set(given.structure.closures)
 
 
+@pytest.mark.parametrize("name", ["held", "change 0", "clock", "M"])
+def test_names_that_searches_give_to_parts_of_their_own_may_be_taken(name):
+    """A four-bar on a body that turns; D and its last body have the name."""
+    answers: list[tuple[Any, ...]] = []
+    for called in ("D", name):
+        m = Mechanism("on a turning base", dim=2)
+        m.revolute("F", m.ground, m.body("base"))
+        for body in ("crank", "rod", called):
+            m.body(body)
+        joints = [("A", "base", "crank", 0.0, 0.0), ("B", "crank", "rod", 0.0, 1.0), ("C", "rod", called, 1.0, 1.0)]
+        for joint, parent, child, x, y in (*joints, (called, "base", called, 1.00001, 0.0)):
+            m.revolute(joint, parent, child, at=(x, y), child_at=(x, y))
+        system = m.build()
+        answer = system.assemble({"A": 0.1}, tolerance=1e-4)
+        answers.append((system.mobility(answer.q, tolerance=1e-4).dof, answer.q.round(12).tolist()))
+        assert answer
+    assert answers[0] == answers[1]
+
+
 def test_a_time_limit_ends_the_search_and_the_answer_says_so(hunt, monkeypatch):
     """What is known then is the answer for the given numbers; the next call without a limit searches again."""
     given = rounded(exact("bennett"), 6, hunt.rng())

@@ -170,6 +170,9 @@ OTHER_KINDS = (
         "Kempe does not read USD: load the URDF that it was made from, or export one",
         rb"#usda\s+\d|PXR-USDC",
     ),
+    OtherKind(
+        "a VRML file, as of a Webots world", "load the URDF that it was made from, or export one", rb"#VRML\w* V?R?\d"
+    ),
     OtherKind("a COLLADA mesh", _MESH, elements=("collada",)),
     OtherKind("an STL mesh", _MESH, rb"solid\b[^\n]*\s+facet\s+normal\b"),
     OtherKind("an OBJ mesh", _MESH, rb"((#|(mtllib|o|g|s)\s)[^\n]*\n\s*)*v\s+[-+.\d]+\S*\s+[-+.\d]+\S*\s+[-+.\d]"),

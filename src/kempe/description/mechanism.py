@@ -343,6 +343,13 @@ class Mechanism(ConstraintMethods):
         return X
 
 
+def unused_name(m: Mechanism, name: str) -> str:
+    """Return the name, with dashes behind it where a body, a frame, a joint or a constraint has it."""
+    while any(name in parts for parts in (m.bodies, m.frames, m.joints, m.constraints)):
+        name += "'"
+    return name
+
+
 def _mechanism_of(thing: Mechanism | System) -> Mechanism:
     mechanism = thing if isinstance(thing, Mechanism) else getattr(thing, "mechanism", None)
     if not isinstance(mechanism, Mechanism):

@@ -240,8 +240,10 @@ def _text_of(data: bytes, name: str, declared: re.Pattern[bytes] | None) -> str:
                 raise fail(f"the file is {refused}", first, "save it as UTF-8")
             _check_declared(data[len(mark) :], encoding, first, declared)
             return _decode(data[len(mark) :], encoding, name, "the byte order mark at its start")
-    if b"\0" in data[:4]:
-        raise fail("the file looks like UTF-16 without its byte order mark", first, "save it as UTF-8")
+    if b"\0" in data:
+        if [byte == 0 for byte in data[:4]] in ([False, True] * 2, [True, False] * 2):
+            raise fail("the file looks like UTF-16 without its byte order mark", first, "save it as UTF-8")
+        raise fail("the file is binary data and no text: it holds zero bytes", first, "load the robot description")
     match = declared.match(data[:300]) if declared else None
     if match is None:
         return _decode(data, "utf-8", name, "")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from kempe import spatial
 from kempe.calls import explained
-from kempe.description.mechanism import Mechanism
+from kempe.description.mechanism import Mechanism, unused_name
 from kempe.description.parts import Body, Coupling, Joint
 from kempe.errors import InputError
 from kempe.joints import Primitive, Prismatic, Q, R, Revolute, Spherical
@@ -73,12 +73,12 @@ def _expand(m: Mechanism, joint: Joint, parts: list[_SingleJoint]) -> None:
     here, X = joint.parent, joint.X_PF
     for k, (name, key, motion) in enumerate(parts):
         last, axis = k == len(parts) - 1, place(axis=motion.axis)
-        there = joint.child if last else _free(m, f"{joint.name} {k + 1}")
+        there = joint.child if last else unused_name(m, f"{joint.name} {k + 1}")
         if not last:
             m.bodies[there] = Body(there)
         follows = name in m.joints
         if follows:
-            name, source = _free(m, f"{name} slide"), name
+            name, source = unused_name(m, f"{name} slide"), name
             m.couplings[name] = Coupling(name, {source: motion.multiplier})
         tables: tuple[Mapping[str, Any], ...] = (joint.limits, joint.velocity_limits, joint.effort_limits)
         own: list[Any] = [{"": table[key]} if key in table and not follows else {} for table in tables]
@@ -88,10 +88,3 @@ def _expand(m: Mechanism, joint: Joint, parts: list[_SingleJoint]) -> None:
             cut=joint.cut and last, where=joint.where, dim=joint.dim, of_particle=joint.of_particle and last,
         )  # fmt: skip
         here, X = there, Placement()
-
-
-def _free(m: Mechanism, name: str) -> str:
-    """The name, with dashes where something else has it."""
-    while name in m.bodies or name in m.joints or name in m.frames:
-        name += "'"
-    return name

@@ -11,11 +11,11 @@ import numpy as np
 from kempe.calls import explained, numbers
 from kempe.constraints.base import Constraint
 from kempe.constraints.tape import TIME
+from kempe.description.mechanism import Mechanism, unused_name
 from kempe.errors import InputError
 from kempe.model.kept import kept
 
 if TYPE_CHECKING:
-    from kempe.description.mechanism import Mechanism
     from kempe.model.system import System
 
 
@@ -54,14 +54,8 @@ def _at_zero(system: System) -> Any:
 def clocked(system: System) -> System:
     """The system with the time as its last coordinate, a prismatic one that appears in no pose, only in equations."""
     m = _plain(system, (TIME,))
-    m.prismatic(TIME, m.ground, m.body(_free(m, "clock")), axis="x")
+    m.prismatic(TIME, m.ground, m.body(unused_name(m, "clock")), axis="x")
     return m.build()
-
-
-def _free(m: Mechanism, name: str) -> str:
-    while name in m.bodies or name in m.frames:
-        name += "_"
-    return name
 
 
 def _plain(system: System, more: tuple[str, ...]) -> Mechanism:

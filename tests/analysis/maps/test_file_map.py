@@ -238,6 +238,15 @@ def test_a_folder_of_parquet_files_has_any_name(tmp_path, q):
         kempe.map_file(PUMA, "fk", tmp_path / "empty", tmp_path / "o2.zarr", "tool")
 
 
+def test_cells_of_a_table_may_stand_in_quotation_marks(tmp_path, q):
+    """Programs write them so that quote all cells."""
+    rows = [PUMA.coordinate_names, *q.tolist()]
+    (tmp_path / "q.csv").write_text("".join(",".join(f'"{x}"' for x in row) + "\n" for row in rows))
+    found = kempe.map_file(PUMA, "fk", tmp_path / "q.csv", tmp_path / "o.zarr", "tool")
+    assert found.rows == len(q)
+    assert np.array_equal(arrays(tmp_path / "o.zarr")["pose"], PUMA.fk(q, "tool"), equal_nan=True)
+
+
 @pytest.mark.parametrize("empty", ["", " ", '""'])
 @pytest.mark.parametrize("ending", ["\n", "\r\n"])
 def test_an_empty_cell_of_a_table_concerns_its_row_alone(tmp_path, empty, ending):
@@ -254,7 +263,7 @@ def test_an_empty_cell_of_a_table_concerns_its_row_alone(tmp_path, empty, ending
     assert np.array_equal(pose[[0, 3, 4]], PUMA.fk(q, "tool")[[0, 3, 4]])
 
 
-@pytest.mark.parametrize("name", ["out.csv", "out.parquet", "out.NPY"])
+@pytest.mark.parametrize("name", ["out.csv", "out.parquet", "out.NPY", "out.csv.gz"])
 def test_answers_are_not_written_to_a_folder_with_the_name_of_a_table(tmp_path, q, name):
     file = written(tmp_path, "q.npy", q)
     with pytest.raises(InputError, match=r"written as a folder of Zarr; give it a name such as 'out.zarr'"):

@@ -22,6 +22,7 @@ from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.velocity.velocity import rates
 from kempe.singular_values import svd
 from kempe.spatial import Array
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import System
@@ -371,5 +372,6 @@ def _normal(
         name = system.structure.velocity_names[steering]
         raise UnsupportedError(f"{system.name}: no point of {pose.body!r} is without sideslip for every value of "
                                f"{name!r}: a manoeuvre is known for a body with an axle of its own")  # fmt: skip
-    raise UnsupportedError(f"{system.name}: the velocity constraints leave {pose.body!r} {min(counts)} freedoms of "
-                           "motion: it moves along one curve only")  # fmt: skip
+    left = counted(min(counts), "freedom")
+    raise UnsupportedError(f"{system.name}: the velocity constraints leave {pose.body!r} {left} of motion: "
+                           "it moves along one curve only")  # fmt: skip

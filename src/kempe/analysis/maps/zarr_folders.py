@@ -42,7 +42,10 @@ def format_of(path: Path) -> str | None:
         return None
 
 
-OTHER_FORMATS = {".csv", ".npy", ".npz", ".parquet", ".json", ".txt", ".tsv", ".xlsx", ".h5", ".hdf5", ".zip"}
+OTHER_FORMATS = {
+    ".csv", ".tsv", ".txt", ".json", ".xlsx", ".xls", ".npy", ".npz", ".parquet", ".feather", ".arrow", ".h5", ".hdf5",
+    ".mat", ".pkl", ".zip", ".gz", ".bz2", ".xz", ".zst",
+}  # fmt: skip
 """Endings of files that are no folders of Zarr."""
 
 
@@ -50,9 +53,12 @@ def refuse_place(path: Path, format: str) -> None:
     """Refuse a path that has no folder, or where something else than this format is. Errors: `InputError`."""
     if not path.parent.is_dir():
         raise InputError(f"{path}: there is no folder {str(path.parent)!r}")
-    if path.suffix.lower() in OTHER_FORMATS:
+    stem = path
+    while stem.suffix.lower() in OTHER_FORMATS:
+        stem = stem.with_suffix("")
+    if stem != path:
         raise InputError(f"{path}: results are written as a folder of Zarr; give it a name such as "
-                         f"{path.with_suffix('.zarr').name!r}, and open it with xarray.open_zarr")  # fmt: skip
+                         f"{stem.name + '.zarr'!r}, and open it with xarray.open_zarr")  # fmt: skip
     if path.exists() and format_of(path) != format:
         raise InputError(f"{path}: there is something else than a map; take another path")
 

@@ -79,19 +79,24 @@ def is_number(text: str) -> bool:
 
 def header_of(line: str) -> list[str] | None:
     """The names that a first line of a .csv holds; None where it has numbers."""
-    cells = line.split(",")
-    return None if any(map(is_number, cells)) else [name.strip().strip('"') for name in cells]
+    names = [_unquoted(cell) for cell in line.split(",")]
+    return None if any(map(is_number, names)) else names
+
+
+def _unquoted(cell: str) -> str:
+    """The text of a cell, without blanks and quotation marks around it."""
+    return cell.strip().removeprefix('"').removesuffix('"').strip()
 
 
 def rows_of_text(path: Path, lines: Sequence[tuple[int, str]], width: int) -> Array:
     """The numbers (n, width) of lines of a .csv, each with its number in the file; NaN for empty cells.
 
-    Errors: `InputError`.
+    Cells may stand in quotation marks, as a program writes them that quotes all cells. Errors: `InputError`.
     """
     out = np.empty((len(lines), width))
     for row, (line, text) in zip(out, lines, strict=True):
         cells = text.split(",")
         if len(cells) != width:
             raise InputError(f"{path}:{line}: {counted(len(cells), 'value')}; the first line has {width}")
-        row[:] = as_numbers([cell if cell.strip(' \t\r"') else "nan" for cell in cells], f"{path}:{line}")
+        row[:] = as_numbers([_unquoted(cell) or "nan" for cell in cells], f"{path}:{line}")
     return out

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe.description.mechanism import unused_name
 from kempe.joints import Fixed
 from kempe.kinematics.closure_rows import evaluate, full, scales
 from kempe.kinematics.common.gauss_newton import gauss_newton, gauss_newton_of_many
@@ -122,7 +123,8 @@ class Dimensions:
             m.joints[name] = replace(joint, cut=name in given.closures)
         added: list[str] = []
         for k, ((table, name, side), motions) in enumerate(self.places.items()):
-            parts, end, here = getattr(m, table), "parent" if side == "X_PF" else "child", m.body(f"{ADDED}{k}")
+            parts, end = getattr(m, table), "parent" if side == "X_PF" else "child"
+            here = m.body(unused_name(m, f"{ADDED}{k}"))
             turned = TO_Z.get(motions[-1], Placement()) if m.dim == 2 else Placement()
             joint = m.free(here.name, self.body(table, name, side), here, angles=True)
             m.joints[joint.name] = replace(joint, X_PF=getattr(parts[name], side) @ turned)

@@ -19,6 +19,7 @@ import numpy as np
 
 from kempe.budget import Budget
 from kempe.calls import explained, explained_methods
+from kempe.description.mechanism import unused_name
 from kempe.errors import InputError, shown
 from kempe.joints import Revolute
 from kempe.kinematics.ball_angles import regular_chart
@@ -301,10 +302,8 @@ def _parts(system: System) -> list[tuple[System, np.ndarray]]:
 
 def _part(system: System, edges: Sequence[tuple[str, str]]) -> System:
     """The system of these joints and constraints alone, one of its bodies held where the ground is not among them."""
-    m, kept = (
-        system.mechanism,
-        {table: {name for t, name in edges if t == table} for table in ("joints", "constraints")},
-    )
+    m = system.mechanism
+    kept = {table: {name for t, name in edges if t == table} for table in ("joints", "constraints")}
     m.joints = {name: j for name, j in m.joints.items() if name in kept["joints"]}
     m.constraints = {name: c for name, c in m.constraints.items() if name in kept["constraints"]}
     order = list(m.bodies)
@@ -316,7 +315,7 @@ def _part(system: System, edges: Sequence[tuple[str, str]]) -> System:
     m.locks = {c: x for c, x in m.locks.items() if c in coordinates}
     m.postures = {}
     if m.ground.name not in bodies:
-        m.fixed(HELD, m.ground, min(bodies, key=order.index))
+        m.fixed(unused_name(m, HELD), m.ground, min(bodies, key=order.index))
     return type(system)(m)
 
 
