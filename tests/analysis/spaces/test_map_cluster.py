@@ -151,8 +151,13 @@ def test_the_time_limit_gives_tasks_up(cluster, monkeypatch):
 def test_what_is_no_address_is_refused_before_a_client_is_made(monkeypatch):
     """A client that has no scheduler lets the process wait for half a minute at its end."""
     monkeypatch.setattr(distributed, "Client", lambda *a, **k: pytest.fail("a client was made"))
-    for address in ("rubbish", "tcp://nowhere", ""):
-        with pytest.raises(InputError, match="no scheduler answers at .*port"):
+    for address, why in (
+        ("rubbish", "port"),
+        ("tcp://nowhere", "port"),
+        ("", "port"),
+        ("http://127.0.0.1:1", "scheme"),
+    ):
+        with pytest.raises(InputError, match=f"is no address of a scheduler .*{why}.* give one such as"):
             made(10**6, client=address)
 
 

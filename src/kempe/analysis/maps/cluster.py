@@ -27,13 +27,19 @@ def connected(client: Any) -> Any:
     try:
         from distributed import Client
         from distributed.comm.addressing import parse_address, parse_host_port
+        from distributed.comm.registry import get_backend
     except ImportError:
         raise MissingExtraError("distributed", "scale") from None
     if isinstance(client, str):
         try:
             scheme, place = parse_address(client)
+            get_backend(scheme)  # a client for what is no address waits long until it goes
             if scheme in HOSTS:
-                parse_host_port(place)  # a client for what is no address waits long until it goes
+                parse_host_port(place)
+        except ValueError as error:
+            said = f"{shown(client)} is no address of a scheduler ({error})"
+            raise InputError(f"{said}; give one such as 'tcp://127.0.0.1:8786'") from None
+        try:
             return Client(client, timeout=PATIENCE, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
             raise InputError(f"no scheduler answers at {client!r} within {PATIENCE:g} s: {error}") from None
