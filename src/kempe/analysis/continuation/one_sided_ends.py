@@ -150,6 +150,8 @@ def _reached(equations: Closure, a: Node, b: Node, bound: OneSidedEnd) -> Node |
         if rate >= -RESTING:
             return a  # at rest on the bound, and then beyond it
     last, low = b, 0.0
+    if before <= -TOUCH and after <= TOUCH and (bound.rate(a) <= RESTING or bound.rate(b) >= -RESTING):
+        return None  # inside at both ends, and no largest value in between; rates of what rests are rounding
     if after <= TOUCH or before > -TOUCH:
         turn = root(equations, a, b, bound.rate)
         if turn is None or (after <= TOUCH and over(turn) <= TOUCH):
