@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe.analysis.continuation.continuation import Closure, close
-from kempe.analysis.continuation.crossings import branch_lines, locate
+from kempe.analysis.continuation.crossings import PROBE, SingularNode, branches_at, locate
 from kempe.analysis.continuation.deflation import hold_rank
 from kempe.analysis.continuation.spins import hold_spins
 from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
@@ -37,6 +37,8 @@ RESTS = 1e-6
 """Share of the driver in a direction below which it rests."""
 SEED, STARTS = 1837, 16
 """Random starts from which a configuration within one-sided constraints is looked for."""
+LOW_RANK = 0.1
+"""Length of a curve on both sides of the start over which the rank is low, if it is low all along."""
 LONGEST = 0.1
 """Longest step unless the caller says otherwise, in radians and characteristic lengths over all coordinates."""
 
@@ -216,25 +218,38 @@ def first_node(
     rests = driver is not None and here.nullity == 1 and abs(here.t[requested[-1]]) < RESTS
     if (here.nullity > 1 or rests) and hold_spins(equations, q, requested):
         here = node(equations, q)
-    if here.nullity > 1 and hold_rank(equations, q, lambda: (equations, node(equations, q))):
+
+    def low_rank(length: float) -> bool:
+        return hold_rank(equations, q, lambda: (equations, node(equations, q)), length)
+
+    if here.nullity > 1 and low_rank(LOW_RANK):
         here = node(equations, q)
     if here.nullity == 0:
         return None
     if here.nullity > 1:
-        here = _at_bifurcation(equations, here, driver, wish)
+        several = _at_bifurcation(equations, here, driver, wish)
+        if several is None and not low_rank(PROBE):
+            raise UnsupportedError(too_free(equations, here.matrix, [driver] if driver else []))
+        here = several or node(equations, q)
+    if isinstance(here, SingularNode) and here.germ.cusp(here.half):
+        return here  # both halves leave to the same side
     i = angle_or_slide(system, driver) if driver else int(np.argmax(np.abs(here.t) > 0.5 * np.abs(here.t).max()))
     sense = float(here.t @ wish) if abs(here.t @ wish) > 1e-9 else float(here.t[i])
     return here.reversed() if sense < 0.0 else here
 
 
-def _at_bifurcation(equations: Closure, here: Node, driver: str | None, wish: Array) -> Node:
-    """The node at a start where first order leaves several motions, on the branch nearest to the wish."""
+def _at_bifurcation(equations: Closure, here: Node, driver: str | None, wish: Array) -> Node | None:
+    """The node at a start where first order leaves several motions, on the branch nearest to the wish, if any."""
     x = here.x
     polished = locate(equations, x, here.nullity, 1e-5)
     x = x if polished is None else polished
-    lines = branch_lines(equations, x)
+    lines, germ = branches_at(equations, x)
+    if germ is not None:
+        if driver is not None and not wish.any():
+            wish = np.eye(equations.n)[angle_or_slide(equations.system, driver)]
+        return germ.node(int(np.argmax(np.round(germ.tangents @ wish, 9))))
     if not len(lines):
-        raise UnsupportedError(too_free(equations, here.matrix, [driver] if driver else []))
+        return None
     if np.linalg.norm(wish) > 0.0:
         merit = np.abs(lines @ wish)
     elif driver is not None:

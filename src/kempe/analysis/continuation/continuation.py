@@ -107,19 +107,22 @@ class Closure(Curve):
             self._further(x, F, J, with_matrix, further)
         return F, J
 
-    def many(self, x: Array) -> tuple[Array, Array]:
-        """`both` of many points (k, nq): (k, rows) and (k, rows, n)."""
+    def many(self, x: Array, with_matrix: bool = True) -> tuple[Array, Array]:
+        """`both` of many points (k, nq): (k, rows) and (k, rows, n); the latter has no rows unless requested."""
         self.budget.check()
         k, m = len(x), len(self.weight)
-        F, J = np.zeros((k, self.rows)), np.zeros((k, self.rows, self.n))
+        F, J = np.zeros((k, self.rows)), np.zeros((k, self.rows if with_matrix else 0, self.n))
         if m:
-            values, columns = closure_rows.evaluate(self.tree, x)
-            F[:, :m], J[:, :m] = self.weight * values, self.weight[:, None] * columns * self.unit
+            values, columns = closure_rows.evaluate(self.tree, x, with_matrix)
+            F[:, :m] = self.weight * values
+            if with_matrix:
+                J[:, :m] = self.weight[:, None] * columns * self.unit
         if self.held:
             F[:, m : m + len(self.held)] = (x[:, self.place[self._held]] - self.targets) / self.unit[self._held]
-            J[:, m + np.arange(len(self.held)), self._held] = 1.0
+            if with_matrix:
+                J[:, m + np.arange(len(self.held)), self._held] = 1.0
         for one, f, j in zip(x, F, J, strict=True) if self.more else ():
-            self._further(one, f, j, True, None)
+            self._further(one, f, j, with_matrix, None)
         return F, J
 
     def _further(self, x: Array, F: Array, J: Array, with_matrix: bool, most: int | None) -> None:

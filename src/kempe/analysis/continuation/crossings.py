@@ -3,17 +3,22 @@
 At a singular point of the constraints the Jacobian loses rank: there are more null directions than the curve has,
 and as many new combinations of equations that vanish to first order. Their second-order forms on the null space tell
 the directions of the branches: the tangent cone (Müller, *J. Mechanisms Robotics* 8, 2016; Allgower, Georg, 1990, 8.3).
+Where the cone is degenerate, at cusps and where branches touch, small spheres around the point show the half-branches
+(Milnor, *Singular Points of Complex Hypersurfaces*, 1968, sections 2 and 3).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
 import numpy as np
 
-from kempe.analysis.continuation.continuation import Closure
-from kempe.kinematics.common.gauss_newton import gauss_newton, least_squares
+from kempe.analysis.continuation.continuation import Closure, DrivenClosure
+from kempe.kinematics.common.gauss_newton import gauss_newton, gauss_newton_of_many, least_squares
 from kempe.singular_values import svd
 from kempe.solvers.common.clock import TimeLimit
-from kempe.solvers.common.tracing import RANK, Node, correct, node
+from kempe.solvers.common.tracing import NONE, RANK, Node, correct, node
 from kempe.spatial import Array
 
 DIFFERENCE = 1e-5
@@ -24,8 +29,37 @@ PROBE = 2e-3
 """Distance at which a direction is checked to be that of a branch."""
 SAME_LINE = 1e-4
 """Directions nearer than this are one."""
+DOUBLE = 1e-3
+"""Derivative of the second-order forms, relative to their size, below which a direction counts as double."""
 AHEAD = 0.8
 """Cosine between a chord and the direction of a branch at a singular point for them to be the same branch."""
+
+REACH = 0.1
+"""Distance from a singular point within which a curve may be hidden by rounding, or steps become too short."""
+RADII = (0.02, 0.06, 0.2, 0.4)
+"""Radii of the spheres, in radians and characteristic lengths: branches that touch closely part farther out."""
+INWARDS, LEAST_SAMPLES = 0.8 ** np.arange(12), 6
+"""Parts of the radius at which a half-branch is sampled, and the least number of samples of one that is used."""
+PARTED = 3e-7
+"""Relative singular value above which a sample is regular; below it another branch is too near."""
+CIRCLE, CHORDS, HALVINGS = 128, 40, 24
+"""Directions on a circle in the null space, most steps of a chord iteration, and halvings of an interval."""
+STARTS, MOST_STARTS, LOOKS = 32, 512, 3
+"""Starts on a sphere in the null space, times 2 to the power of its dimension, most of them, and repetitions."""
+VALLEY, CLUSTER = 32, 0.4
+"""Places along a valley, and the part of its length within which roots belong to the point at its center."""
+MOST_NUMBERS = 10**7
+"""Most numbers of the Jacobians of one such batch."""
+DEGREE = 6
+"""Degree of the polynomials that describe both halves of a branch."""
+UNLIKE = 1e-3
+"""Deviation of samples from a polynomial, as a part of the radius, above which two halves are not one branch."""
+ALONG = 0.9
+"""Cosine between the tangents of two halves that continue each other, or leave side by side."""
+SURE, ALIKE = 0.3, 0.1
+"""Distance of a point from its half-branch, as parts of that from the next one and of that from the center."""
+RESTS = 1e-6
+"""Entries of the tangent of a cusp below this are zero."""
 
 
 def second_order(equations: Closure, x: Array, left: Array, along: Array) -> Array:
@@ -79,21 +113,26 @@ def locate(equations: Closure, x: Array, nullity: int, reach: float, tries: int 
     return x if better is None else better
 
 
-def cone(equations: Closure, x: Array) -> Array:
-    """Directions (k, n), of length 1 and without sign, in which second order lets the null space at `x` move."""
+def cone(equations: Closure, x: Array) -> tuple[Array, bool]:
+    """Directions (k, n), of length 1 and without sign, in which second order lets the null space at `x` move.
+
+    And whether some are double, or second order does not tell any: then they need not be tangents of branches.
+    """
     U, s, Vt = svd(equations.matrix(x))
     n = equations.n
     d = int(np.sum(s <= RANK * max(s[0], 1e-300)))
     if d <= 1:
-        return Vt[n - d :]
+        return Vt[n - d :], False
     null_space, left = Vt[n - d :].T, U[:, n - d :]
     forms = np.einsum("nd,nke->kde", null_space, second_order(equations, x, left, null_space))
     forms = 0.5 * (forms + forms.transpose(0, 2, 1))
     size = np.abs(forms).max()
     if size < 1e-9:
-        return np.zeros((0, n))
-    found = _two(forms / size) if d == 2 else _many(forms / size, equations.budget)
-    return found @ null_space.T
+        return np.zeros((0, n)), True
+    forms = forms / size
+    found = _two(forms) if d == 2 else _many(forms, equations.budget)
+    least = [svd(forms @ u, compute_uv=False)[d - 2] for u in found]  # rank d - 1 where a zero is simple
+    return found @ null_space.T, min(least, default=1.0) < DOUBLE
 
 
 def _two(forms: Array) -> Array:
@@ -135,8 +174,20 @@ def _many(forms: Array, budget: TimeLimit) -> Array:
 
 def branch_lines(equations: Closure, x: Array) -> Array:
     """Directions (k, n) of the curves through a singular point: those of the tangent cone along which one can walk."""
+    return _walkable(equations, x, cone(equations, x)[0])
+
+
+def branches_at(equations: Closure, x: Array) -> tuple[Array, Germ | None]:
+    """Directions (k, n) of the curves through a singular point, and their germ where second order does not tell."""
+    directions, degenerate = cone(equations, x)
+    germ = germ_at(equations, x) if degenerate else None
+    return (_walkable(equations, x, directions), None) if germ is None else (germ.lines, germ)
+
+
+def _walkable(equations: Closure, x: Array, directions: Array) -> Array:
+    """Those of the directions (k, n) of the tangent cone along which one can walk."""
     lines: list[Array] = []
-    for t in cone(equations, x):
+    for t in directions:
         for sign in (1.0, -1.0):
             other = correct(equations, equations.move(x, sign * PROBE * t), t)
             if other is None:
@@ -151,8 +202,15 @@ def branch_lines(equations: Closure, x: Array) -> Array:
 
 
 def singular_node(equations: Closure, x: Array, toward: Array) -> Node | None:
-    """The node at a singular point on the branch whose direction is nearest to `toward` (n,)."""
-    lines = branch_lines(equations, x)
+    """The node at a singular point on the branch whose direction is nearest to `toward` (n,), not at a cusp."""
+    lines, germ = branches_at(equations, x)
+    if germ is not None:
+        cosines = germ.tangents @ toward / max(float(np.linalg.norm(toward)), 1e-300)
+        half = int(np.argmax(cosines))
+        ahead = np.flatnonzero(cosines > cosines[half] - SAME_LINE)
+        if cosines[half] < AHEAD or len(ahead) > 1 or germ.cusp(half):
+            return None
+        return germ.node(half)
     if not len(lines):
         return None
     cosines = lines @ toward / max(float(np.linalg.norm(toward)), 1e-300)
@@ -162,6 +220,30 @@ def singular_node(equations: Closure, x: Array, toward: Array) -> Node | None:
     at = node(equations, x)
     t = lines[best] * np.sign(cosines[best])
     return Node(x, t, at.sigma, max(at.nullity, 2), at.matrix, at.image, lines)
+
+
+def passage(
+    equations: Closure, points: Sequence[Array], known: Sequence[Germ], period: Array
+) -> SingularNode | None:  # fmt: skip
+    """Where a curve goes on that comes to rest at a singular point: the node there, from which it leaves.
+
+    `points` (nq,) are the last ones of the curve. Germs that are `known` come first, whole periods (nv,) away: where
+    branches touch closely, rounding leaves open where exactly.
+    """
+    for germ in known:
+        moved = germ.moved(equations, points[-1], period)
+        if np.linalg.norm(equations.between(moved.x, points[-1])) < np.linalg.norm(germ.samples[:, -1], axis=1).max():
+            half = moved.half_of(equations, points)
+            if half is not None:
+                return moved.node(moved.partner[half])
+    for nullity in (2, 3, 4):
+        x = locate(equations, points[-1], nullity, REACH) if nullity <= equations.n else None
+        germ = None if x is None else branches_at(equations, x)[1]
+        germ = germ and (germ_at(equations, germ.center(equations)) or germ)
+        half = None if germ is None else germ.half_of(equations, points)
+        if germ is not None and half is not None:
+            return germ.node(germ.partner[half])
+    return None
 
 
 def crossing(equations: Closure, a: Node, b: Node) -> Node | None:
@@ -181,3 +263,346 @@ def crossing(equations: Closure, a: Node, b: Node) -> Node | None:
         if -1e-9 <= along <= h + 1e-9 and np.linalg.norm(z - along * y / h) <= 0.25 * h:
             return singular_node(equations, x, y)
     return None
+
+
+# ---- half-branches
+
+
+@dataclass(frozen=True, eq=False)
+class Germ:
+    """The half-branches of a curve at a singular point `x` (nq,), and which two of them are one branch.
+
+    `samples` (k, m, n) are tangent vectors from `x` to m points on each of k half-branches, the farthest first,
+    `tangents` (k, n) unit vectors along which they leave `x`, `partner` (k,) the index of the other half.
+    `curves` (k, DEGREE, n) are the coefficients of the polynomials without constant term in the distance from `x`, or
+    in its square root at a cusp, that describe the half-branches.
+    """
+
+    x: Array
+    samples: Array
+    tangents: Array
+    partner: tuple[int, ...]
+    curves: Array
+
+    @property
+    def lines(self) -> Array:
+        """Directions (., n) of the branches."""
+        return self.tangents[[i for i, j in enumerate(self.partner) if i < j]]
+
+    def cusp(self, half: int) -> bool:
+        """Whether a half-branch and its partner leave side by side."""
+        return float(self.tangents[half] @ self.tangents[self.partner[half]]) > 0.0
+
+    def node(self, half: int) -> SingularNode:
+        """The node at `x` from which a half-branch leaves."""
+        others = [i for i, j in enumerate(self.partner) if i < j and half not in (i, j)]
+        lines = self.tangents[[half, *others]]
+        return SingularNode(self.x, self.tangents[half], 0.0, 2, NONE, NONE, lines, germ=self, half=half)
+
+    def first(self, equations: Closure, half: int) -> Node:
+        """The regular node of a half-branch that is nearest to `x`, its tangent away from `x`."""
+        z = self.samples[half, -1]
+        return node(equations, equations.move(self.x, z), z)
+
+    def center(self, equations: Closure) -> Array:
+        """The point (nq,) of the germ, found anew: near it equations hold almost, so Newton's method stops early.
+
+        Over the tangent the reduced equation has a valley, whose depth is a power of the distance from the point. The
+        mean of the roots of its polynomial near by is known far better than each (Zeng, *Math. Comp.* 74, 2005).
+        """
+        x = self.x
+        for _ in range(2):
+            sphere = _Sphere.at(equations, x)
+            if sphere is None or sphere.null_space.shape[1] != 2:
+                return x
+            x = equations.move(x, sphere.valley(self.tangents[0], float(np.linalg.norm(self.samples[0, 0]))))
+        return x
+
+    def moved(self, equations: Closure, x: Array, period: Array) -> Germ:
+        """The same germ as near to a point (nq,) as whole periods (nv,) lead."""
+        y = equations.between(self.x, x) * equations.unit
+        turns = np.round(np.divide(y, period, out=np.zeros_like(y), where=period > 0.0))
+        return replace(self, x=equations.system.structure.layout.integrate(self.x, turns * period))
+
+    def half_of(self, equations: Closure, points: Sequence[Array]) -> int | None:
+        """The half-branch on which points (nq,) at different distances from `x` lie; None where they do not tell."""
+        for x in points:
+            z = equations.between(self.x, x)
+            size = float(np.linalg.norm(z))
+            if size > np.linalg.norm(self.samples[:, 0], axis=1).min():
+                continue
+            gaps = np.array([np.linalg.norm(_powers(np.array([size]), self.cusp(i)) @ c - z)
+                             for i, c in enumerate(self.curves)])  # fmt: skip
+            first, second = np.argsort(gaps)[:2]
+            if gaps[first] < min(SURE * gaps[second], ALIKE * size):
+                return int(first)
+        return None
+
+
+@dataclass(frozen=True, eq=False)
+class SingularNode(Node):
+    """A node at the singular point of a germ, on one of its half-branches."""
+
+    germ: Germ = field(kw_only=True, repr=False)
+    half: int = field(kw_only=True)
+
+    def reversed(self) -> SingularNode:
+        """The same point, walked the other way."""
+        return replace(self, t=-self.t, half=self.germ.partner[self.half])
+
+    def back(self) -> SingularNode:
+        """The node from which the other half of the branch leaves."""
+        return self.germ.node(self.germ.partner[self.half])
+
+    def arrival(self) -> list[Node]:
+        """The node at which the other half of the branch arrives, where that is not this node, too: at a cusp."""
+        t = -self.germ.tangents[self.germ.partner[self.half]]
+        return [Node(self.x, t, self.sigma, self.nullity, NONE, NONE)] if self.germ.cusp(self.half) else []
+
+    def may_be(self, equations: Closure, points: Sequence[Array]) -> bool:
+        """Whether points (nq,) near by may lie on the branch of this node: they do not lie on another one."""
+        half = self.germ.half_of(equations, points)
+        return half is None or half in (self.half, self.germ.partner[self.half])
+
+
+def germ_at(equations: Closure, x: Array) -> Germ | None:
+    """The germ of the curve at a singular point, None where there is none, or one that small spheres do not tell."""
+    if isinstance(equations, DrivenClosure):
+        return None
+    sphere = _Sphere.at(equations, x)
+    if sphere is None:
+        return None
+    for radius in RADII:
+        points = sphere.circle(radius) if sphere.null_space.shape[1] == 2 else sphere.search(radius)
+        if points is None:
+            return None  # more than a curve
+        halves = [sphere.inwards(z) for z in points]
+        count = min((len(h) for h in halves), default=0)
+        if count < LEAST_SAMPLES or len(halves) % 2:
+            continue
+        germ = _paired(x, np.array([h[:count] for h in halves]), sphere.null_space)
+        if germ is not None:
+            return germ
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class _Sphere:
+    """Where small spheres around a singular point meet the curve.
+
+    The curve lies over the null space (n, d): what is across it follows from the equations whose derivatives there do
+    not vanish, with the pseudo-inverse `inverse` (n, rows); the others, those of `left` (rows, k), are then equations
+    in the null space (Lyapunov, Schmidt; Golubitsky, Schaeffer, 1985, chapter VII).
+    """
+
+    equations: Closure
+    x: Array
+    null_space: Array
+    inverse: Array
+    left: Array
+
+    @staticmethod
+    def at(equations: Closure, x: Array) -> _Sphere | None:
+        """The spheres around a point (nq,), None where it is regular."""
+        U, s, Vt = svd(equations.matrix(x))
+        rank = equations.n - int(np.sum(s <= RANK * max(s[0], 1e-300)))
+        if rank > equations.n - 2:
+            return None
+        return _Sphere(equations, x, Vt[rank:].T, (Vt[:rank].T / s[:rank]) @ U[:, :rank].T, U[:, rank:])
+
+    def valley(self, tangent: Array, reach: float) -> Array:
+        """The tangent vector (n,) from `x` to the singular point near by, along a tangent (n,) of the curve there.
+
+        The null space has two dimensions.
+        """
+        t = self.null_space.T @ tangent
+        t /= np.linalg.norm(t)
+        a, b = reach * np.cos(np.pi * (np.arange(VALLEY) + 0.5) / VALLEY), np.zeros(VALLEY)
+        h, axes = 1e-3 * reach, np.stack([t, [-t[1], t[0]]])
+
+        def values(a: Array, b: Array) -> Array:
+            return self.reduced(np.stack([a, b], axis=1) @ axes @ self.null_space.T)[1]
+
+        own = svd(values(np.append(a, a), np.repeat([h, -h], VALLEY)), full_matrices=False)[2][0]
+        for _ in range(4):
+            low, at, high = (values(a, b + k * h) @ own for k in (-1, 0, 1))
+            bent = high - 2.0 * at + low
+            b = b - np.clip(np.where(bent != 0.0, 0.5 * h * (high - low) / np.where(bent != 0.0, bent, 1.0), 0.0),
+                            -0.1 * reach, 0.1 * reach)  # fmt: skip
+        depth = np.polynomial.chebyshev.chebfit(a / reach, values(a, b) @ own, VALLEY // 2)
+        roots = np.polynomial.chebyshev.chebroots(depth)
+        near = roots[np.abs(roots) < CLUSTER]
+        at = reach * float(near.real.mean()) if len(near) else 0.0
+        aside = np.polynomial.chebyshev.chebval(at / reach, np.polynomial.chebyshev.chebfit(a / reach, b, VALLEY // 2))
+        return self.reduced((np.array([[at, aside]]) @ axes) @ self.null_space.T)[0][0]
+
+    def reduced(self, z: Array) -> tuple[Array, Array]:
+        """Tangent vectors (m, n) with the components of z (m, n) in the null space, and the values (m, k) there."""
+        z, F = np.array(z), np.zeros((len(z), self.left.shape[0]))
+        for _ in range(CHORDS):
+            F = self.equations.many(self.equations.move(self.x, z), False)[0]
+            y = F @ self.inverse.T
+            z -= y
+            if np.abs(y).max(initial=0.0) < 1e-15:
+                break
+        return z, F @ self.left
+
+    def circle(self, radius: float) -> list[Array]:
+        """Tangent vectors to the points of the curve over a circle in a null space of two dimensions."""
+        angles = 2.0 * np.pi * np.arange(CIRCLE) / CIRCLE + 0.1
+
+        def at(angles: Array) -> tuple[Array, Array]:
+            return self.reduced(radius * np.stack([np.cos(angles), np.sin(angles)], axis=1) @ self.null_space.T)
+
+        values = at(angles)[1]
+        if not np.isfinite(values).all():
+            return []
+        _, size, Vt = svd(values, full_matrices=False)
+        out: list[Array] = []
+        for own in Vt[size > max(1e-6 * size[0], 1e-14)]:
+            a, b = self._brackets(angles, values @ own, lambda angles, own=own: at(angles)[1] @ own)
+            for _ in range(HALVINGS if len(a[0]) else 0):
+                middle = 0.5 * (a[0] + b[0])
+                value = at(middle)[1] @ own
+                left = (value > 0.0) == (a[1] > 0.0)
+                a = np.where(left, middle, a[0]), np.where(left, value, a[1])
+                b = np.where(left, b[0], middle), np.where(left, b[1], value)
+            out += [] if not len(a[0]) else list(at(0.5 * (a[0] + b[0]))[0])
+        return self._points(out)
+
+    @staticmethod
+    def _brackets(
+        angles: Array, values: Array, function: Callable[[Array], Array]
+    ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """Ends, with the values there, of intervals of a circle at whose ends a function has different signs.
+
+        Between samples of one sign the least one may be beside two zeros: it is followed to where the sign changes.
+        """
+        step, ahead = angles[1] - angles[0], np.roll(values, -1)
+        change = np.flatnonzero((values > 0.0) != (ahead > 0.0))
+        ends = [(angles[change], values[change]), (angles[change] + step, ahead[change])]
+        size, behind = np.abs(values), np.roll(values, 1)
+        same = ((values > 0.0) == (ahead > 0.0)) & ((values > 0.0) == (behind > 0.0))
+        dip = np.flatnonzero(same & (size <= np.abs(ahead)) & (size <= np.abs(behind)))
+        low, high, sign = angles[dip] - step, angles[dip] + step, np.sign(values[dip])
+        for _ in range(HALVINGS if len(dip) else 0):
+            third = (high - low) / 3.0
+            a, b = low + third, high - third
+            fa, fb = sign * function(a), sign * function(b)
+            crossed = np.minimum(fa, fb) < 0.0
+            if crossed.any():
+                k = np.flatnonzero(crossed)
+                middle, value = np.where(fa < fb, a, b)[k], (sign * np.minimum(fa, fb))[k]
+                for end in (angles[dip[k]] - step, angles[dip[k]] + step):
+                    ends[0] = np.append(ends[0][0], end), np.append(ends[0][1], -value)
+                    ends[1] = np.append(ends[1][0], middle), np.append(ends[1][1], value)
+                keep = ~crossed
+                dip, low, high, sign, fa, fb, a, b = (v[keep] for v in (dip, low, high, sign, fa, fb, a, b))
+            low, high = np.where(fa > fb, a, low), np.where(fa > fb, high, b)
+        return ends[0], ends[1]
+
+    def search(self, radius: float) -> list[Array] | None:
+        """Tangent vectors to the points of the curve on a sphere over the null space, from many starts.
+
+        None where the points are not isolated: more than a curve leads there.
+        """
+        e, (n, d) = self.equations, self.null_space.shape
+        rng, out = np.random.default_rng(0), list[Array]()
+
+        def both(x: Array, _: np.ndarray) -> tuple[Array, Array]:
+            return e.many(x)
+
+        def on_sphere(x: Array, _: np.ndarray) -> tuple[Array, Array]:
+            F, J = e.many(x)
+            z = e.between(self.x, x)
+            over = 0.5 * (np.sum(z * z, axis=1) - radius * radius) / radius
+            return np.append(F, over[:, None], axis=1), np.append(J, z[:, None] / radius, axis=1)
+
+        for _ in range(LOOKS):
+            e.budget.check()
+            count = max(8, min(STARTS * 2**d, MOST_STARTS, MOST_NUMBERS // (e.rows * n)))
+            z = rng.normal(size=(count, d)) @ self.null_space.T
+            z *= radius / np.linalg.norm(z, axis=1, keepdims=True)
+            x = gauss_newton_of_many(both, e.move(self.x, z), 6, cut=1e-4, longest=radius, move=e.move)
+            z = e.between(self.x, x)
+            size = np.linalg.norm(z, axis=1, keepdims=True)
+            z = (radius / size * z)[(size > 0.1 * radius)[:, 0]]
+            x = gauss_newton_of_many(on_sphere, e.move(self.x, z), 30, cut=1e-6, longest=radius, move=e.move)
+            left, J = on_sphere(x, np.arange(len(x)))
+            good = np.abs(left).max(axis=1, initial=0.0) < 1e-9
+            few = J[good][:8, :-1]
+            if len(few) and np.median(np.sum(svd(few, compute_uv=False)[:, : n - 1] < PARTED, axis=1)) > 0:
+                return None
+            known = len(out)
+            out = self._points([*out, *e.between(self.x, x[good])])
+            if len(out) == known:
+                break
+        return out
+
+    def _points(self, vectors: Sequence[Array]) -> list[Array]:
+        """Tangent vectors to the points of the curve near those to which vectors lead, each once."""
+        out: list[Array] = []
+        for z in vectors:
+            found = self._corrected(z)
+            if found is not None and all(np.linalg.norm(found - o) > 1e-4 * np.linalg.norm(o) for o in out):
+                out.append(found)
+        return out
+
+    def _corrected(self, z: Array) -> Array | None:
+        """The tangent vector to the regular point of the curve in the plane across z (n,), or None."""
+        e, size = self.equations, float(np.linalg.norm(z))
+        there = correct(e, e.move(self.x, z), z / size)
+        if there is None:
+            return None
+        found, s = e.between(self.x, there.x), svd(there.J, compute_uv=False)
+        near = np.linalg.norm(found - z) < 0.5 * size
+        return found if near and s[e.n - 2] > PARTED * s[0] else None
+
+    def inwards(self, z: Array) -> Array:
+        """Tangent vectors (m, n) to points of a half-branch through the one at z (n,), towards the center."""
+        out = [z]
+        for part in INWARDS[1:]:
+            z = self._corrected(out[-1] * (part * np.linalg.norm(out[0]) / np.linalg.norm(out[-1])))
+            if z is None:
+                break
+            out.append(z)
+        return np.array(out)
+
+
+def _powers(distance: Array, cusp: bool) -> Array:
+    """Powers (m, DEGREE) of the parameter of a half-branch at distances (m,)."""
+    return (np.sqrt(distance) if cusp else distance)[:, None] ** np.arange(1.0, DEGREE + 1.0)
+
+
+def _paired(x: Array, samples: Array, null_space: Array) -> Germ | None:
+    """The germ of half-branches (k, m, n): those two are one branch that one polynomial describes, or None."""
+    size = np.linalg.norm(samples, axis=2)
+    k, radius = len(samples), float(size.max())
+    rates = samples[:, -1] / size[:, -1, None]
+    left, partner, curves, tangents = set(range(k)), [-1] * k, np.zeros((k, DEGREE, samples.shape[2])), np.array(rates)
+    fits: list[tuple[float, int, int, bool, Array]] = []
+    for i in range(k):
+        for j in range(i):
+            cosine = float(rates[i] @ rates[j])
+            if abs(cosine) < ALONG:
+                continue
+            cusp = cosine > 0.0
+            there = np.vstack([_powers(size[i], cusp), _powers(size[j], cusp) * (-1.0) ** np.arange(1, DEGREE + 1)])
+            there = there[:, 1:] if cusp else there
+            scale = np.abs(there).max(axis=0)
+            both = np.vstack([samples[i], samples[j]])
+            c = np.linalg.lstsq(there / scale, both, rcond=1e-12)[0] / scale[:, None]
+            off = float(np.abs(there @ c - both).max()) / radius
+            fits.append((off, i, j, cusp, np.vstack([0.0 * c[:1], c]) if cusp else c))
+    for off, i, j, cusp, c in sorted(fits, key=lambda fit: fit[0]):
+        if i not in left or j not in left or off > UNLIKE:
+            continue
+        left -= {i, j}
+        partner[i], partner[j] = j, i
+        curves[i], curves[j] = c, c * ((-1.0) ** np.arange(1, DEGREE + 1))[:, None]
+        t = null_space @ (null_space.T @ c[1 if cusp else 0])
+        t /= np.linalg.norm(t)
+        if cusp:
+            t[np.abs(t) < RESTS] = 0.0
+        tangents[i], tangents[j] = t, t if cusp else -t
+    return None if left else Germ(x, samples, tangents, tuple(partner), curves)

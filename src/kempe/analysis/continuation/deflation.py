@@ -74,20 +74,34 @@ class _Before(Closure):
         return self._equations.both(x, True, self._further_ones)[1]
 
 
-def hold_rank(equations: Closure, x: Array, curve: Callable[[], tuple[Closure, Node]]) -> bool:
+def hold_rank(
+    equations: Closure, x: Array, curve: Callable[[], tuple[Closure, Node]], length: float = PROBE
+) -> bool:  # fmt: skip
     """Hold the rank at a point (nq,) from here on, if the equations then leave a curve through it; True if they do.
 
-    `curve` gives the equations of the curve, these or equations made of them, and its node at the point.
+    `curve` gives the equations of the curve, these or equations made of them, and its node at the point. The curve must
+    have this `length` on both sides: branches that touch closely look like one of low rank near by.
     """
     low = RankEquations(equations, x)
     if not low.count or rank_held(equations):
         return False
     equations.add(low)
     along, here = curve()
-    if here.nullity == 1 and all(step(along, n, PROBE) is not None for n in (here, here.reversed())):
+    if here.nullity == 1 and all(_goes_on(along, n, length) for n in (here, here.reversed())):
         return True
     equations.leave_out(low)
     return False
+
+
+def _goes_on(curve: Closure, a: Node, length: float) -> bool:
+    """Whether the curve can be followed from a node over a length, by steps that double."""
+    h, gone, here = PROBE, 0.0, a
+    while gone < length:
+        there = step(curve, here, h)
+        if there is None:
+            return False
+        h, gone, here = 2.0 * h, gone + h, there
+    return True
 
 
 def rank_held(equations: Closure) -> bool:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from kempe.analysis.continuation.continuation import Closure
-from kempe.analysis.continuation.crossings import AHEAD, crossing, locate, singular_node
+from kempe.analysis.continuation.crossings import AHEAD, PARTED, SingularNode, crossing, locate, passage, singular_node
 from kempe.analysis.continuation.deflation import rank_held
 from kempe.kinematics.common.gauss_newton import LARGE
 from kempe.kinematics.common.roots import sign_change
@@ -22,6 +23,10 @@ RESTING = 1e-9
 """Rates below this count as zero."""
 NOISE = 1e-12
 """Rates below this count as zero where each look at one costs milliseconds; places then are known to as many digits."""
+SAME_NODE = 1e-9
+"""Distance between neighbours below which they are one point, at which the curve arrives and from which it leaves."""
+RECENT = 100
+"""Points of a walk that are kept, to tell on which half-branch it came to a singular point."""
 HOME = 1e-7
 """Distance from the start at which a curve has returned to it, if it also arrives in the same direction."""
 HOME_CROSSING = 1e-4
@@ -37,8 +42,12 @@ class WalkEnd:
     reason: str
 
 
-def walk(equations: Closure, a: Node, longest: float) -> Iterator[Node | WalkEnd]:
-    """Nodes of the curve after `a`, crossings among them, then perhaps a `WalkEnd`; straight on through crossings."""
+def walk(equations: Closure, a: Node, longest: float, periods: Array) -> Iterator[Node | WalkEnd]:
+    """Nodes of the curve after `a`, crossings among them, then perhaps a `WalkEnd`; straight on through crossings.
+
+    At a cusp the curve arrives at one node and leaves from another one, at the same point. `periods` (nv,) are 0 for
+    coordinates that do not come back by turning on.
+    """
 
     def taken(a: Node, h: float) -> list[Node] | None:
         b = step(equations, a, h)
@@ -46,8 +55,35 @@ def walk(equations: Closure, a: Node, longest: float) -> Iterator[Node | WalkEnd
             b = step(equations, a, 1.3 * h) or b
         return checked(equations, a, b)
 
-    yield from tracing.walk(a, taken, longest, 0.25 * longest)
-    yield WalkEnd("a point where the curve is not smooth")
+    h, known = 0.25 * longest, [a.germ] if isinstance(a, SingularNode) else []
+    while True:
+        if isinstance(a, SingularNode):
+            there = a.germ.first(equations, a.half)
+            h = min(longest, 0.5 * float(np.linalg.norm(equations.between(a.x, there.x))))
+            a = there
+            yield a
+        last, singular, sigma = deque([a.x], maxlen=RECENT), None, a.sigma
+        for b in tracing.walk(a, taken, longest, h):
+            before = last[-1]
+            last.append(b.x)
+            if b.sigma < min(PARTED, sigma) and b.lines is None:  # nearer to a point where rounding hides the curve
+                singular = passage(equations, last, known, periods)
+                if singular is not None:
+                    way = equations.between(before, singular.x)
+                    if way @ equations.between(before, b.x) < way @ way:
+                        yield b  # not beyond it
+                    break
+            yield b
+            sigma = b.sigma
+        else:
+            singular = passage(equations, last, known, periods) if len(last) > 1 else None
+        if singular is None:
+            yield WalkEnd("a point where the curve is not smooth")
+            return
+        known.append(singular.germ)
+        yield from singular.arrival()
+        yield singular
+        a = singular
 
 
 def checked(equations: Closure, a: Node, b: Node | None) -> list[Node] | None:
@@ -103,7 +139,11 @@ def home(equations: Closure, a: Node, b: Node, start: Node, periods: Array) -> N
     """
     shift = periods * np.round(_ratio(equations.between(b.x, start.x) * equations.unit, periods))
     there = equations.system.structure.layout.integrate(start.x, -shift)
-    if np.linalg.norm(equations.between(b.x, there)) < HOME:
+    if isinstance(start, SingularNode):
+        moved = [equations.system.structure.layout.integrate(n.x, shift) for n in (a, b)]
+        if not start.may_be(equations, moved):
+            return None
+    if np.linalg.norm(equations.between(b.x, there)) < (HOME if start.lines is None else HOME_CROSSING):
         return replace(start, x=there) if start.t @ b.t > ARRIVED else None
     z, chord = equations.between(a.x, there), equations.between(a.x, b.x)
     along = float(a.t @ z)
@@ -138,6 +178,8 @@ def turns(nodes: list[Node], closed: bool, indices: list[int]) -> list[tuple[int
 
 def extreme(equations: Closure, nodes: list[Node], k: int, m: int, i: int) -> Node | None:
     """The node at which coordinate i turns back between the nodes k and m, one of `turns`, or None where it rests."""
+    if m == k + 1 and np.linalg.norm(equations.between(nodes[k].x, nodes[m].x)) < SAME_NODE:
+        return nodes[m]  # a cusp
     if m == k + 1:
         return root(equations, nodes[k], nodes[m], lambda n: float(n.t[i]))
     if m == k + 2 or m < k:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.analysis.continuation.continuation import Closure
+from kempe.analysis.continuation.crossings import SingularNode
 from kempe.budget import Budget, Usual
 from kempe.calls import explained_methods, interruptible, numbers
 from kempe.errors import InputError, UnknownNameError, shown
@@ -41,7 +42,8 @@ class Event(InWords):
     """A special point of a path: the configuration `q` (nq,) at arc length `s`, and what is special.
 
     `kind` is "fold of the driver" (it turns back here: a dead point), "extreme" (another coordinate turns back),
-    "bifurcation" (several branches meet) or "singular" (the rank drops, no branch leaves). `coordinate` and `value`
+    "bifurcation" (several branches meet), "cusp" (the motion comes to rest and goes back beside the way it came) or
+    "singular" (the rank drops, no branch leaves). `coordinate` and `value`
     say what turns back and where, in radians or metres. `directions` (k, nv) are velocities along the branches found at
     a singular point, that of the path first; `nullity` counts the independent first-order motions there.
     """
@@ -53,6 +55,8 @@ class Event(InWords):
     value: float = float("nan")
     nullity: int = 1
     directions: Array | None = field(default=None, repr=False)
+    node: SingularNode | None = field(default=None, repr=False)
+    """The singular point as a node of the path, where branches touch or end in a cusp."""
 
     def __str__(self) -> str:
         if self.coordinate:

@@ -24,8 +24,18 @@ from kempe.analysis.continuation.beginning import (
     why_open,
 )
 from kempe.analysis.continuation.continuation import Closure
+from kempe.analysis.continuation.crossings import SingularNode
 from kempe.analysis.continuation.deflation import rank_held
-from kempe.analysis.continuation.events import WalkEnd, extreme, hidden_crossings, home, turns, walk
+from kempe.analysis.continuation.events import (
+    HOME_CROSSING,
+    SAME_NODE,
+    WalkEnd,
+    extreme,
+    hidden_crossings,
+    home,
+    turns,
+    walk,
+)
 from kempe.analysis.continuation.one_sided_ends import OneSidedEnds
 from kempe.analysis.continuation.path import Event, Path, Track
 from kempe.analysis.continuation.spins import spins_held
@@ -148,7 +158,7 @@ def _followed(equations: Closure, q: Array, options: _Options, toward: Mapping[s
     if rank_held(equations):
         path = replace(path, remark="; ".join(filter(None, [path.remark, LOW])))
     if len(path) == 1 and path.success and path.ends[1].startswith("a point"):
-        said = "it cannot move along a smooth curve: its first-order motion leads nowhere (shaky), or this is a cusp"
+        said = "it cannot move along a smooth curve: its first-order motion leads nowhere (shaky)"
         return _failed(equations, options, said, q, True)
     return _with_others(equations, path, options) if options.ways == "branches" else path
 
@@ -185,8 +195,9 @@ def _trace(equations: Closure, first: Node, options: _Options) -> Path:
     ends = ("the start", reason)
     left = options.most - len(nodes)
     if options.ways != "forward" and not closed and broken is None and left > 1 and not reason.startswith(NO_RETURN):
-        back, other, _, broken = _one_way(equations, first.reversed(), options, left)
-        nodes = [n.reversed() for n in reversed(back[1:])] + nodes
+        singular = isinstance(first, SingularNode)
+        back, other, _, broken = _one_way(equations, first.back() if singular else first.reversed(), options, left)
+        nodes = [n.reversed() for n in reversed(back[1:])] + (first.arrival() if singular else []) + nodes
         ends = (other, reason)
     return _path(equations, nodes, options, closed, ends, broken)
 
@@ -198,17 +209,17 @@ def _one_way(
     nodes, limits, length = [first], OneSidedEnds(equations, options.limits), 0.0
     endless = Endless(equations, first, options.periods, limits)
     try:
-        for b in walk(equations, first, options.longest):
+        for b in walk(equations, first, options.longest, options.periods):
             a = nodes[-1]
             if isinstance(b, WalkEnd):
                 return nodes, b.reason, False, None
-            hit = limits.hit(equations, a, b)
+            hit = None if a.x is b.x else limits.hit(equations, a, b)
             back = home(equations, a, b, first, options.periods) if length > 0.0 else None
             if back is not None and (hit is None or _before(equations, a, back, hit[0])):
                 return [*nodes, back], "the start", True, None
             if hit is not None:
                 return nodes if hit[0] is a else [*nodes, hit[0]], hit[1], False, None
-            nodes.append(Node(b.x, b.t, b.sigma, b.nullity, NONE, NONE, b.lines))  # the walk keeps its last one whole
+            nodes.append(replace(b, matrix=NONE, image=NONE))  # the walk keeps its last one whole
             length += arc(equations, a, b)
             if reason := endless.reason(b, length):
                 return nodes, reason, False, None
@@ -252,11 +263,13 @@ def _path(
         remark = f"where it turns back was looked for up to s = {s[k]:.6g} only"
     found.sort(key=lambda e: e.s)
     track = Track(equations, np.array([n.x for n in nodes]), s, np.array([n.t for n in nodes]))
+    once = np.append(True, np.diff(s) > SAME_NODE)  # cusps are two nodes
     turning = tuple(e for e in found if options.driver is None or e.coordinate == options.driver)
     held = tuple(system.structure.velocity_names[i] for i in equations.held)
+    singular = _singular(equations, nodes[:-1] if closed else nodes, s)
     return Path(
-        track.q, s, closed, ends, turning, _singular(equations, nodes[:-1] if closed else nodes, s), tuple(found),
-        options.driver, held, (), broken is None, isinstance(broken, KeyboardInterrupt), track,
+        track.q[once], s[once], closed, ends, turning, singular, tuple(found), options.driver, held, (),
+        broken is None, isinstance(broken, KeyboardInterrupt), track,
         late=isinstance(broken, TimeUp), remark=remark,
     )  # fmt: skip
 
@@ -274,8 +287,10 @@ def _singular(equations: Closure, nodes: list[Node], s: Array) -> tuple[Event, .
             own = np.argmax(np.abs(n.lines @ n.t))
             order = [int(own), *(j for j in range(len(n.lines)) if j != own)]
             lines = n.lines[order] * equations.unit
-            kind = "bifurcation" if len(lines) > 1 else "singular"
-            out.append(Event(n.x, float(s[k]), kind, nullity=n.nullity, directions=lines))
+            own = n if isinstance(n, SingularNode) else None
+            cusp = own is not None and own.germ.cusp(own.half)
+            kind = "bifurcation" if len(lines) > 1 else "cusp" if cusp else "singular"
+            out.append(Event(n.x, float(s[k]), kind, nullity=n.nullity, directions=lines, node=own))
     return tuple(out)
 
 
@@ -299,12 +314,9 @@ def _with_others(equations: Closure, path: Path, options: _Options) -> Path:
         while waiting and all(found):
             event = waiting.pop(0)
             assert event.directions is not None
-            for line in event.directions / equations.unit:
-                if any(_covers(equations, p, event.q, line, options.periods) for p in found):
+            for first in _branches_of(equations, event):
+                if any(_covers(equations, p, first, options.periods) for p in found):
                     continue
-                at = node(equations, event.q)
-                first = Node(event.q, line, at.sigma, max(at.nullity, 2), at.matrix, at.image,
-                             event.directions / equations.unit)  # fmt: skip
                 other = _trace(equations, first, options)
                 found.append(other)
                 waiting += other.singular_points
@@ -318,14 +330,30 @@ def _with_others(equations: Closure, path: Path, options: _Options) -> Path:
     return replace(path, others=tuple(found[1:]), success=False, interrupted=interrupted, late=late, remark=more)
 
 
-def _covers(equations: Closure, path: Path, q: Array, line: Array, period: Array) -> bool:
-    """Whether a path goes through the singular point `q` in the direction `line`."""
+def _branches_of(equations: Closure, event: Event) -> list[Node]:
+    """A node on each of the branches that meet at a singular point of a path."""
+    if event.node is not None:
+        germ = event.node.germ
+        return [germ.node(i) for i, j in enumerate(germ.partner) if i < j]
+    assert event.directions is not None
+    at, lines = node(equations, event.q), event.directions / equations.unit
+    return [Node(event.q, t, at.sigma, max(at.nullity, 2), at.matrix, at.image, lines) for t in lines]
+
+
+def _covers(equations: Closure, path: Path, first: Node, period: Array) -> bool:
+    """Whether a path goes through a singular point on the branch of the node `first` there."""
     for event in path.singular_points:
-        y = equations.between(event.q, q) * equations.unit
+        y = equations.between(event.q, first.x) * equations.unit
         turns = np.divide(y, period, out=np.zeros_like(y), where=period > 0.0)
-        same = np.linalg.norm((y - np.round(turns) * period) / equations.unit) < SAME_POINT
-        if same and event.directions is not None:
+        gap = np.linalg.norm((y - np.round(turns) * period) / equations.unit)
+        if event.node is not None and isinstance(first, SingularNode):
+            other = event.node
+            own = equations.move(first.x, first.germ.samples[first.half, 1])
+            back = equations.system.structure.layout.integrate(own, -np.round(turns) * period)
+            if gap < HOME_CROSSING and other.germ.half_of(equations, [back]) in (other.half, other.back().half):
+                return True
+        elif gap < SAME_POINT and event.directions is not None:
             own = event.directions[0] / equations.unit
-            if abs(own @ line) > 0.999 * np.linalg.norm(own) * np.linalg.norm(line):
+            if abs(own @ first.t) > 0.999 * np.linalg.norm(own) * np.linalg.norm(first.t):
                 return True
     return False
