@@ -27,9 +27,11 @@ from motion_linkages import (
     slider_crank,
     two_parallelograms,
 )
+from test_local import double_watt
 
 import kempe
 from kempe import Mechanism
+from kempe.analysis.continuation import one_sided_ends
 from kempe.analysis.motion.motion import branches, trace
 from kempe.calls import until_interrupt
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
@@ -527,3 +529,145 @@ def test_a_trace_without_a_start_begins_where_one_sided_constraints_hold():
     assert path and path.length > 5.0 and pins[:, 0, 3].min() > 0.1 - 1e-9 and pins[:, 0, 3].max() < 0.75 + 1e-9
     assert all("'ends x, upper end'" in end for end in path.ends)
     assert not system.trace(start=system.neutral), "a start that is given is taken as it is"
+
+
+def test_bounds_that_are_not_approached_cost_no_search(monkeypatch):
+    """A bound is looked for between two points only where the quantity can have its largest value in between."""
+    counted, whole = [], one_sided_ends.root
+    monkeypatch.setattr(one_sided_ends, "root", lambda *given: counted.append(1) or whole(*given))
+    m = kempe.Mechanism("slot", dim=2)
+    m.revolute("A", m.ground, m.body("crank"))
+    m.revolute("B", m.ground, m.body("link"), at=(0.5, 0))
+    m.frame("pin", "crank", at=(0.3, 0))
+    m.point_on_line("slot", "link", "pin", axis=(1, 0))
+    m.constrain(kempe.constraints.InBox("pin", [0.1, -1], [0.75, 1], other="link"), "ends")
+    path = m.build().trace()
+    assert len(path) > 50 and len(counted) < 10
+
+
+# ---- cusps, and branches that touch
+
+
+def slides(law: str, size: float = math.inf) -> kempe.System:
+    m = Mechanism("slides", dim=2)
+    m.prismatic("x", m.ground, m.body("a"), axis=(1.0, 0.0), limits=(-size, size))
+    m.prismatic("y", "a", m.body("b"), axis=(0.0, 1.0), limits=(-size, size))
+    m.equation("law", law, of=("x", "y"))
+    return m.build()
+
+
+CLOSED = {  # an implicit equation, points on it, its length, and its cusps
+    "deltoid": ("(x^2+y^2)^2 + 18*(x^2+y^2) - 27 - 8*(x^3-3*x*y^2)", [(-1.0, 0.0), (3.0, 0.0)], 16.0,
+                [(3.0, 0.0), (-1.5, 1.5 * 3**0.5), (-1.5, -1.5 * 3**0.5)]),
+    "astroid": ("(x^2+y^2-1)^3 + 27*x^2*y^2", [(8**-0.5, 8**-0.5), (0.0, 1.0)], 6.0,
+                [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)]),
+    "cardioid": ("(x^2+y^2-x)^2 - x^2 - y^2", [(2.0, 0.0), (0.0, 0.0)], 8.0, [(0.0, 0.0)]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("at", [0, 1], ids=["beside", "at a cusp"])
+@pytest.mark.parametrize("name", CLOSED)
+def test_curves_with_cusps_close_with_their_published_length(name, at):
+    law, points, length, cusps = CLOSED[name]
+    path = slides(law).trace(start=list(points[at]))
+    assert path.closed and path.length == pytest.approx(length / path.unit_length, rel=2e-5)
+    assert [e.kind for e in path.singular_points] == ["cusp"] * len(cusps)
+    for cusp in cusps:
+        assert min(np.linalg.norm(e.q - cusp) for e in path.singular_points) < 1e-5
+    middle = path.at(np.linspace(0.0, path.length, 500))
+    assert np.abs(residual(path.system, middle)).max() < 1e-11
+    assert np.linalg.norm(np.diff(middle, axis=0), axis=1).max() < 1.05 * length / 499
+
+
+GERMS = {  # branches (x, y) of a parameter in [-1, 1], and the equation u, v that they fulfil
+    "cusp": ("v^2-u^3", [(2, 3, 1)]), "sharp cusp": ("v^2-u^5", [(2, 5, 1)]), "cubic": ("v^3-u^4", [(3, 4, 1)]),
+    "tacnode": ("(v-u^2)*(v+u^2)", [(1, 2, 1), (1, 2, -1)]), "inflection": ("v*(v-u^3)", [(1, 1, 0), (1, 3, 1)]),
+    "close": ("v*(v-u^4)", [(1, 1, 0), (1, 4, 1)]), "cusp and line": ("v*(v^2-u^3)", [(2, 3, 1), (1, 1, 0)]),
+    "two cusps": ("(v^2-u^3)*(v^2-4*u^3)", [(2, 3, 1), (2, 3, 2)]),
+    "three": ("(v-u^2)*(v-2*u^2)*(v+u^2)", [(1, 2, 1), (1, 2, 2), (1, 2, -1)]),
+    "node": ("(v-u)*(v+u)", [(1, 1, 1), (1, 1, -1)]), "node of cubes": ("u*(u^2-3*v^2)", [
+        (1, 1, 3**-0.5), (1, 1, -(3**-0.5)), (0, 1, 1)]),
+}  # fmt: skip
+
+
+NOT_FOUND = ("cusp and line", "two cusps", "three")
+"""Points that a walk from elsewhere may not find, since equations vanish there to third order: it ends near by."""
+
+
+def germ_case(name: str, rng: np.random.Generator) -> tuple[kempe.System, list[np.ndarray]]:
+    """Slides on a germ in axes that are turned, scaled and bent, and its branches (n, 2) sampled finely."""
+    law, powers = GERMS[name]
+    turn, scale, bent = rng.uniform(-math.pi, math.pi), 10.0 ** rng.uniform(-0.2, 0.2), rng.uniform(-0.3, 0.3)
+    c, s = scale * math.cos(turn), scale * math.sin(turn)
+    u = f"({c!r}*x+{s!r}*y)"
+    v = f"({-s!r}*x+{c!r}*y+{bent!r}*{u}^2)"
+    system = slides(law.replace("u", "@").replace("v", v).replace("@", u), 0.4 / scale)
+    t = np.linspace(-1.0, 1.0, 4001)
+    branches = []
+    for m, n, k in powers:
+        p = t**m if m else 0.0 * t
+        q = k * t**n - bent * p * p
+        branches.append(np.stack([c * p - s * q, s * p + c * q], axis=1) / scale**2)
+    return system, branches
+
+
+def assert_germ(name: str, rng: np.random.Generator) -> None:
+    """All branches are found, each once, from the point where they meet and from elsewhere, and none is left."""
+    system, branches = germ_case(name, rng)
+    paths = [system.trace(start=[0.0, 0.0], ways="branches")]
+    paths = [replace(paths[0], others=()), *paths[0].others]
+    assert len(paths) == len(branches), (name, len(paths))
+    own = []
+    for path in paths:
+        off = [np.min(np.linalg.norm(b - path.q[:, None], axis=2), axis=1).max() for b in branches]
+        assert np.sort(off)[0] < 2e-3 and "limit" in path.ends[0] and "limit" in path.ends[1], (name, off, path.ends)
+        own.append(int(np.argmin(off)))
+        q = path.q[3]
+        if np.linalg.norm(q) > 0.2:
+            again = system.trace(start=q)
+            same = abs(again.length - path.length) < 1e-4 * path.length
+            assert same or (name in NOT_FOUND and "not smooth" in again.status), (name, again.status)
+    assert sorted(own) == list(range(len(branches))), (name, own)
+
+
+@pytest.mark.parametrize("name", GERMS)
+def test_branches_of_a_germ_are_followed_through_it(name, hunt):
+    rng = hunt.rng()
+    for _ in range(hunt.cases(4)):
+        assert_germ(name, rng)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", GERMS)
+def test_branches_of_a_germ_are_followed_through_it_often(name, hunt):
+    rng = hunt.rng()
+    for _ in range(hunt.cases(90)):
+        assert_germ(name, rng)
+
+
+@pytest.mark.parametrize(("second", "turned"), [(1.0, True), (0.6, False), (1.7, False)])
+def test_two_linkages_of_watt_are_traced_through_their_cusp(second, turned):
+    """From the cusp and from elsewhere it is the same closed curve; the bar's turn says on which side."""
+    system, q = double_watt(second, turned)
+    path = system.trace(start=q)
+    (event,) = path.singular_points
+    assert path.closed and event.kind == "cusp" and not np.any(event.q)
+    again = system.trace(start=path.at(0.4 * path.length))
+    (other,) = again.singular_points
+    assert again.closed and again.length == pytest.approx(path.length, abs=1e-4) and other.kind == "cusp"
+    assert np.abs(other.q - 2 * np.pi * np.round(other.q / (2 * np.pi))).max() < 1e-4
+    beside = path.at(np.array([0.3, path.length - 0.3]))
+    turn = beside[:, [system.coordinate_names.index(n) for n in ("o1", "l1", "m1")]].sum(axis=1)
+    assert turn[0] * turn[1] < 0.0, "the bar turns to one side before the cusp and to the other one after it"
+
+
+def test_branches_that_touch_to_the_fourth_order_are_followed_apart():
+    """Two equal linkages of Watt: the bar translates on one branch, and turns by a fourth power on the other one."""
+    system, q = double_watt(1.0, False)
+    path = system.trace(start=q, ways="branches")
+    assert path.closed and len(path.others) == 1 and path.others[0].closed
+    places = [system.coordinate_names.index(n) for n in ("o1", "l1", "m1")]
+    turned = sorted(float(np.ptp(p.q[:, places].sum(axis=1))) for p in (path, *path.others))
+    assert turned[0] < 1e-9 < 0.1 < turned[1]
+    elsewhere = system.trace(start=path.at(0.3 * path.length))
+    assert elsewhere.closed and elsewhere.length == pytest.approx(path.length, abs=1e-3)

@@ -21,6 +21,8 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.system import System
 
+LEAST = 0.1
+"""What the largest singular value counts as at least: equations are scaled, and where all vanish it is rounding."""
 ANGLES = ("rx", "ry", "rz", "x.y")
 """Names of equations that are angles."""
 
@@ -48,6 +50,8 @@ class Closure(Curve):
     `unit` (nv,) are the velocity coordinates of one unit of the numbers used here. `held` are indices of velocity
     coordinates that belong to angles and slides. Work with them ends by `TimeUp` when the `budget` is spent.
     """
+
+    least = LEAST
 
     def __init__(self, system: System, held: Sequence[int] = (), at: Array | None = None):
         self.system, self.held, self.tree = system, tuple(held), own_tree(system)

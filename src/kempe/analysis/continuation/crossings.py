@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from kempe.analysis.continuation.continuation import Closure, DrivenClosure
+from kempe.analysis.continuation.continuation import LEAST, Closure, DrivenClosure
 from kempe.kinematics.common.gauss_newton import gauss_newton, gauss_newton_of_many, least_squares
 from kempe.singular_values import svd
 from kempe.solvers.common.clock import TimeLimit
@@ -40,8 +40,9 @@ RADII = (0.02, 0.06, 0.2, 0.4)
 """Radii of the spheres, in radians and characteristic lengths: branches that touch closely part farther out."""
 INWARDS, LEAST_SAMPLES = 0.8 ** np.arange(12), 6
 """Parts of the radius at which a half-branch is sampled, and the least number of samples of one that is used."""
-PARTED = 3e-7
-"""Relative singular value above which a sample is regular; below it another branch is too near."""
+PARTED = 5e-7
+"""Singular value, relative to the largest and to 1, above which a sample is regular: rounding of equations moves points
+of the curve by less than the distance of another branch then."""
 CIRCLE, CHORDS, HALVINGS = 128, 40, 24
 """Directions on a circle in the null space, most steps of a chord iteration, and halvings of an interval."""
 STARTS, MOST_STARTS, LOOKS = 32, 512, 3
@@ -50,11 +51,13 @@ VALLEY, CLUSTER = 32, 0.4
 """Places along a valley, and the part of its length within which roots belong to the point at its center."""
 MOST_NUMBERS = 10**7
 """Most numbers of the Jacobians of one such batch."""
-DEGREE = 6
+DEGREE = 8
 """Degree of the polynomials that describe both halves of a branch."""
 UNLIKE = 1e-3
 """Deviation of samples from a polynomial, as a part of the radius, above which two halves are not one branch."""
-ALONG = 0.9
+CLEAR = 5.0
+"""How many times better two halves of a branch must fit than other pairs do."""
+ALONG = 0.5
 """Cosine between the tangents of two halves that continue each other, or leave side by side."""
 SURE, ALIKE = 0.3, 0.1
 """Distance of a point from its half-branch, as parts of that from the next one and of that from the center."""
@@ -105,12 +108,16 @@ def locate(equations: Closure, x: Array, nullity: int, reach: float, tries: int 
     if not found.size <= SINGULAR:
         return None
     x = found.x[:nq]
-    s = svd(equations.matrix(x), compute_uv=False)
-    found = int(np.sum(s <= RANK * s[0]))
+    found = _nullity(svd(equations.matrix(x), compute_uv=False))
     if found <= nullity:
         return x if found == nullity else None
     better = locate(equations, x, found, reach, tries)  # more equations, which make it regular again
     return x if better is None else better
+
+
+def _nullity(values: Array) -> int:
+    """How many singular values (n,) of the derivatives of equations, which are scaled, count as zero."""
+    return int(np.sum(values <= RANK * max(float(values[0]), LEAST)))
 
 
 def cone(equations: Closure, x: Array) -> tuple[Array, bool]:
@@ -120,7 +127,7 @@ def cone(equations: Closure, x: Array) -> tuple[Array, bool]:
     """
     U, s, Vt = svd(equations.matrix(x))
     n = equations.n
-    d = int(np.sum(s <= RANK * max(s[0], 1e-300)))
+    d = _nullity(s)
     if d <= 1:
         return Vt[n - d :], False
     null_space, left = Vt[n - d :].T, U[:, n - d :]
@@ -233,17 +240,44 @@ def passage(
     for germ in known:
         moved = germ.moved(equations, points[-1], period)
         if np.linalg.norm(equations.between(moved.x, points[-1])) < np.linalg.norm(germ.samples[:, -1], axis=1).max():
-            half = moved.half_of(equations, points)
-            if half is not None:
-                return moved.node(moved.partner[half])
+            if (found := _going_on(equations, moved, points)) is not None:
+                return found
+    here, along = points[-1], equations.between(points[-2], points[-1])
     for nullity in (2, 3, 4):
-        x = locate(equations, points[-1], nullity, REACH) if nullity <= equations.n else None
-        germ = None if x is None else branches_at(equations, x)[1]
-        germ = germ and (germ_at(equations, germ.center(equations)) or germ)
-        half = None if germ is None else germ.half_of(equations, points)
-        if germ is not None and half is not None:
-            return germ.node(germ.partner[half])
+        x = locate(equations, here, nullity, REACH) if nullity <= equations.n else None
+        germ = None if x is None else germ_at(equations, x, nullity)
+        if germ is not None and nullity == 2:
+            x = center(equations, germ.x, germ.tangents[0], float(np.linalg.norm(germ.samples[0, 0])))
+            germ = None if x is None else germ_at(equations, x, nullity)
+        if (found := _going_on(equations, germ, points)) is not None:
+            return found
+    for reach in RADII[1:]:
+        x = center(equations, here, along, reach)
+        germ = None if x is None else germ_at(equations, x, 2)
+        if (found := _going_on(equations, germ, points)) is not None:
+            return found
     return None
+
+
+def _going_on(equations: Closure, germ: Germ | None, points: Sequence[Array]) -> SingularNode | None:
+    """The node from which a curve goes on that came to a singular point by some points (nq,); None where it did not."""
+    half = None if germ is None else germ.half_of(equations, points)
+    return None if germ is None or half is None else germ.node(germ.partner[half])
+
+
+def center(equations: Closure, x: Array, along: Array, reach: float) -> Array | None:
+    """The singular point (nq,) near x (nq,) along a tangent (n,) of the curve, where Newton's method stops early.
+
+    Over the tangent the reduced equation has a valley, whose depth is a power of the distance from the point. The mean
+    of the roots of its polynomial near by is known far better than each (Zeng, *Math. Comp.* 74, 2005). None where
+    there are no roots, or the loops are not closed there.
+    """
+    for _ in range(3):
+        z = _Sphere.at(equations, x, 2).valley(along, reach)
+        if z is None:
+            return None
+        x = equations.move(x, z)
+    return x if np.abs(equations.values(x)).max(initial=0.0) < equations.tolerance(x) else None
 
 
 def crossing(equations: Closure, a: Node, b: Node) -> Node | None:
@@ -274,14 +308,16 @@ class Germ:
 
     `samples` (k, m, n) are tangent vectors from `x` to m points on each of k half-branches, the farthest first,
     `tangents` (k, n) unit vectors along which they leave `x`, `partner` (k,) the index of the other half.
-    `curves` (k, DEGREE, n) are the coefficients of the polynomials without constant term in the distance from `x`, or
-    in its square root at a cusp, that describe the half-branches.
+    `curves` (k, DEGREE, n) are the coefficients of polynomials without constant term that describe the half-branches,
+    in the distance from `x` or its square root (at a cusp) or cube root, as `roots` (k,) say.
     """
 
     x: Array
+    nullity: int
     samples: Array
     tangents: Array
     partner: tuple[int, ...]
+    roots: tuple[int, ...]
     curves: Array
 
     @property
@@ -297,26 +333,12 @@ class Germ:
         """The node at `x` from which a half-branch leaves."""
         others = [i for i, j in enumerate(self.partner) if i < j and half not in (i, j)]
         lines = self.tangents[[half, *others]]
-        return SingularNode(self.x, self.tangents[half], 0.0, 2, NONE, NONE, lines, germ=self, half=half)
+        return SingularNode(self.x, self.tangents[half], 0.0, self.nullity, NONE, NONE, lines, germ=self, half=half)
 
     def first(self, equations: Closure, half: int) -> Node:
         """The regular node of a half-branch that is nearest to `x`, its tangent away from `x`."""
         z = self.samples[half, -1]
         return node(equations, equations.move(self.x, z), z)
-
-    def center(self, equations: Closure) -> Array:
-        """The point (nq,) of the germ, found anew: near it equations hold almost, so Newton's method stops early.
-
-        Over the tangent the reduced equation has a valley, whose depth is a power of the distance from the point. The
-        mean of the roots of its polynomial near by is known far better than each (Zeng, *Math. Comp.* 74, 2005).
-        """
-        x = self.x
-        for _ in range(2):
-            sphere = _Sphere.at(equations, x)
-            if sphere is None or sphere.null_space.shape[1] != 2:
-                return x
-            x = equations.move(x, sphere.valley(self.tangents[0], float(np.linalg.norm(self.samples[0, 0]))))
-        return x
 
     def moved(self, equations: Closure, x: Array, period: Array) -> Germ:
         """The same germ as near to a point (nq,) as whole periods (nv,) lead."""
@@ -331,7 +353,7 @@ class Germ:
             size = float(np.linalg.norm(z))
             if size > np.linalg.norm(self.samples[:, 0], axis=1).min():
                 continue
-            gaps = np.array([np.linalg.norm(_powers(np.array([size]), self.cusp(i)) @ c - z)
+            gaps = np.array([np.linalg.norm(_powers(np.array([size]), self.roots[i]) @ c - z)
                              for i, c in enumerate(self.curves)])  # fmt: skip
             first, second = np.argsort(gaps)[:2]
             if gaps[first] < min(SURE * gaps[second], ALIKE * size):
@@ -365,15 +387,17 @@ class SingularNode(Node):
         return half is None or half in (self.half, self.germ.partner[self.half])
 
 
-def germ_at(equations: Closure, x: Array) -> Germ | None:
-    """The germ of the curve at a singular point, None where there is none, or one that small spheres do not tell."""
-    if isinstance(equations, DrivenClosure):
+def germ_at(equations: Closure, x: Array, nullity: int = 0) -> Germ | None:
+    """The germ of the curve at a singular point, None where there is none, or one that small spheres do not tell.
+
+    The null space there has the dimension `nullity`, where that is given, up to what the digits of `x` leave.
+    """
+    nullity = nullity or _nullity(svd(equations.matrix(x), compute_uv=False))
+    if isinstance(equations, DrivenClosure) or nullity < 2:
         return None
-    sphere = _Sphere.at(equations, x)
-    if sphere is None:
-        return None
+    sphere = _Sphere.at(equations, x, nullity)
     for radius in RADII:
-        points = sphere.circle(radius) if sphere.null_space.shape[1] == 2 else sphere.search(radius)
+        points = sphere.circle(radius) if nullity == 2 else sphere.search(radius)
         if points is None:
             return None  # more than a curve
         halves = [sphere.inwards(z) for z in points]
@@ -402,18 +426,16 @@ class _Sphere:
     left: Array
 
     @staticmethod
-    def at(equations: Closure, x: Array) -> _Sphere | None:
-        """The spheres around a point (nq,), None where it is regular."""
+    def at(equations: Closure, x: Array, nullity: int) -> _Sphere:
+        """The spheres around a point (nq,) at which the null space has so many dimensions, or nearly has."""
         U, s, Vt = svd(equations.matrix(x))
-        rank = equations.n - int(np.sum(s <= RANK * max(s[0], 1e-300)))
-        if rank > equations.n - 2:
-            return None
+        rank = equations.n - nullity
         return _Sphere(equations, x, Vt[rank:].T, (Vt[:rank].T / s[:rank]) @ U[:, :rank].T, U[:, rank:])
 
-    def valley(self, tangent: Array, reach: float) -> Array:
+    def valley(self, tangent: Array, reach: float) -> Array | None:
         """The tangent vector (n,) from `x` to the singular point near by, along a tangent (n,) of the curve there.
 
-        The null space has two dimensions.
+        The null space has two dimensions. None where the valley has no roots near by.
         """
         t = self.null_space.T @ tangent
         t /= np.linalg.norm(t)
@@ -432,7 +454,9 @@ class _Sphere:
         depth = np.polynomial.chebyshev.chebfit(a / reach, values(a, b) @ own, VALLEY // 2)
         roots = np.polynomial.chebyshev.chebroots(depth)
         near = roots[np.abs(roots) < CLUSTER]
-        at = reach * float(near.real.mean()) if len(near) else 0.0
+        if not len(near):
+            return None
+        at = reach * float(near.real.mean())
         aside = np.polynomial.chebyshev.chebval(at / reach, np.polynomial.chebyshev.chebfit(a / reach, b, VALLEY // 2))
         return self.reduced((np.array([[at, aside]]) @ axes) @ self.null_space.T)[0][0]
 
@@ -544,65 +568,75 @@ class _Sphere:
         out: list[Array] = []
         for z in vectors:
             found = self._corrected(z)
-            if found is not None and all(np.linalg.norm(found - o) > 1e-4 * np.linalg.norm(o) for o in out):
-                out.append(found)
+            if found is not None and all(np.linalg.norm(found[0] - o) > 1e-4 * np.linalg.norm(o) for o in out):
+                out.append(found[0])
         return out
 
-    def _corrected(self, z: Array) -> Array | None:
-        """The tangent vector to the regular point of the curve in the plane across z (n,), or None."""
+    def _corrected(self, z: Array) -> tuple[Array, Array] | None:
+        """The tangent vector to the regular point of the curve in the plane across z (n,), and the curve's direction
+        there; or None."""  # fmt: skip
         e, size = self.equations, float(np.linalg.norm(z))
         there = correct(e, e.move(self.x, z), z / size)
         if there is None:
             return None
-        found, s = e.between(self.x, there.x), svd(there.J, compute_uv=False)
+        found, (_, s, Vt) = e.between(self.x, there.x), svd(there.J)
         near = np.linalg.norm(found - z) < 0.5 * size
-        return found if near and s[e.n - 2] > PARTED * s[0] else None
+        return (found, Vt[-1]) if near and s[e.n - 2] > PARTED * max(float(s[0]), 1.0) else None
 
     def inwards(self, z: Array) -> Array:
-        """Tangent vectors (m, n) to points of a half-branch through the one at z (n,), towards the center."""
-        out = [z]
-        for part in INWARDS[1:]:
-            z = self._corrected(out[-1] * (part * np.linalg.norm(out[0]) / np.linalg.norm(out[-1])))
-            if z is None:
-                break
+        """Tangent vectors (m, n) to points of a half-branch through the one at z (n,), towards the center.
+
+        The next one is looked for on the parabola through the center and the last one, with the direction there.
+        """
+        out, radius, there = list[Array](), float(np.linalg.norm(z)), self._corrected(z)
+        while there is not None:
+            z, t = there
             out.append(z)
+            if len(out) == len(INWARDS):
+                break
+            size = float(np.linalg.norm(z))
+            along, rate = float(t @ z) / size, z / size
+            rate = t / along if abs(along) > 0.1 else rate
+            part = INWARDS[len(out)] * radius / size
+            there = self._corrected((2.0 * part - part * part) * z - (part - part * part) * size * rate)
         return np.array(out)
 
 
-def _powers(distance: Array, cusp: bool) -> Array:
-    """Powers (m, DEGREE) of the parameter of a half-branch at distances (m,)."""
-    return (np.sqrt(distance) if cusp else distance)[:, None] ** np.arange(1.0, DEGREE + 1.0)
+def _powers(distance: Array, root: int) -> Array:
+    """Powers (m, DEGREE) of a root of distances (m,), the parameter of a half-branch."""
+    return (distance ** (1.0 / root))[:, None] ** np.arange(1.0, DEGREE + 1.0)
 
 
 def _paired(x: Array, samples: Array, null_space: Array) -> Germ | None:
     """The germ of half-branches (k, m, n): those two are one branch that one polynomial describes, or None."""
-    size = np.linalg.norm(samples, axis=2)
+    size, turned = np.linalg.norm(samples, axis=2), (-1.0) ** np.arange(1, DEGREE + 1)
     k, radius = len(samples), float(size.max())
     rates = samples[:, -1] / size[:, -1, None]
-    left, partner, curves, tangents = set(range(k)), [-1] * k, np.zeros((k, DEGREE, samples.shape[2])), np.array(rates)
-    fits: list[tuple[float, int, int, bool, Array]] = []
+    fits: list[tuple[float, int, int, int, Array]] = []
     for i in range(k):
         for j in range(i):
             cosine = float(rates[i] @ rates[j])
-            if abs(cosine) < ALONG:
-                continue
-            cusp = cosine > 0.0
-            there = np.vstack([_powers(size[i], cusp), _powers(size[j], cusp) * (-1.0) ** np.arange(1, DEGREE + 1)])
-            there = there[:, 1:] if cusp else there
-            scale = np.abs(there).max(axis=0)
-            both = np.vstack([samples[i], samples[j]])
-            c = np.linalg.lstsq(there / scale, both, rcond=1e-12)[0] / scale[:, None]
-            off = float(np.abs(there @ c - both).max()) / radius
-            fits.append((off, i, j, cusp, np.vstack([0.0 * c[:1], c]) if cusp else c))
-    for off, i, j, cusp, c in sorted(fits, key=lambda fit: fit[0]):
+            for root in () if abs(cosine) < ALONG else (2,) if cosine > 0.0 else (1, 3):
+                there = np.vstack([_powers(size[i], root), _powers(size[j], root) * turned])
+                scale, both = np.abs(there).max(axis=0), np.vstack([samples[i], samples[j]])
+                c = np.zeros((DEGREE, samples.shape[2]))
+                fitted = np.linalg.lstsq((there / scale)[:, root - 1 :], both, rcond=1e-12)[0]
+                c[root - 1 :] = fitted / scale[root - 1 :, None]
+                fits.append((float(np.abs(there @ c - both).max()) / radius, i, j, root, c))
+    partner, roots, left = [-1] * k, [1] * k, set(range(k))
+    curves, tangents = np.zeros((k, DEGREE, samples.shape[2])), np.array(rates)
+    for off, i, j, root, c in sorted(fits, key=lambda fit: fit[0]):
         if i not in left or j not in left or off > UNLIKE:
             continue
+        others = [o for o, a, b, *_ in fits if len({a, b} & {i, j}) == 1 and {a, b} <= left]
+        if off * CLEAR > min(others, default=np.inf):
+            return None  # too near to tell: farther out branches have parted
         left -= {i, j}
-        partner[i], partner[j] = j, i
-        curves[i], curves[j] = c, c * ((-1.0) ** np.arange(1, DEGREE + 1))[:, None]
-        t = null_space @ (null_space.T @ c[1 if cusp else 0])
+        partner[i], partner[j], roots[i], roots[j] = j, i, root, root
+        curves[i], curves[j] = c, c * turned[:, None]
+        t = null_space @ (null_space.T @ c[root - 1])
         t /= np.linalg.norm(t)
-        if cusp:
+        if root == 2:
             t[np.abs(t) < RESTS] = 0.0
-        tangents[i], tangents[j] = t, t if cusp else -t
-    return None if left else Germ(x, samples, tangents, tuple(partner), curves)
+        tangents[i], tangents[j] = t, t if root == 2 else -t
+    return None if left else Germ(x, null_space.shape[1], samples, tangents, tuple(partner), tuple(roots), curves)

@@ -9,7 +9,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kempe.analysis.continuation.continuation import Closure
-from kempe.analysis.continuation.crossings import AHEAD, PARTED, SingularNode, crossing, locate, passage, singular_node
+from kempe.analysis.continuation.crossings import (
+    AHEAD,
+    PARTED,
+    SingularNode,
+    branches_at,
+    crossing,
+    locate,
+    passage,
+    singular_node,
+)
 from kempe.analysis.continuation.deflation import rank_held
 from kempe.kinematics.common.gauss_newton import LARGE
 from kempe.kinematics.common.roots import sign_change
@@ -19,6 +28,8 @@ from kempe.spatial import Array
 
 AWKWARD = 1e-5
 """Relative singular value below which a step had better land elsewhere: rounding is blown up there."""
+NEARLY = 1e-3
+"""Relative singular value at both ends of a step below which it may lead past a point where branches touch."""
 RESTING = 1e-9
 """Rates below this count as zero."""
 NOISE = 1e-12
@@ -92,9 +103,24 @@ def checked(equations: Closure, a: Node, b: Node | None) -> list[Node] | None:
         return None
     turned = sides_change(equations, a, b)
     if not turned:
-        return None if turned is None else [b]
+        return None if turned is None or _touches(equations, a, b) else [b]
     middle = crossing(equations, a, b)
     return None if middle is None else [middle, b]
+
+
+def _touches(equations: Closure, a: Node, b: Node) -> bool:
+    """Whether a step may have led past a singular point at which branches touch, to another branch or round a cusp."""
+    if max(a.sigma, b.sigma) > NEARLY or a.lines is not None:
+        return False
+    y = equations.between(a.x, b.x)
+    h = float(np.linalg.norm(y))
+    x = locate(equations, equations.move(a.x, 0.5 * y), 2, h) if equations.n > 1 else None
+    germ = None if x is None else branches_at(equations, x)[1]
+    if germ is None:
+        return False
+    along = float(equations.between(a.x, germ.x) @ y) / h
+    halves = [germ.half_of(equations, [n.x]) for n in (a, b)]
+    return 0.0 < along < h and not (None not in halves and halves[1] == germ.partner[halves[0] or 0])
 
 
 def sides_change(equations: Closure, a: Node, b: Node) -> bool | None:

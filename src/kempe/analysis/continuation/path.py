@@ -88,7 +88,7 @@ class Track:
             return np.repeat(self.q, len(s), axis=0)
         k = np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 2)
         size = (self.s[k + 1] - self.s[k])[:, None]
-        u = (s - self.s[k])[:, None] / size
+        u = (s - self.s[k])[:, None] / np.where(size > 0.0, size, 1.0)  # a cusp is two nodes at one place
         e, t = self.equations, self.t
         y, a, b = e.between(self.q[k], self.q[k + 1]), size * t[k], size * t[k + 1]
         x = e.move(self.q[k], u * (1 - u) ** 2 * a + u * u * (3 - 2 * u) * y - u * u * (1 - u) * b)

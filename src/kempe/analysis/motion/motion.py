@@ -1,8 +1,8 @@
 """How a mechanism with one degree of freedom moves: its whole branch, by continuation; other branches by switching.
 
 Pseudo-arclength continuation in all velocity coordinates (Keller, 1977; Allgower, Georg, 1990): the driver is not
-special, so dead points are ordinary points. At a crossing the walk goes straight on; what other branches there are is
-recorded.
+special, so dead points are ordinary points. At a crossing the walk goes straight on, and where branches touch or end in
+a cusp it goes on along the half-branch that is the other half of its own; what other branches there are is recorded.
 """
 
 from __future__ import annotations
@@ -96,7 +96,8 @@ def trace(
     `start` is a configuration (nq,), the name of a posture, or known coordinates by name (default: the posture
     "closed", else mid-range); it is closed first. `driver` is the coordinate that counts as the input: the path begins
     with it growing, and points where it turns back are its dead points. `hold` fixes other coordinates at values.
-    `toward` gives rates by coordinate name that choose the sense, and the branch where the start is a bifurcation.
+    `toward` gives rates by coordinate name that choose the sense, and the branch where the start is a bifurcation. The
+    path goes straight on through points where branches cross or touch, and back beside itself at a cusp.
     `ways`: "both" directions from the start, "forward" only, or "branches": both, and the branches met at bifurcations,
     too, see `Path.others`. The path ends where it closes on itself, at a limit (unless `limits=False`), where it is
     found to have no end (a slide that runs away, gears whose ratio lets it never close), or where the budget ends. Of

@@ -41,6 +41,8 @@ class Curve:
     What is written here is what others than plain vectors, or with other correctors, do in their own way.
     """
 
+    least = 0.0
+    """What the largest singular value counts as at least, where the size of equations is known."""
     n: Any
     """How many variables there are: set once by some curves, a property of others."""
 
@@ -100,7 +102,7 @@ def node(equations: Curve, x: Array, toward: Array | None = None, J: Array | Non
     J = equations.matrix(x) if J is None else J
     U, s, Vt = svd(J, full_matrices=False)
     n = equations.n
-    scale = s[0] if s[0] > 0.0 else 1.0
+    scale = max(float(s[0]), equations.least) or 1.0
     nullity = int(np.sum(s <= RANK * scale))
     t = Vt[-1]
     if toward is not None:
