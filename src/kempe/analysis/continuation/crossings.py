@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -451,13 +452,14 @@ class _Sphere:
             bent = high - 2.0 * at + low
             b = b - np.clip(np.where(bent != 0.0, 0.5 * h * (high - low) / np.where(bent != 0.0, bent, 1.0), 0.0),
                             -0.1 * reach, 0.1 * reach)  # fmt: skip
-        depth = np.polynomial.chebyshev.chebfit(a / reach, values(a, b) @ own, VALLEY // 2)
-        roots = np.polynomial.chebyshev.chebroots(depth)
+        chebyshev: Any = np.polynomial.chebyshev  # its types are not known
+        depth = chebyshev.chebfit(a / reach, values(a, b) @ own, VALLEY // 2)
+        roots: np.ndarray = np.asarray(chebyshev.chebroots(depth))
         near = roots[np.abs(roots) < CLUSTER]
         if not len(near):
             return None
-        at = reach * float(near.real.mean())
-        aside = np.polynomial.chebyshev.chebval(at / reach, np.polynomial.chebyshev.chebfit(a / reach, b, VALLEY // 2))
+        at = reach * float(np.real(near).mean())
+        aside = chebyshev.chebval(at / reach, chebyshev.chebfit(a / reach, b, VALLEY // 2))
         return self.reduced((np.array([[at, aside]]) @ axes) @ self.null_space.T)[0][0]
 
     def reduced(self, z: Array) -> tuple[Array, Array]:
@@ -502,28 +504,30 @@ class _Sphere:
 
         Between samples of one sign the least one may be beside two zeros: it is followed to where the sign changes.
         """
-        step, ahead = angles[1] - angles[0], np.roll(values, -1)
+        step, ahead = float(angles[1] - angles[0]), np.roll(values, -1)
         change = np.flatnonzero((values > 0.0) != (ahead > 0.0))
-        ends = [(angles[change], values[change]), (angles[change] + step, ahead[change])]
+        starts, first = [angles[change]], [values[change]]
+        ends, last = [angles[change] + step], [ahead[change]]
         size, behind = np.abs(values), np.roll(values, 1)
         same = ((values > 0.0) == (ahead > 0.0)) & ((values > 0.0) == (behind > 0.0))
         dip = np.flatnonzero(same & (size <= np.abs(ahead)) & (size <= np.abs(behind)))
-        low, high, sign = angles[dip] - step, angles[dip] + step, np.sign(values[dip])
-        for _ in range(HALVINGS if len(dip) else 0):
+        center, sign = angles[dip], np.sign(values[dip])
+        low, high = center - step, center + step
+        for _ in range(HALVINGS):
+            if not len(center):
+                break
             third = (high - low) / 3.0
             a, b = low + third, high - third
             fa, fb = sign * function(a), sign * function(b)
-            crossed = np.minimum(fa, fb) < 0.0
-            if crossed.any():
-                k = np.flatnonzero(crossed)
-                middle, value = np.where(fa < fb, a, b)[k], (sign * np.minimum(fa, fb))[k]
-                for end in (angles[dip[k]] - step, angles[dip[k]] + step):
-                    ends[0] = np.append(ends[0][0], end), np.append(ends[0][1], -value)
-                    ends[1] = np.append(ends[1][0], middle), np.append(ends[1][1], value)
-                keep = ~crossed
-                dip, low, high, sign, fa, fb, a, b = (v[keep] for v in (dip, low, high, sign, fa, fb, a, b))
-            low, high = np.where(fa > fb, a, low), np.where(fa > fb, high, b)
-        return ends[0], ends[1]
+            k = np.minimum(fa, fb) < 0.0
+            for side in (-step, step):
+                starts.append(center[k] + side)
+                first.append(sign[k])
+                ends.append(np.where(fa < fb, a, b)[k])
+                last.append(-sign[k])
+            low, high = np.where(fa > fb, a, low)[~k], np.where(fa > fb, high, b)[~k]
+            center, sign = center[~k], sign[~k]
+        return (np.concatenate(starts), np.concatenate(first)), (np.concatenate(ends), np.concatenate(last))
 
     def search(self, radius: float) -> list[Array] | None:
         """Tangent vectors to the points of the curve on a sphere over the null space, from many starts.
@@ -607,6 +611,11 @@ def _powers(distance: Array, root: int) -> Array:
     return (distance ** (1.0 / root))[:, None] ** np.arange(1.0, DEGREE + 1.0)
 
 
+def _fit(A: Array, B: Array) -> Array:
+    """The X (n, k) that makes |A X - B| least."""
+    return np.asarray(np.linalg.lstsq(A, B, rcond=1e-12)[0], dtype=float)
+
+
 def _paired(x: Array, samples: Array, null_space: Array) -> Germ | None:
     """The germ of half-branches (k, m, n): those two are one branch that one polynomial describes, or None."""
     size, turned = np.linalg.norm(samples, axis=2), (-1.0) ** np.arange(1, DEGREE + 1)
@@ -620,7 +629,7 @@ def _paired(x: Array, samples: Array, null_space: Array) -> Germ | None:
                 there = np.vstack([_powers(size[i], root), _powers(size[j], root) * turned])
                 scale, both = np.abs(there).max(axis=0), np.vstack([samples[i], samples[j]])
                 c = np.zeros((DEGREE, samples.shape[2]))
-                fitted = np.linalg.lstsq((there / scale)[:, root - 1 :], both, rcond=1e-12)[0]
+                fitted = _fit((there / scale)[:, root - 1 :], both)
                 c[root - 1 :] = fitted / scale[root - 1 :, None]
                 fits.append((float(np.abs(there @ c - both).max()) / radius, i, j, root, c))
     partner, roots, left = [-1] * k, [1] * k, set(range(k))

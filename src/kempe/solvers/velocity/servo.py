@@ -249,12 +249,14 @@ def ik_step(
     With `keep_direction` the twist is scaled instead of bent: what is had is the largest part of it that the limits
     allow, from 0 to 1, but for a few percent that self-motions cost. Towards a singular configuration the part
     falls to zero, and the motion comes to rest there: it never goes back. Close to one, the direction is kept to 1 %.
+    Towards a pose the frame goes straight, in position and orientation together, as long as that leads on; where a
+    limit or the border of the workspace ends the straight way, the motion turns gradually towards the nearest pose.
 
     A pose or tasks that cannot be had within dt, since they are far, out of reach or beyond limits, are approached:
     limits of speed shorten the step, so all joints arrive together. Where a step of first order does not lower the
     error, its second order counts (Newton); saddle points of the error are left. So cycles that ask for the same
-    come to rest, at a local minimum of the error, in radians and characteristic lengths as in `ik`; with
-    `keep_direction` where the straight way ends. Of a twist only the caller knows where it leads.
+    come to rest, at a local minimum of the error, in radians and characteristic lengths as in `ik`, with
+    `keep_direction`, too. Of a twist only the caller knows where it leads.
 
     In cycles that ask for the same, no joint turns back from one cycle to the next at more than a twentieth of its
     limit of speed: the velocities of the next cycle are computed, too, and the step is shortened where one changes its

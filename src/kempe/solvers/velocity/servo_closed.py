@@ -33,7 +33,7 @@ from kempe.solvers.velocity.least_squares import (
     part_within,
     scaled,
 )
-from kempe.solvers.velocity.servo_pose import ASIDE, BLIND, FLAT, LARGEST, SADDLE, STILL, TAKEN, TRIALS
+from kempe.solvers.velocity.servo_pose import ASIDE, BLIND, FLAT, LARGEST, SADDLE, STILL, TAKEN, TRIALS, led_on
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -215,14 +215,19 @@ class ConstrainedSteps:
     ) -> tuple[Array, Array, bool]:  # fmt: skip
         """The configuration (nq,) after dt, the scaled velocities (nv,) towards goals, and whether the motion is calm.
 
-        The first stage that a step of first order does not lower as promised takes one of second order, which must
-        do so, else a shorter one; stages after it do not count. Limits of speed shorten these steps. `at` gives the
-        stages at a configuration. The motion is calm where the step arrives, and the next one makes good only what
-        second derivatives have left: then no joint turns back.
+        Where a `direction` is kept the step is straight as long as that leads on. Otherwise the first stage that a step
+        of first order does not lower as promised takes one of second order, which must do so, else a shorter one;
+        stages after it do not count. Limits of speed shorten these steps. `at` gives the stages at a configuration. The
+        motion is calm where the step arrives, and the next one makes good only what second derivatives have left: then
+        no joint turns back.
         """
         free = self.free(q, dt)
         if direction:
-            return *self.straight(q, free, stages, low, high, dt, at), False
+            after, u = self.straight(q, free, stages, low, high, dt, at)
+            if (share := led_on(stages[0].A, stages[0].b, u, low, high)) == 1.0:
+                return after, u, False
+            other = self.towards(q, stages, low, high, damping, False, dt, at, slow)[1]
+            return *self.after(q, share * u + (1.0 - share) * other, dt, low, high), False
         wide, speeds = (low, high), None
         if not free.rest.any() and (low <= 0.0).all() and (high >= 0.0).all():
             least, most = self.box(q, dt, np.full(len(low), math.inf))

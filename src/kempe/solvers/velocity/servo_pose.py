@@ -41,8 +41,11 @@ STILL, BLIND = 1e-20, 1e-13
 """Promised decreases, as parts of the square of the error, below which one rests, or rounding hides the true one."""
 ROUNDING = 1e-28
 """Promised decrease below which one rests, however small the error is."""
-LITTLE = 0.01
-"""Least decrease of the error, as a part of what the joints move, for which a direction is kept."""
+LITTLE, LEADS = 0.01, 0.05
+"""Decreases of the error, as parts of what the joints move: up to the first no direction is kept, from the second on it
+alone counts; between them the straight step and the one towards the nearest pose are mixed."""
+SLOW, FAST = 0.1, 0.5
+"""The same for the part of the speed, or of the rest of the way, that a straight step makes use of."""
 TRIALS, HALVINGS = 16, 6
 """Steps tried in one cycle, each shorter than the one before; halvings of a step in a direction that is kept."""
 
@@ -81,17 +84,30 @@ class Approach:
         self.square = float(self.missing @ self.missing)
 
     def go(self, low: Array, high: Array, damping: float, weights: Array | None, direction: bool) -> Array:
-        """Velocities (n,) in the box from `low` to `high`.
+        """Velocities (n,) in the box from `low` to `high`: straight ahead as long as that leads on, where a `direction`
+        is kept, and then towards the nearest pose."""  # fmt: skip
+        rest = np.minimum(np.maximum(0.0, low), high)
+        if self.square <= ENOUGH or not len(low):
+            return rest
+        twist = self.e / self.dt
+        A, b = (self.J, twist) if weights is None else (weights[:, None] * self.J, weights * twist)
+        if not direction:
+            return self.nearer(A, b, low, high, rest, damping, weights)
+        bend = self.servo.bend(self.before, weights)
+        straight = self.shortened(scaled(A, b, low, high, self.dt, bend, near=self.servo.near))
+        unit = self.servo.unit
+        share = led_on(self.A, self.missing / self.dt, straight / unit, low / unit, high / unit)
+        if share == 1.0:
+            return straight
+        return share * straight + (1.0 - share) * self.nearer(A, b, low, high, rest, damping, weights)
+
+    def nearer(
+        self, A: Array, b: Array, low: Array, high: Array, rest: Array, damping: float, weights: Array | None
+    ) -> Array:  # fmt: skip
+        """Velocities (n,) in the box towards the nearest pose, by any way that the error goes down.
 
         Limits of speed shorten the step that limits of position leave: so all joints arrive together.
         """
-        twist, rest = self.e / self.dt, np.minimum(np.maximum(0.0, low), high)
-        A, b = (self.J, twist) if weights is None else (weights[:, None] * self.J, weights * twist)
-        if self.square <= ENOUGH or not len(low):
-            return rest
-        if direction:
-            return self.shortened(scaled(A, b, low, high, self.dt, self.servo.bend(self.before, weights),
-                                         near=self.servo.near))  # fmt: skip
         near = self.servo.near
         wished = wish(A, b, damping, near, RESIDUAL * math.sqrt(self.square))
         x = wished.x
@@ -198,6 +214,21 @@ class Approach:
         ahead, behind = np.reshape(pushes, (2, len(servo.v), len(servo.v)))
         H = (behind - ahead) / (2.0 * DIFFERENCE)
         return 0.5 * (H + H.T)
+
+
+def led_on(A: Array, b: Array, x: Array, low: Array, high: Array) -> float:
+    """How far straight velocities x (n,) in a box lead on, from 0 to 1.
+
+    By the decrease of what is missed for what the joints move, and by how much of the room that the box and the rest of
+    the way leave is used: close to a singular configuration it is little.
+    """
+    wish, size, had = math.sqrt(float(b @ b)), math.sqrt(float(x @ x)), float(b @ (A @ x))
+    if not had > 0.0:
+        return 0.0
+    gain = had / (wish * size)
+    room = np.where(x > 0.0, high, -low)
+    used = max(had / wish**2, float(np.max(np.abs(x) / np.maximum(room, 1e-300))))
+    return min(1.0, max(0.0, (gain - LITTLE) / (LEADS - LITTLE)), max(0.0, (used - SLOW) / (FAST - SLOW)))
 
 
 def turned(r: Array, J: Array) -> Array:
