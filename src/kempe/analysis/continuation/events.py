@@ -119,8 +119,8 @@ def _touches(equations: Closure, a: Node, b: Node) -> bool:
     if germ is None:
         return False
     along = float(equations.between(a.x, germ.x) @ y) / h
-    halves = [germ.half_of(equations, [n.x]) for n in (a, b)]
-    return 0.0 < along < h and not (None not in halves and halves[1] == germ.partner[halves[0] or 0])
+    first, second = (germ.half_of(equations, [n.x]) for n in (a, b))
+    return 0.0 < along < h and first is not None and second not in (None, germ.partner[first])
 
 
 def sides_change(equations: Closure, a: Node, b: Node) -> bool | None:
