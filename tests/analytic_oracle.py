@@ -271,14 +271,14 @@ def _rows(J, R, task, axis):
 
 
 def _residual(model: Model, R, p, target, task, axis):
-    """What is missing (N, m), in the order of `_rows`."""
-    dp = (target[:3, 3] - p) / model.size
+    """What is missing (N, m) of targets (N, 4, 4), in the order of `_rows`."""
+    dp = (target[:, :3, 3] - p) / model.size
     if task == "position":
         return dp
     if task in ("direction", "position_axis"):
-        du = target[:3, :3] @ np.asarray(axis, dtype=float) - R @ np.asarray(axis, dtype=float)
+        du = target[:, :3, :3] @ np.asarray(axis, dtype=float) - R @ np.asarray(axis, dtype=float)
         return du if task == "direction" else np.concatenate([dp, du], axis=1)
-    w = rotation_log(target[:3, :3] @ np.swapaxes(R, 1, 2))
+    w = rotation_log(target[:, :3, :3] @ np.swapaxes(R, 1, 2))
     return w if task == "orientation" else np.concatenate([dp, w], axis=1)
 
 
@@ -286,8 +286,12 @@ def _residual(model: Model, R, p, target, task, axis):
 
 
 def newton(model: Model, target, theta, task: str = "pose", axis=(0, 0, 1), steps: int = 40, tol: float = 1e-12):
-    """Where damped Gauss-Newton (Levenberg, 1944) leads from `theta` (N, n), and whether it solves the task (N,)."""
-    theta, target = np.array(theta, dtype=float), np.asarray(target, dtype=float)
+    """Where damped Gauss-Newton (Levenberg, 1944) leads from `theta` (N, n), and whether it solves the task (N,).
+
+    `target` is one pose (4, 4), or one for each start (N, 4, 4).
+    """
+    theta = np.array(theta, dtype=float)
+    target = np.broadcast_to(np.asarray(target, dtype=float), (len(theta), 4, 4))
     scale = np.where(model.kinds == SLIDE, model.size, 1.0)
     damping = np.full(len(theta), 1e-2)
     R, p, h, o = model._sweep(theta)
@@ -306,7 +310,7 @@ def newton(model: Model, target, theta, task: str = "pose", axis=(0, 0, 1), step
         step *= np.minimum(1.0, 1.0 / turn)[:, None]
         trial = theta[live] + step * scale
         R2, p2, h2, o2 = model._sweep(trial)
-        r2 = _residual(model, R2, p2, target, task, axis)
+        r2 = _residual(model, R2, p2, target[live], task, axis)
         better = (r2 * r2).sum(1) <= cost
         theta[live[better]] = trial[better]
         damping[live] = np.where(better, damping[live] * 0.2, damping[live] * 8.0).clip(1e-12, 1e6)
