@@ -10,7 +10,9 @@ from motion_linkages import bennett, four_bar, jansen, linkage, slider_crank
 
 import kempe
 from kempe import Mechanism, spatial
+from kempe.analysis.first_order.null_space import null_space, null_space_from
 from kempe.analysis.motion.drive import drive
+from kempe.analysis.motion import transmission
 from kempe.analysis.motion.motion import trace
 from kempe.analysis.motion.transmission import (
     dead_points,
@@ -214,3 +216,74 @@ def test_a_joint_on_the_ground_has_no_transmission_angle():
     s = kempe.load("four_bar")
     with pytest.raises(InputError, match="on the ground"):
         transmission_angle(s, s.q("closed"), "A")
+
+
+# ---- long chains
+
+
+def row_of_four_bars(n):
+    """A row of n four-bars, not parallelograms: n + 1 cranks on the ground, neighbours joined by couplers."""
+    m = Mechanism(f"row of {n} four-bars", dim=2)
+    for i in range(n + 1):
+        m.revolute(f"A{i}", m.ground, m.body(f"crank{i}"), at=(i, 0))
+    for i in range(n):
+        coupler = m.body(f"coupler{i}")
+        m.revolute(f"B{i}", f"crank{i}", coupler, at=(0, 0.5))
+        m.revolute(f"C{i}", coupler, f"crank{i + 1}", at=(1.0 + 0.01 * (i % 2), 0), child_at=(0, 0.5))
+    return m.build()
+
+
+def test_velocities_of_a_long_chain_take_no_dense_decomposition(monkeypatch):
+    """Where the inputs determine all else, sparse factors give the same matrix, rank and margin as dense ones."""
+    system = row_of_four_bars(40)
+    q = system.assemble({"A0": 0.2}).q
+    outputs = ["A40", "coupler20", "C3"]
+    with monkeypatch.context() as patch:
+        patch.setattr(transmission, "null_space_from", lambda *args: None)
+        dense = loop_jacobian(system, q, ["A0"], outputs)
+    monkeypatch.setattr(transmission, "null_space", lambda *args: pytest.fail("a dense decomposition"))
+    sparse = loop_jacobian(system, q, ["A0"], outputs)
+    assert sparse.success and dense.success
+    assert (sparse.rank, sparse.nullity) == (dense.rank, dense.nullity) == (1, 1)
+    np.testing.assert_allclose(sparse.matrix, dense.matrix, rtol=1e-10, atol=1e-12)
+    assert abs(sparse.margin - dense.margin) < 1e-12
+
+
+def test_a_dead_point_of_a_long_chain_is_left_to_the_dense_decomposition():
+    """With the second crank in line with its coupler, the first one cannot move; the rank says so."""
+    m = row_of_four_bars(40).mechanism
+    m.body("slider")
+    m.prismatic("S", m.ground, "slider", at=(-2, 0), axis=(1, 0))
+    rod = m.body("rod")
+    m.revolute("P", "crank0", rod, at=(0, 0.5))
+    m.revolute("Q", rod, "slider", at=(1.0, 0.0))
+    system = m.build()
+    q = system.assemble({"A0": math.pi / 2}, start=system.q({"P": 0.0, "A0": math.pi / 2})).q
+    J = loop_jacobian(system, q, ["S"], ["A0"])
+    assert J.code == kempe.Status.DEAD_POINT and J.nullity == 1
+    assert loop_jacobian(system, q, ["A0"], ["S"]).success
+
+
+def test_a_null_space_from_inputs_is_the_null_space_or_nothing(hunt):
+    """Random sparse matrices, some of them nearly singular: what is given is the null space, to rounding."""
+    rng, given = hunt.rng(), 0
+    for _ in range(hunt.cases(200)):
+        m, k = int(rng.integers(3, 40)), int(rng.integers(1, 4))
+        A = rng.normal(size=(m, m + k)) * (rng.random((m, m + k)) < 0.3)
+        A[np.arange(m), rng.permutation(m + k)[:m]] += rng.normal(size=m)
+        if rng.random() < 0.5:  # a row that nearly depends on the others
+            A[0] = rng.normal(size=m - 1) @ A[1:] + 10.0 ** rng.uniform(-16, 0) * A[0]
+        columns = rng.permutation(m + k)[:k].tolist()
+        basis = null_space_from(A, columns, 1e-8)
+        exact = null_space(A, 1e-8)
+        if basis is None:
+            continue
+        given += 1
+        assert basis.shape == exact.shape
+        assert np.abs(basis.T @ basis - np.eye(k)).max() < 1e-13
+        assert np.linalg.norm(A @ basis) < 1e-8 * np.linalg.norm(A)
+        assert np.abs(basis - exact @ (exact.T @ basis)).max() < 1e-8
+    assert given
+    assert null_space_from(np.ones((2, 3)), [0], 1e-8) is None
+    assert null_space_from(np.zeros((2, 3)), [0], 1e-8) is None
+    assert null_space_from(np.eye(3), [0], 1e-8) is None

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from dyad_chains import random_chain
 
 from kempe.kernels.compiled import dyads_program
 from kempe.kernels.dyads import dyads_layout as K
 from kempe.solvers.dyads.decompose import Code
+from kempe.solvers.dyads.dyads import Plan, closed_form
 
 SIZES = (0, 1, 7, 8, 9, 63, 64, 65)
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
@@ -25,7 +27,7 @@ def random_pose(rng):
 def run(code: Code, known, values, near=None, signs=None):
     """q and status of a program whose known coordinates come first."""
     ints, floats = code.pack(list(range(known)))
-    q, status = np.full((len(values), code.nq), 7.0), np.full((len(values), 2), 7.0)
+    q, status = np.full((len(values), code.nq), 7.0), np.full((len(values), 3), 7.0)
     near = np.zeros((1, code.nq)) if near is None else near
     signs = np.ones((1, code.signs)) if signs is None else signs
     assert dyads_program.solve(ints, floats, values, signs, near, q, status) == len(values)
@@ -131,3 +133,24 @@ def test_lanes_do_not_depend_on_each_other():
     assert abs(q[19, 1] - np.arctan2(np.sin(1e12), np.cos(1e12))) < 1e-15
     rest = np.setdiff1d(np.arange(20), [2, 9, 19])
     assert np.array_equal(q[rest], clean[0][rest]) and np.array_equal(status[rest], clean[1][rest])
+
+
+@pytest.mark.parametrize("kind", ["RRR", "RRP", "RPR", "PRR"])
+def test_the_margin_is_the_sine_of_the_angle_between_the_links(kind):
+    """It says how far two branches are apart; of a link on a slider, the angle is that to the normal of the slide."""
+    for seed in range(10):
+        chain = random_chain(seed, (kind,), most=1, variable=False)
+        system = chain.system()
+        plan = closed_form(system, chain.known)
+        assert isinstance(plan, Plan)
+        start, values = system.q(chain.values), np.array([[chain.values[name] for name in plan.known]])
+        q, status = plan._run(values, plan.branch_of(start)[None], start[None])
+        X = system.fk(q[0])
+        first, line, last = (plan._place(X, end) for end in plan.dyads[-1].ends)
+        a = last[0] - first[0]
+        if plan.dyads[-1].along:
+            expected = abs(line[1] @ a) / np.linalg.norm(a)
+        else:
+            b = last[0] - line[0]
+            expected = abs(a[0] * b[1] - a[1] * b[0]) / (np.linalg.norm(a) * np.linalg.norm(b))
+        assert abs(status[0, 2] - expected) < 1e-12

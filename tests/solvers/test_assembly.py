@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import graphs
 import numpy as np
 import pytest
+from dyad_chains import random_chain
 from hunts import examples, some
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -18,8 +19,10 @@ import kempe
 from kempe import Mechanism, constraints
 from kempe.errors import InputError, NoSolutionError, UnknownNameError
 from kempe.kinematics import closure_rows
-from kempe.solvers.assembly.assembler import Assembler
+from kempe.solvers.assembly import assembler as assembler_module
+from kempe.solvers.assembly.assembler import LONG, Assembler
 from kempe.solvers.assembly.assembly_bounded import OneSidedAssembly
+from kempe.solvers.dyads.dyads import Plan
 from kempe.status import Status
 
 MECHANISMS = [
@@ -610,3 +613,125 @@ def test_held_balls_keep_their_known_quaternions():
     q, known = np.arange(9.0)[None], -1.0 - np.arange(9.0)[None]
     found = OneSidedAssembly(s, loops, none, 0, 0.0, 0, None)._with_known(q, known)
     assert found.tolist() == [[-1.0, 1.0, 2.0, 3.0, 4.0, -6.0, -7.0, -8.0, -9.0]]
+
+
+# ---- how much work a call is
+
+
+@pytest.fixture
+def searched(monkeypatch):
+    """How many rows each call of the kernel that searches has, of all calls so far."""
+    rows: list[int] = []
+    kernel = assembler_module.kernel
+
+    def assemble(*args):
+        rows.append(len(args[4]))
+        return kernel.assemble(*args)
+
+    monkeypatch.setattr(assembler_module, "kernel", SimpleNamespace(assemble=assemble))
+    return rows
+
+
+def test_a_named_branch_is_evaluated_once_and_not_searched(searched, monkeypatch):
+    """A closed form that fulfils the equations is the answer: one evaluation a row, no search, no sign found again."""
+    s, n, evaluated = kempe.load("four_bar"), 10_000, []
+    s.assemble({"A": 0.3})
+    searched.clear()
+    equations = assembler_module.closure_batch.equations
+
+    def counted(*args):
+        evaluated.append((len(args[5]), args[6]))
+        return equations(*args)
+
+    monkeypatch.setattr(assembler_module, "closure_batch", SimpleNamespace(equations=counted))
+    monkeypatch.setattr(Plan, "branch_of", lambda self, q: pytest.fail("no row was searched"))
+    answer = s.assemble({"A": np.linspace(0.0, 20.0, n)}, branch="+")
+    assert answer.success.all() and not searched
+    assert sum(rows for rows, _ in evaluated) == n and not any(jacobian for _, jacobian in evaluated)
+    assert np.abs(s.loops.closure_error(answer.q)).max() < 1e-14
+
+
+def test_a_sequence_on_one_branch_searches_its_first_row_only(searched):
+    s = kempe.load("four_bar")
+    s.assemble({"A": 0.3})
+    searched.clear()
+    answer = s.assemble({"A": np.linspace(0.0, 20.0, 10_000)}, prefer="continuous")
+    assert answer.success.all() and searched == [1]
+    assert answer.solver.name == "dyads"
+    assert np.abs(np.diff(answer.q, axis=0)).max() < 0.05  # angles wind up with the crank
+
+
+def test_the_usual_call_of_a_bound_assembler_is_one_call_of_the_kernel(searched, monkeypatch):
+    """One array and plain numbers by name go to the kernel; the same answer comes from the general way."""
+    s = kempe.load("four_bar")
+    q, bound = s.assemble({"A": 0.3}).q, s.loops.assembler(["A"])
+    bound({"A": 0.4}, q)
+    general = bound([0.4], q)
+    searched.clear()
+    monkeypatch.setattr(Assembler, "_solve", lambda *args: pytest.fail("this is for other calls"))
+    usual, public = bound({"A": 0.4}, q), s.assemble({"A": 0.4}, q)
+    np.testing.assert_array_equal(usual.q, general.q)
+    np.testing.assert_array_equal(public.q, general.q)
+    assert usual.iterations == general.iterations and usual.status == general.status
+    assert (type(usual.residual), type(usual.success)) == (type(general.residual), type(general.success))
+
+
+def test_a_new_design_copies_its_description_few_times(monkeypatch):
+    """To build and assemble a mechanism copies its description a few times, not once for each joint."""
+    copies, copy = [], Mechanism.copy
+    monkeypatch.setattr(Mechanism, "copy", lambda self: copies.append(self) or copy(self))
+    for links in (3, 9):
+        m = Mechanism(f"ring of {links}", dim=2)
+        for k in range(links):
+            m.body(f"b{k}")
+            m.revolute(f"J{k}", f"b{k - 1}" if k else m.ground, f"b{k}", at=(1.0, 0.0))
+        m.revolute("last", m.ground, f"b{links - 1}", at=(1.5, 0.0), child_at=(1.0, 0.0))
+        copies.clear()
+        assert m.build().assemble({"J0": np.linspace(0.5, 0.6, 32)}).q.shape == (32, links + 1)
+        assert len(copies) < 16
+
+
+# ---- sequences by the closed form
+
+
+def follow(system, known, start, monkeypatch, by_rows):
+    """The answer for a sequence; `by_rows`: each row searched from where the last two lead."""
+    monkeypatch.setattr(assembler_module, "LONG", 10**9 if by_rows else LONG)
+    return system.assemble(known, start, prefer="continuous")
+
+
+def test_a_sequence_by_the_closed_form_is_as_row_by_row(hunt, monkeypatch):
+    """Random chains of dyads whose known coordinates go along lines, in small and in large steps."""
+    rng, taken = hunt.rng(), 0
+    for _ in range(hunt.cases(80)):
+        chain = random_chain(int(rng.integers(2**32)), most=3)
+        system, start = chain.system(), chain.system().q(chain.values)
+        way = (
+            np.linspace(0.0, 1.0, LONG + 100)[:, None] * rng.normal(size=len(chain.known)) * 10.0 ** rng.uniform(-2, 1)
+        )
+        known = {name: chain.values[name] + way[:, k] for k, name in enumerate(chain.known)}
+        quick, rows = (follow(system, known, start, monkeypatch, by_rows) for by_rows in (False, True))
+        taken += quick.solver.name == "dyads"
+        np.testing.assert_array_equal(quick.code, rows.code)
+        np.testing.assert_allclose(quick.q, rows.q, rtol=1e-9, atol=1e-8)
+    assert taken > 0
+
+
+@pytest.mark.parametrize("name, driver", [("parallelogram", 0), ("kite", 0), ("slider_crank_equal", 0)])
+@pytest.mark.parametrize("n", [700, 5000])
+def test_a_sequence_through_a_meeting_of_branches_is_as_row_by_row(name, driver, n, monkeypatch):
+    """At a change point the sign of the branch changes along a smooth motion: no closed form is taken there."""
+    system = kempe.load(name)
+    start = system.assemble({system.coordinate_names[driver]: 0.4}, start=system.q("closed")).q
+    known = {system.coordinate_names[driver]: 0.4 + np.linspace(0.0, 2.0 * np.pi, n)}
+    quick, rows = (follow(system, known, start, monkeypatch, by_rows) for by_rows in (False, True))
+    assert quick.solver.name != "dyads"
+    np.testing.assert_array_equal(quick.q, rows.q)
+
+
+def test_a_sequence_that_meets_a_limit_is_as_row_by_row(monkeypatch):
+    system = four_bar(D={"limits": (-1.5, 1.9)})
+    known = {"A": np.linspace(0.0, 7.0, 1000)}
+    quick, rows = (follow(system, known, None, monkeypatch, by_rows) for by_rows in (False, True))
+    np.testing.assert_array_equal(quick.code, rows.code)
+    np.testing.assert_allclose(quick.q, rows.q, atol=1e-9)

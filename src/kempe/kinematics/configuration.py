@@ -266,7 +266,7 @@ def by_short_turns(v: Array, circle: np.ndarray) -> Array:
 
 def circles(system: System) -> np.ndarray:
     """Which velocity coordinates (nv,) are angles without limits, so that a full turn changes nothing."""
-    return returning(system.mechanism, system.structure.coordinates)
+    return returning(system._mechanism, system.structure.coordinates)
 
 
 def winding_angles(system: System) -> np.ndarray:

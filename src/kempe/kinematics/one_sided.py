@@ -166,7 +166,7 @@ def one_sided_rows(system: System) -> OneSided:
     at, v = system.structure.layout.vector_q, system.structure.layout.vector_v
     limited = np.isfinite(system.lower[v]) | np.isfinite(system.upper[v])
     at, v = at[limited], v[limited]
-    names, units, bounds, chosen, loops = _declared(system) if system.mechanism.constraints else ([], [], [], [], None)
+    names, units, bounds, chosen, loops = _declared(system) if system._mechanism.constraints else ([], [], [], [], None)
     low, high = np.array(bounds, dtype=float).reshape(-1, 2).T
     names += [system.structure.velocity_names[i] for i in v]
     units += ["rad" if system.structure.coordinates.turning[i] else "m" for i in v]

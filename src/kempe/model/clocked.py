@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def timed(system: System) -> tuple[str, ...]:
     """Names of the constraints on positions that depend on time."""
-    held = system.mechanism.constraints.values()
+    held = system._mechanism.constraints.values()
     return tuple(c.name for c in held if getattr(c.of, "time", False) and not any(
         r.velocity for r in c.of.rows(system.dim)))  # fmt: skip
 

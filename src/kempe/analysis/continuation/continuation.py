@@ -100,16 +100,23 @@ class Closure(Curve):
         self.budget.check()
         F, J, m = np.zeros(self.rows), np.zeros((self.rows, self.n)), len(self.weight)
         if m:
-            values, columns = closure_rows.evaluate(self.tree, x, with_matrix)
-            F[:m] = self.weight * values
+            F[:m], columns = self.loops(x, with_matrix)
             if with_matrix:
-                J[:m] = self.weight[:, None] * columns * self.unit
+                J[:m] = columns
         if self.held:
             F[m : m + len(self.held)] = (x[self.place[self._held]] - self.targets) / self.unit[self._held]
             J[m + np.arange(len(self.held)), self._held] = 1.0
         if self.more:
             self._further(x, F, J, with_matrix, further)
         return F, J
+
+    def loops(self, x: Array, with_matrix: bool = True) -> tuple[Array, Array]:
+        """The residuals (m,) of the loops alone at the point `x`, and their matrix (m, n), empty unless requested."""
+        values, columns = closure_rows.evaluate(self.tree, x, with_matrix)
+        if with_matrix:  # in place: the matrix of a long chain is most of the memory
+            columns *= self.weight[:, None]
+            columns *= self.unit
+        return self.weight * values, columns
 
     def many(self, x: Array, with_matrix: bool = True) -> tuple[Array, Array]:
         """`both` of many points (k, nq): (k, rows) and (k, rows, n); the latter has no rows unless requested."""

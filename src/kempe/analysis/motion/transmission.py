@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from kempe.analysis.continuation.beginning import angle_or_slide
 from kempe.analysis.continuation.continuation import Closure
 from kempe.analysis.continuation.path import Event, Path
-from kempe.analysis.first_order.null_space import null_space
+from kempe.analysis.first_order.null_space import SPARSE, null_space, null_space_from
 from kempe.calls import brief, explained, explained_methods, listed
 from kempe.constraints.tape import TWIST
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
@@ -129,7 +129,7 @@ def loop_jacobian(
     rank, nullity, code = (np.zeros(lead, dtype=np.int64) for _ in range(3))
     margin = np.zeros(lead)
     for i in np.ndindex(lead):
-        free = allowed(closure, q[i])
+        free = allowed(closure, q[i], index)
         motion = free * closure.unit[:, None]
         out = np.vstack([
             motion[[angle_or_slide(system, n)]] if kind == "joint" else system.jacobian(q[i], n, in_frame) @ motion
@@ -175,8 +175,17 @@ def _output(system: System, name: str) -> tuple[str, str]:
     return ("joint", name) if coordinate else ("frame", name)
 
 
-def allowed(closure: Closure, q: Array) -> Array:
-    """Orthonormal basis (nv, k) of the velocities, without unit, that all constraints allow at a closed q."""
+def allowed(closure: Closure, q: Array, inputs: Sequence[int] = ()) -> Array:
+    """Orthonormal basis (nv, k) of the velocities, without unit, that all constraints allow at a closed q.
+
+    Where the `inputs` determine all other velocities of a large mechanism, it is found from theirs.
+    """
+    if inputs and closure.n >= SPARSE and not rolls(closure.system):
+        F, J = closure.loops(q)
+        if float(np.abs(F).max(initial=0.0)) < OPEN:
+            free = null_space_from(J, inputs, RANK)
+            if free is not None:
+                return free
     F, J = closure.both(q)
     gap = float(np.abs(F).max(initial=0.0))
     if not gap < OPEN:

@@ -10,7 +10,7 @@ from kempe.kernels.base.scratch import beyond
 from kempe.kernels.base.vectors import keep, raw
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.constraints.constraint_rows import LoopScratch
-from kempe.kernels.constraints.envelope import add_product
+from kempe.kernels.constraints.envelope import add_column
 from kempe.kernels.constraints.goals import fill
 from kempe.kernels.forward.table_layout import N_ROWS as TABLE_ROWS
 from kempe.kernels.forward.table_layout import NQ, NV
@@ -29,11 +29,10 @@ def equations(ints, floats, plan, weights, pins, q, with_jacobian, residual, jac
     """
     nq, nv, n_rows, m = ints[NQ], ints[NV], ints[TABLE_ROWS], plan[L.N_ROWS]
     sweep = scratch_size(n_rows)
-    block = np.empty(sweep + 2 * m + plan[L.BLOCKS])
+    block = np.empty(sweep + m + plan[L.BLOCKS])
     scratch = raw(block)
     error = beyond(scratch, sweep)
-    column = beyond(error, m)
-    blocks = beyond(column, m)
+    blocks = beyond(error, m)
     for i in range(q.shape[0]):
         start = beyond(raw(q), i * nq)
         pin = beyond(raw(pins), i * pins.shape[1] if pins.shape[0] > 1 else 0)
@@ -45,10 +44,9 @@ def equations(ints, floats, plan, weights, pins, q, with_jacobian, residual, jac
             residual[i, r] = error[r]
         if not with_jacobian:
             continue
+        columns = beyond(raw(jacobian), i * m * nv)
+        for k in range(m * nv):
+            columns[k] = 0.0
         for v in range(nv):
-            for r in range(m):
-                column[r] = 0.0
-            add_product(loops, v, 1.0, column)
-            for r in range(m):
-                jacobian[i, r, v] = column[r]
+            add_column(loops, v, beyond(columns, v), nv)
     keep(block)

@@ -120,13 +120,17 @@ def damped_step(loops, work, damping):
 
 @routine
 def close(loops, work, limit, accepted, kept):
-    """Least square of the residual reached from q, and steps taken; `kept` is where."""
-    best, before, steps = np.inf, np.inf, 0
+    """Least square of the residual reached from q, steps taken, and whether it was the last one evaluated.
+
+    `kept` is where it was reached; where it was the last one, poses and equations are those of that configuration.
+    """
+    best, before, last, steps = np.inf, np.inf, np.inf, 0
     m = loops.plan[L.N_ROWS]
     while True:
         square = evaluate(loops, True)
         if not square < LARGEST:
             break
+        last = square
         if square < best:
             best = square
             copy(kept, loops.q, 0, loops.nq)
@@ -136,9 +140,10 @@ def close(loops, work, limit, accepted, kept):
         damping = min(DAMPING * square / m, MOST_DAMPING) + LEAST
         size = damped_step(loops, work, damping)
         steps += 1
+        last = np.inf
         if size < 1e-15:
             break
-    return best, steps
+    return best, steps, last == best
 
 
 @routine
@@ -192,7 +197,7 @@ def approach(loops, work, limit, accepted, kept):
         factor(loops, work.a, LEAST)
         solve(loops, work.a, work.y)
         size = move(loops, work.step, work.y, work.target, True)
-        square, used = close(loops, work, limit, accepted, loops.q)
+        square, used, _ = close(loops, work, limit, accepted, loops.q)
         steps += 1 + used
         far = distance(loops, work.home, work.target)
         if square <= accepted and far < least:
@@ -207,15 +212,16 @@ def approach(loops, work, limit, accepted, kept):
 @routine
 def search(loops, work, key, tries, limit, accepted, nearest, best_q):
     """Square of the residual, steps and starts of the assembly that begins at q; `best_q` is where it ends."""
-    best, steps, count = np.inf, 0, 0
+    best, steps, count, current = np.inf, 0, 0, False
     if not sound(loops, work.home):
         return best, steps, count
     while count < tries and not best <= accepted:
         if count > 0:
             draw(loops, work.home, min(1.0, WIDER * count), mix(key, np.uint64(count)))
-        square, used = close(loops, work, limit, accepted, work.kept)
+        square, used, last = close(loops, work, limit, accepted, work.kept)
         steps += used
         count += 1
+        current = last and square < best
         if square < best:
             best = square
             copy(best_q, work.kept, 0, loops.nq)
@@ -225,10 +231,13 @@ def search(loops, work, key, tries, limit, accepted, nearest, best_q):
     if best > accepted:
         best, used = descend(loops, work, 10 * limit, best_q)
         steps += used
+        current = False
     elif nearest > 0:
         steps += approach(loops, work, nearest, accepted, best_q)
-    copy(loops.q, best_q, 0, loops.nq)
-    best = evaluate(loops, False)
+        current = False
+    if not current:
+        copy(loops.q, best_q, 0, loops.nq)
+        best = evaluate(loops, False)
     read_off(loops, work.home)
     copy(best_q, loops.q, 0, loops.nq)
     return best, steps, count

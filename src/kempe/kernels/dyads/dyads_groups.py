@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from kempe.kernels.base._jit import routine
 from kempe.kernels.base.vectors import square_root, where
-from kempe.kernels.dyads.dyads_poses import TINY, brought, flag, pin, positive, put_pose, rail, unit, vector
+from kempe.kernels.dyads.dyads_poses import TINY, brought, flag, part_by, pin, positive, put_pose, rail, unit, vector
 
 
 @routine
@@ -36,6 +36,8 @@ def circles(v, ints, i, floats, f):
     x = 0.5 * (d + less * (total * inverse))
     square = (total + d) * ((total - d) * ((d - less) * (d + less)))
     y = 0.5 * inverse * square_root(positive(square))
+    area = r1 * r2
+    part_by(v, where(area > 0.0, y * d / where(area > 0.0, area, 1.0), 0.0))
     y = vector(v, ints[i + 7]) * where(together, r1, y)
     _, e1x, e1y = unit(x, y)
     _, e2x, e2y = unit(x - d, y)
@@ -65,7 +67,9 @@ def line_circle(v, ints, i, floats, f):
     gx, gy = px + (c1 * wx - s1 * wy) - ax, py + (s1 * wx + c1 * wy) - ay
     along, h = gx * dx + gy * dy, dx * gy - dy * gx
     r, w2x, w2y = unit(b2x - a2x, b2y - a2y)
-    t = vector(v, ints[i + 7]) * square_root(positive((r - h) * (r + h)))
+    t = square_root(positive((r - h) * (r + h)))
+    part_by(v, where(r > 0.0, t / where(r > 0.0, r, 1.0), 0.0))
+    t = vector(v, ints[i + 7]) * t
     slid = t - along
     _, g2x, g2y = unit(t * dx - h * dy, t * dy + h * dx)
     c2, s2 = g2x * w2x + g2y * w2y, g2y * w2x - g2x * w2y
@@ -96,6 +100,7 @@ def lines(v, ints, i, floats, f):
     t2 = where(parallel, 0.0, (gx * d1y - gy * d1x) * inverse)
     put_pose(v, ints[i + 7], brought(p1x + t1 * d1x, p1y + t1 * d1y, c1, s1, q1x, q1y))
     put_pose(v, ints[i + 8], brought(p2x + t2 * d2x, p2y + t2 * d2y, c2, s2, q2x, q2y))
+    part_by(v, abs(det))
     flag(v, abs(det), TINY)
 
 

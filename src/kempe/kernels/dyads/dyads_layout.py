@@ -8,8 +8,8 @@ A program is a pair of flat arrays, `ints` (int64) and `floats` (float64):
     floats  the operations, OP_FLOATS numbers each
 
 The kernel keeps a block of configurations side by side; each number of a configuration is a vector, and a place
-counts vectors: GAP and FLAG, two spare ones, the registers (a planar pose c, s, x, y each, the cosine and sine of the
-orientation and the origin), the coordinates, their targets, the branch signs, and a spare one.
+counts vectors: GAP and FLAG, two spare ones, MARGIN, the registers (a planar pose c, s, x, y each, the cosine and sine of
+the orientation and the origin), the coordinates, their targets, the branch signs, and a spare one.
 """
 
 HEADER, OP_INTS, OP_FLOATS = 12, 12, 20
@@ -17,8 +17,9 @@ HEADER, OP_INTS, OP_FLOATS = 12, 12, 20
 N_OPS, N_VECTORS, N_REGISTERS, NQ, N_KNOWN, N_SIGNS, COORDINATES, TARGETS, SIGNS = range(9)
 """Places in the header of `ints`."""
 
-GAP, FLAG, SPARE, REGISTERS = 0, 1, 2, 4
-"""Places of vectors: the sum of squared openings, the count of undetermined parts, two to work with, registers."""
+GAP, FLAG, SPARE, MARGIN, REGISTERS = 0, 1, 2, 4, 5
+"""Places of vectors: the sum of squared openings, the count of undetermined parts, two to work with, how far the dyad
+that is nearest to a meeting of its branches is from it (0 there, at most 1), registers."""
 
 SET, ADD, EXPECT_ZERO = 0, 1, 2
 TURN, SLIDE, DIVIDE, CARRY, REBASE = 3, 4, 5, 6, 7

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from kempe.kernels.base._jit import device
 from kempe.kernels.base.vectors import LANES, load_lanes, square_root, store, where
-from kempe.kernels.dyads.dyads_layout import FLAG, GAP
+from kempe.kernels.dyads.dyads_layout import FLAG, GAP, MARGIN
 
 TINY = 1e-14
 """Lengths below this share of the others count as zero: the direction along them would be rounding."""
@@ -102,6 +102,13 @@ def brought(ax, ay, c, s, bx, by):
 def flag(v, size, least):
     """Count the lanes in which `size` is not above `least`: they are undetermined."""
     put(v, FLAG, vector(v, FLAG) + where(size > least, 0.0, 1.0))
+
+
+@device
+def part_by(v, margin):
+    """Count a dyad whose branches are as far apart as `margin`, the sine of the angle between its links, says."""
+    least = vector(v, MARGIN)
+    put(v, MARGIN, where(least > margin, margin, least))
 
 
 @device

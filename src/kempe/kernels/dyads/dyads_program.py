@@ -172,20 +172,22 @@ def close(code, v, ints, i, floats, f):
 
 @device
 def begin(v, ints):
-    """Set all registers to the identity, and what is open to zero."""
+    """Set all registers to the identity, what is open to zero, and the least margin of the dyads to one."""
     zero, one = spread_lanes(0.0), spread_lanes(1.0)
     put(v, K.GAP, zero)
     put(v, K.FLAG, zero)
+    put(v, K.MARGIN, one)
     for k in range(ints[K.N_REGISTERS]):
         put_pose(v, K.REGISTERS + 4 * k, (one, zero, zero, zero))
 
 
-@kernel(I("_"), F("_"), F("N", "_"), F("1|N", "_"), F("1|N", "nq"), OUT("N", "nq"), OUT("N", 2))
+@kernel(I("_"), F("_"), F("N", "_"), F("1|N", "_"), F("1|N", "nq"), OUT("N", "nq"), OUT("N", 3))
 def solve(ints, floats, values, signs, near, q, status):
     """Number of rows; walks the program for known values (N, n_known) and branch signs (N or 1, n_signs).
 
-    Writes configurations q (N, nq), angles nearest to `near` (N or 1, nq), and of each row in `status` (N, 2): the
-    norm of all openings in metres, and how many dyads were undetermined. A block that is not full repeats its last.
+    Writes configurations q (N, nq), angles nearest to `near` (N or 1, nq), and of each row in `status` (N, 3): the
+    norm of all openings in metres, how many dyads were undetermined, and the least margin of a dyad, which is 0 where
+    two of its branches meet and at most 1. A block that is not full repeats its last.
     """
     n, nq, known = q.shape[0], ints[K.NQ], ints[K.N_KNOWN]
     scratch = np.empty(LANES * ints[K.N_VECTORS])
@@ -215,5 +217,6 @@ def solve(ints, floats, values, signs, near, q, status):
                 q[start + lane, k] = scratch[LANES * (coordinates + k) + lane]
             status[start + lane, 0] = math.sqrt(scratch[LANES * K.GAP + lane])
             status[start + lane, 1] = scratch[LANES * K.FLAG + lane]
+            status[start + lane, 2] = scratch[LANES * K.MARGIN + lane]
     keep(scratch)
     return n

@@ -59,7 +59,7 @@ def tangent_rows(system: System) -> VelocityRows:
     Joints that the tree left out are led on through their own motion, so that all coordinates count. One-sided rows are
     there, as if they were active.
     """
-    m = system.mechanism
+    m = system._mechanism
     table = lower(
         m,
         system.structure.topology,
@@ -71,7 +71,7 @@ def tangent_rows(system: System) -> VelocityRows:
 
 
 def _recorded(system: System, table: Table, positions: bool) -> VelocityRows:
-    mechanism = system.mechanism  # a copy
+    mechanism = system._mechanism
     made = _Recording(system, table, mechanism.parameters)
     for tie in held_ties(system, table) if positions else ():
         made.tangents(tie)

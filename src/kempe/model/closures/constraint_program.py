@@ -35,13 +35,13 @@ End = tuple[int, np.ndarray, bool]
 
 def declared_ties(system: System, table: Table, one_sided: bool = False) -> list[Tie]:
     """The ties of all declared constraints whose rows hold at a value, or with `one_sided` between two, too."""
-    every = (t for c in system.mechanism.constraints.values() for t in ties_of(system, table, c))
+    every = (t for c in system._mechanism.constraints.values() for t in ties_of(system, table, c))
     return [t for t in every if one_sided or not t.bounds]
 
 
 def ties_of(system: System, table: Table, declared: Declared) -> list[Tie]:
     """The ties of a declared constraint, one-sided ones with their bounds."""
-    made = resolved(declared, system.mechanism.parameters, system.dim)
+    made = resolved(declared, system._mechanism.parameters, system.dim)
     return every_tie(system, declared.name, made, *ends_of(system, table, declared))
 
 
@@ -49,7 +49,7 @@ def ends_of(system: System, table: Table, declared: Declared) -> tuple[End, End]
     """Frames A and B of a declared constraint; the ground twice for one of coordinates."""
     if not declared.parent:
         return (-1, np.eye(4), False), (-1, np.eye(4), False)
-    ends = ((declared.parent, declared.child), declared.frames(system.mechanism.parameters, system.dim))
+    ends = ((declared.parent, declared.child), declared.frames(system._mechanism.parameters, system.dim))
     a, b = ((row, X @ E, particle) for (row, X, particle), E in ((table.at[n], E) for n, E in zip(*ends, strict=True)))
     return a, b
 

@@ -25,8 +25,8 @@ READINGS = {
 
 def _readings(system: System, joint: Joint) -> list[tuple[int, int]]:
     """For each coordinate of a joint how it is read off the pose of M in F, and its place in q."""
-    names, first = coordinate_names(system.mechanism, joint), system.structure.coordinates.first
-    form = implicit_form(joint.type, system.dim, system.mechanism.bodies[joint.child].particle)
+    names, first = coordinate_names(system._mechanism, joint), system.structure.coordinates.first
+    form = implicit_form(joint.type, system.dim, system._mechanism.bodies[joint.child].particle)
     return [(READINGS[how], first[names[k]][0]) for k, how in (form.readings if form else ())]
 
 
@@ -81,7 +81,7 @@ class LoopPlan:
         self.place[system.structure.layout.vector_v] = system.structure.layout.vector_q
         self.place[system.structure.layout.quaternion_v] = system.structure.layout.quaternion_q
         self.sort[self.turns] = L.BOUND_TURN
-        self.sort[returning(system.mechanism, c)] = L.CIRCLE
+        self.sort[returning(system._mechanism, c)] = L.CIRCLE
         self.wide = np.zeros(system.nv, dtype=bool) if wide is None else wide
         self.sort[self.wide] = L.CIRCLE
         for iv in system.structure.layout.quaternion_v:

@@ -48,7 +48,7 @@ TURNS = {"": L.NO_TURN, "z": L.ANGLE, "xy": L.ALIGN, "x.y": L.CROSS, "xyz": L.FU
 def must_be_explicit(system: System, known: Iterable[str] = ()) -> frozenset[str]:
     """The explicit loop joints: those cut without an implicit form, or with known, limited or coupled coordinates."""
     related = {n for r in system.structure.relations for n in (r.of, *r.sources)} | set(known)
-    related |= {n for c in system.mechanism.constraints.values() for n in c.of.reads}
+    related |= {n for c in system._mechanism.constraints.values() for n in c.of.reads}
     related |= {f.source for f in system.structure.couplings.values() if f.source is not None}  # others move with them
     v_index = {n: i for i, n in enumerate(system.structure.velocity_names)}
     limited = np.isfinite(system.lower) | np.isfinite(system.upper)
@@ -121,7 +121,7 @@ def pack(
 
 def _lowered(system: System, ends: dict[str, bool], origin: np.ndarray) -> Table:
     """The table of a system with the ends of joints that the tree left out, measured from `origin` (3,)."""
-    mechanism, given = system.mechanism, system.structure
+    mechanism, given = system._mechanism, system.structure
     table = lower(mechanism, given.topology, given.coordinates, mechanism.parameters, ends)
     return moved(table, -origin) if origin.any() else table
 
@@ -154,7 +154,7 @@ def held_ties(system: System, table: Table) -> list[Tie]:
 def _ties(
     system: System, table: Table, explicit: frozenset[str], pins: tuple[tuple[str, bool], ...], one_sided: bool
 ) -> list[Tie]:  # fmt: skip
-    mechanism = system.mechanism
+    mechanism = system._mechanism
     ties = [_of_joint(system, table, mechanism.joints[n], n in explicit) for n in system.structure.closures]
     ties += declared_ties(system, table, one_sided)
     ground = (-1, np.eye(4), False)
@@ -202,7 +202,7 @@ def _of_joint(system: System, table: Table, joint: Joint, explicit: bool) -> Tie
 
 
 def _implicit(system: System, joint: Joint) -> ImplicitForm | None:
-    return implicit_form(joint.type, system.dim, system.mechanism.bodies[joint.child].particle)
+    return implicit_form(joint.type, system.dim, system._mechanism.bodies[joint.child].particle)
 
 
 def _mask(axes: str) -> int:

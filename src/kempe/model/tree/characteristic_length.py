@@ -92,6 +92,7 @@ def moved(table: Table, by: np.ndarray) -> Table:
     return replace(table, placement=placement, at=at)
 
 
+@kept
 def _links(system: System) -> dict[int, list[np.ndarray]]:
     """For each row of the table (-1 is the ground) where joints and constraints sit on it; fixed joints are none."""
     system = own_tree(system)
@@ -103,7 +104,7 @@ def _links(system: System) -> dict[int, list[np.ndarray]]:
 
 
 def _ends(system: System) -> Iterator[tuple[str, np.ndarray]]:
-    mechanism = system.mechanism
+    mechanism = system._mechanism
     for j in mechanism.joints.values():
         if not isinstance(j.type, Fixed):
             yield j.parent, j.X_PF.evaluate(mechanism.parameters)[:3, 3]

@@ -82,7 +82,7 @@ def coordinate_name(joint: str, coordinate: str) -> str:
 def units(system: System) -> dict[str, str]:
     """Unit of every coordinate and velocity coordinate by name: 'rad', 'm', or '' in a quaternion."""
     out: dict[str, str] = {}
-    bodies = system.mechanism.bodies
+    bodies = system._mechanism.bodies
     for joint in system.structure.joints.values():
         particle = bodies[joint.child].particle
         names, primitives = joint.type.layout(system.dim, particle)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from collections.abc import Set as AbstractSet
 from functools import cached_property
 from math import isfinite
@@ -14,13 +14,13 @@ import numpy as np
 from kempe.budget import Budget, Usual
 from kempe.calls import explained, flag, listed
 from kempe.errors import InputError, UnknownNameError
-from kempe.kernels.base.search_layout import BAD_INPUT, NOT_FOUND, SOLVED
-from kempe.kernels.compiled import closure_batch
+from kempe.kernels.base.search_layout import BAD_INPUT, LARGEST, NOT_FOUND, SOLVED
+from kempe.kernels.compiled import closure_batch, maker
 from kempe.kernels.compiled import loop_closing as kernel
 from kempe.kernels.constraints.loop_layout import velocity_lists
 from kempe.kinematics.closure_rows import freedoms_left
 from kempe.kinematics.common.parallel import over_chunks
-from kempe.kinematics.configuration import as_start, home_of
+from kempe.kinematics.configuration import as_start, circles, home_of
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.closures.packed_loops import PackedLoops, loops_of, must_be_explicit
 from kempe.model.kept import kept
@@ -29,7 +29,7 @@ from kempe.reals import reals
 from kempe.solvers.assembly.assembled import Assembly
 from kempe.solvers.assembly.ideal import ideal_of
 from kempe.solvers.common.arguments import place_of, seed_number, start_count, with_places
-from kempe.solvers.common.problem import Problem
+from kempe.solvers.common.problem import Choice, Problem, chosen_by
 from kempe.spatial import Array
 from kempe.status import MEMBERS, Status
 
@@ -59,7 +59,16 @@ TIME_LIMIT = 30.0
 """Seconds that the search for the nearest mechanism that closes exactly may take, once for each system."""
 USUAL = Usual("assemble", starts=STARTS, time_limit=TIME_LIMIT, rng=0, threads=None)
 CHUNK, SERIAL_BELOW = 64, 2048
+ROUNDING = 1e-14
+"""Residual, in radians and characteristic lengths, up to which a configuration of a closed form is taken as it is."""
+PIECE, CONFIRMED_BELOW = 4096, 20_000
+"""Rows whose equations are evaluated at once, and rows from which on several threads do so."""
+LONG = 512
+"""Rows of a sequence from which on a closed form, where there is one, is tried before rows are searched one by one."""
+CONTINUED = Choice("dyads", "closed form on the branch of the first row, which no row comes near to leaving", ())
+"""Who answers for a sequence that `Plan.along` follows."""
 PLAIN_NUMBERS = {float, int, np.float64}
+FLOAT = np.dtype(np.float64)
 FEW = 300
 """Equations up to which the freedoms that are left are counted: it takes a dense decomposition."""
 
@@ -120,6 +129,7 @@ class Assembler:
             raise InputError("two of the known coordinates move together: give one of them")
         self.coordinates = tuple(names)
         self.places, self.place_list, self.shape = np.array(places, dtype=np.int64), places, (system.nq,)
+        self.named_places = tuple(zip(names, places, strict=True))
         self.factors, self.offsets = np.array(factors), np.array(offsets)
         self.plain = bool(np.all(self.factors == 1.0) and not np.any(self.offsets))
         layout = system.structure.layout
@@ -211,12 +221,100 @@ class Assembler:
                 q[i], residual[i], info[i] = search.close(starts[i], q[i], pin, tries, rng, i, info[i])
         return q, residual, info
 
+    # ---- configurations of closed forms
+
+    @cached_property
+    def _bounded(self) -> tuple[Array, Array, Array]:
+        """Places in q of the unknowns with limits, and these."""
+        layout = self.system.structure.layout
+        low, high = velocity_lists(self.loops.weights, self.system.nv)[1:3, layout.vector_v]
+        free = ~np.isin(layout.vector_q, self.places) & ((low > -LARGEST) | (high < LARGEST))
+        return layout.vector_q[free], low[free], high[free]
+
+    def _equations(self, q: Array, residual: Array, limits: bool, threads: int | None) -> np.ndarray:
+        """Which (N,) of the configurations q (N, nq) close as they are, inside the limits; writes the residuals (N,)."""
+        loops, none = self.loops, np.empty((0, len(self.loops.names), self.system.nv))
+        good = np.empty(len(q), dtype=bool)
+        places, low, high = self._bounded
+
+        def work(first: int, last: int) -> int:
+            for i in range(first, last, PIECE):
+                x = q[i : min(i + PIECE, last)]
+                rows, there = np.empty((len(x), len(loops.names))), slice(i, i + len(x))
+                packed = loops.ints, loops.floats, loops.plan, loops.weights
+                closure_batch.equations(*packed, self.no_pins, x, False, rows, none)
+                np.sqrt(np.einsum("ij,ij->i", rows, rows), out=residual[there])
+                good[there] = residual[there] <= ROUNDING
+                if not max(float(x.max()), -float(x.min())) < LARGEST:
+                    good[there] = False
+                if limits and len(places):
+                    good[there] &= np.all((x[:, places] >= low) & (x[:, places] <= high), axis=1)
+            return 0
+
+        over_chunks(work, len(q), 2 * PIECE, threads, CONFIRMED_BELOW)
+        loops.check()
+        return good
+
+    def confirm(self, starts: Array, limits: bool, threads: int | None) -> tuple[Assembly, np.ndarray, Array]:
+        """The answer for configurations (..., nq) that a closed form gave, the rows that were searched, and their starts.
+
+        Where a configuration fulfils the equations to `ROUNDING`, and the limits, it is the answer; from the others one
+        search starts. The answer is written to `starts`, which must be contiguous.
+        """
+        lead, q = starts.shape[:-1], starts.reshape(-1, self.system.nq)
+        residual, info = np.empty(len(q)), np.empty((len(q), 3), dtype=np.int64)
+        info[:] = SOLVED, 0, 1
+        if self.one_sided is None and len(q):
+            searched = np.flatnonzero(~self._equations(q, residual, limits, threads))
+        else:
+            searched = np.arange(len(q))
+        before = q[searched]
+        if len(searched):
+            q[searched], residual[searched], info[searched] = self.run(
+                before, self.no_pins, 1, threads=threads, limits=limits
+            )
+        return self._answer(q, lead, q, residual, info, limits), searched, before
+
+    def _along(
+        self, starts: Array, tries: int, rng: int, limits: bool, tolerance: float
+    ) -> tuple[Array, Array, np.ndarray] | None:
+        """As `run` with `follow`, by the closed form of dyads; None where that does not say how all rows go on."""
+        from kempe.solvers.dyads.dyads import Plan, closed_form  # only here: other calls do not need them
+
+        if self.one_sided is not None or self.frames or not np.isfinite(starts).all():
+            return None
+        plan = closed_form(self.system, tuple(self.sources))
+        if not isinstance(plan, Plan):
+            return None
+        first = self.run(starts[:1], self.no_pins, tries, rng=rng, limits=limits, tolerance=tolerance)
+        if first[2][0, 0] != SOLVED:
+            return None
+        layout, n, nq = self.system.structure.layout, len(starts), self.system.nq
+        unit = np.ones(nq)
+        unit[layout.vector_q] = self.loops.scale[layout.vector_v]
+        back = np.flatnonzero(circles(self.system))
+        turns = layout.vector_q[np.isin(layout.vector_v, back)]
+        q, residual, info = np.empty((n, nq)), np.empty(n), np.empty((n, 3), dtype=np.int64)
+        info[1:] = SOLVED, 0, 1
+        q[:1], residual[:1], info[:1] = first
+        for i in range(1, n, PIECE):
+            j = min(i + PIECE, n)
+            x = plan.along(np.ascontiguousarray(starts[i:j, self.places]), q[i - 1], unit, turns)
+            if x is None or not self._equations(x, residual[i:j], limits, 1).all():
+                return None
+            q[i:j] = x
+        return q, residual, info
+
     def _ask(
         self, values: Any = (), start: Any = None, *, prefer: str | None = None, limits: bool = True,
         tolerance: float = TOLERANCE, budget: Budget | None = None,
     ) -> Assembly:  # fmt: skip
         """Answer of `assemble` for `values` (..., k) of the known coordinates in order, or a dict with all of them."""
         given: Any = values
+        if prefer is None and limits is True and tolerance is TOLERANCE and budget is None:
+            answer = self.usual(values, start)
+            if answer is not None:
+                return answer
         named = values.__class__ is dict or isinstance(values, Mapping)
         given = given if named else self._by_name(values)
         return self._solve(Problem(self.system, "one", given, start, prefer, limits, tolerance, budget))
@@ -246,25 +344,26 @@ class Assembler:
         pins = self._pins(given, turned, lead) if turned else self.no_pins
         steps = NEAREST_STEPS if prefer == "nearest" and self.freedoms != 0 else 0
         follow = prefer == "continuous" and len(base) > 1
-        q, residual, info = self.run(
+        along = self._along(base, tries, number, limits, tolerance) if follow and len(base) >= LONG else None
+        q, residual, info = along or self.run(
             base, pins, tries, steps, number, threads, limits, tolerance, follow,
             self._loops(turned, steps > 0) if turned or steps else None,
         )  # fmt: skip
-        return self._answer(base, lead, q, residual, info, limits)
+        answer = self._answer(base, lead, q, residual, info, limits)
+        return chosen_by(answer, CONTINUED) if along else answer
 
     def _answer(
         self, base: Array, lead: tuple[int, ...], q: Array, residual: Array, info: np.ndarray, limits: bool
     ) -> Assembly:  # fmt: skip
         if not lead:
-            code = int(info[0, 0])
+            code, steps, starts = info.tolist()[0]
             if code == BAD_INPUT:
                 raise InputError("known values, places or start are not finite, or a quaternion is zero")
             if self.limited and limits:  # in Python: for a few numbers an array costs as much as the assembly
                 known = base[0, self.places].tolist()
                 if any(x < low or x > high for x, (low, high) in zip(known, self.bounds, strict=True)):
                     code = Status.OUTSIDE_LIMITS
-            _, steps, starts = info[0].tolist()
-            return Assembly.single(q[0], code == SOLVED, MEMBERS[code], float(residual[0]), steps, starts, self)
+            return Assembly.single(q[0], code == SOLVED, MEMBERS[code], residual.item(), steps, starts, self)
         code = info[:, 0]
         if self.limited and limits:
             code = np.where(self._outside(base) & (code != BAD_INPUT), Status.OUTSIDE_LIMITS, code)
@@ -272,6 +371,56 @@ class Assembler:
             x.reshape(lead) for x in (code == SOLVED, code, residual, info[:, 1], info[:, 2])
         )
         return Assembly(q.reshape(*lead, self.system.nq), good, code, residual, steps, starts, self)
+
+    @cached_property
+    def _bound(self) -> Callable[..., int] | None:
+        """The kernel, bound to what does not differ from call to call; None where more than a kernel is needed."""
+        loops = self.loops
+        if self.frames or not self.plain or self.one_sided is not None or loops.functions or len(loops.ties) >= LARGE:
+            return None
+        packed, pins, new = (
+            (loops.ints, loops.floats, loops.plan, loops.weights),
+            self.no_pins,
+            maker(1, self.system.nq),
+        )
+        search, tries, number = kernel.assemble, *SPENT[:2]
+        new_residual = maker(1)
+
+        def assemble(start: Array) -> tuple[Array, Array, np.ndarray]:
+            q, residual, info = new(), new_residual(), np.empty((1, 3), np.int64)
+            search(*packed, start, pins, tries, STEPS, TOLERANCE, 0, number, 0, False, q, residual, info)
+            return q, residual, info
+
+        return assemble
+
+    def usual(self, given: Any, start: Any) -> Assembly | None:
+        """The answer to the usual call, one array and plain numbers by name, in a fraction of the time; else None.
+
+        None leaves to `_solve` what it is to be said of other arguments.
+        """
+        search = self._bound
+        if search is None or given.__class__ is not dict or len(given) != len(self.known):
+            return None
+        base = self._single(given, start)
+        if base is None:
+            return None
+        q, residual, info = search(base)
+        return self._answer(base, (), q, residual, info, True)
+
+    def _single(self, given: Mapping[str, Any], start: Any) -> Array | None:
+        """The start (1, nq) of the usual call, an array and plain numbers, in a fraction of the time; else None."""
+        if start.__class__ is not np.ndarray or start.shape != self.shape or start.dtype is not FLOAT:
+            return None
+        if self.frames or not self.plain:
+            return None
+        base = start[None].copy()
+        row = base[0]
+        for name, place in self.named_places:
+            x = given.get(name)
+            if x.__class__ not in PLAIN_NUMBERS or not isfinite(row[place]):  # a start is read whole
+                return None
+            row[place] = x
+        return base
 
     def _by_name(self, values: Any) -> dict[str, Any]:
         if self.frames:
@@ -282,18 +431,6 @@ class Assembler:
         if array.ndim == 0 or array.shape[-1] != len(self.known):
             raise InputError(f"values have shape {array.shape}; needed are (..., {len(self.known)}): {self.known}")
         return {k: array[..., i] for i, k in enumerate(self.known)}
-
-    def _single(self, given: Mapping[str, Any], start: Any) -> Array | None:
-        """The start (1, nq) of the usual call, an array and plain numbers, in a fraction of the time; else None."""
-        if start.__class__ is not np.ndarray or start.shape != self.shape or start.dtype != np.float64 or self.frames:
-            return None
-        numbers = [given[k] for k in self.coordinates]
-        if not self.plain or any(x.__class__ not in PLAIN_NUMBERS for x in numbers):
-            return None
-        start = start[None].copy()
-        for place, x in zip(self.place_list, numbers, strict=True):
-            start[0, place] = x if isfinite(start[0, place]) else math.nan  # a start is read whole
-        return start
 
     def _starts(self, given: Mapping[str, Any], start: Any) -> tuple[Array, tuple[int, ...]]:
         """Starts (N, nq) with the known values written in, and the leading shape of the answer."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.budget import Budget
-from kempe.calls import explained
+from kempe.calls import explained, flag
 from kempe.constraints.tape import TIME
 from kempe.errors import InputError
 from kempe.kinematics.tasks.functions import held_too
@@ -25,8 +25,6 @@ from kempe.status import Status, member
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-
-ONCE = Budget(starts=1)
 
 
 @explained
@@ -72,6 +70,10 @@ def assemble(
         return replace(bare(system, given)._solve(problem), late=True)
     if tolerance is not None:
         system, tolerance = allowing(system, tolerance)
+    if branch is None and prefer is None and limits is True and tolerance is None and budget is None:
+        answer = bound(system, tuple(given)).usual(given, start)
+        if answer is not None:
+            return answer
     signs, options = branch is not None and branch not in system.structure.posture_names, NOTHING
     if signs:
         options = {"branch": branch}
@@ -122,13 +124,15 @@ def on_named_branch(problem: Problem) -> Assembly:
     from kempe.solvers.dyads.dyads import closed_form, on_branch  # only here: other calls do not need them
 
     assembler = bound(problem.system, tuple(problem.known))
-    start = on_branch(assembler.system, problem.known, problem.options["branch"], problem.start)
-    answer = assembler._solve(problem._replace(start=start, prefer=None, tolerance=TOLERANCE, budget=ONCE))
-    plan: Any = closed_form(assembler.system, tuple(assembler.sources))
-    wanted, found = plan.branch_of(start), plan.branch_of(answer.q)
-    strayed = np.any((found != wanted) & (wanted != 0) & (found != 0), axis=-1) & (answer.code == Status.SOLVED)
-    if np.any(strayed):
-        code = np.where(strayed, Status.OTHER_BRANCH, answer.code)
+    threads = None if problem.budget is None else USUAL.of(problem.budget).threads
+    start = on_branch(assembler.system, problem.known, problem.options["branch"], problem.start, threads)
+    answer, searched, before = assembler.confirm(start, flag(problem.limits, "limits"), threads)
+    if len(searched):  # the others are as the closed form gave them
+        plan: Any = closed_form(assembler.system, tuple(assembler.sources))
+        after = answer.q.reshape(-1, assembler.system.nq)[searched]
+        code = np.array(answer.code)
+        strayed = np.any(plan.branch_of(after) != plan.branch_of(before), axis=-1)
+        code.flat[searched[strayed & (code.flat[searched] == Status.SOLVED)]] = Status.OTHER_BRANCH
         answer = replace(answer, success=plain(code == Status.SOLVED), code=member(code))
     return chosen_by(answer, choose(SOLVERS, assembler, True)[1])
 

@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 CLOSED = 1e-12
 """Openings below this share of the mechanism's size are rounding."""
 CHUNK, SERIAL_BELOW = 8192, 20_000
+STEP = 0.1
+"""Largest change of a coordinate between two rows, in radians and characteristic lengths, as a part of the least margin
+of a dyad, for a sequence of rows to stay on its branch: the sine of the angle between the links is that margin."""
 MOST_SIGNS = 16
 """Branch signs up to which all combinations are tried: 65536 configurations."""
 
@@ -188,7 +191,7 @@ class Plan(Report):
     def close(self, values: ArrayLike, branch: Any = None, start: Any = None, threads: int | None = None) -> DyadAnswer:
         """As `solve`, with what these inputs leave undetermined."""
         given, lead = self.values(values)
-        n, nq = len(given), self.system.nq
+        nq = self.system.nq
         if start is None:
             targets = np.zeros((1, nq))
         else:
@@ -196,8 +199,7 @@ class Plan(Report):
             if not np.isfinite(targets).all():
                 raise InputError("start has entries that are not finite")
         signs = self.sign_rows(branch, targets if branch is None and start is not None else None, lead)
-        q, status = np.empty((n, nq)), np.empty((n, 2))
-        self._run(given, signs, targets, q, status, threads)
+        q, status = self._run(given, signs, targets, threads)
         gap = status[:, 0]
         ok = (gap <= self.tolerance) & np.isfinite(given).all(axis=-1)
         if not lead:
@@ -216,9 +218,8 @@ class Plan(Report):
         targets = np.zeros((1, nq)) if start is None else _rows(as_start(self.system, start), (), "near")
         if not np.isfinite(targets).all():
             raise InputError("start has entries that are not finite")
-        q, status = np.empty((len(given) * k, nq)), np.empty((len(given) * k, 2))
         many = np.repeat(given, k, axis=0)
-        self._run(many, np.tile(signs, (len(given), 1)), targets, q, status, None)
+        q, status = self._run(many, np.tile(signs, (len(given), 1)), targets)
         mask = (status[:, 0] <= self.tolerance) & np.isfinite(many).all(axis=-1)
         return q.reshape(*lead, k, nq), mask.reshape(*lead, k)
 
@@ -261,16 +262,45 @@ class Plan(Report):
         point = pose[..., :2, 3] + pose[..., :2, :2] @ np.array([end.x, end.y])
         return point, pose[..., :2, :2] @ np.array([end.dx, end.dy])
 
-    def _run(self, values: Array, signs: Array, targets: Array, q: Array, status: Array, threads: int | None) -> None:
+    def along(self, values: Array, before: Array, unit: Array, turns: np.ndarray) -> Array | None:
+        """Configurations (N, nq) for known `values` (N, n_known) that continue the closed one `before` (nq,).
+
+        They lie on its branch, and each follows the row before it without a jump. None where a row does not close, is
+        undetermined, or differs from the row before it by more than `STEP` of the least margin of its dyads: the branch
+        alone does not say there how the sequence goes on. `unit` (nq,) are the coordinates of one radian or one
+        characteristic length; `turns` are indices of those that a full turn brings back.
+        """
+        q, status = self._run(values, self.branch_of(before)[None], before[None], 1)
+        if not (np.all(status[:, 0] <= self.tolerance) and np.all(status[:, 1] == 0.0)):
+            return None
+        turning = set(turns.tolist())
+        given = {self.system.coordinate_names.index(name) for name in self.known}
+        most = np.zeros(len(q))
+        for i in range(self.system.nq):
+            if i in given:
+                continue
+            change = np.diff(q[:, i], prepend=before[i])
+            if i in turning:
+                back = np.rint(change / (2.0 * math.pi))
+                if back.any():
+                    q[:, i] -= 2.0 * math.pi * np.cumsum(back)
+                    change -= 2.0 * math.pi * back
+            np.maximum(most, np.abs(change) / unit[i], out=most)
+        return q if np.all(most <= STEP * status[:, 2]) else None
+
+    def _run(self, values: Array, signs: Array, targets: Array, threads: int | None = None) -> tuple[Array, Array]:
+        """Configurations (N, nq), and of each the opening, the count of undetermined parts and the margin (N, 3)."""
         from kempe.kernels.compiled import dyads_program as dyads
 
         ints, floats = self.program
+        q, status = np.empty((len(values), self.system.nq)), np.empty((len(values), 3))
 
         def work(i: int, j: int) -> int:
             s, t = (a if len(a) == 1 else a[i:j] for a in (signs, targets))
             return dyads.solve(ints, floats, values[i:j], s, t, q[i:j], status[i:j])
 
         over_chunks(work, len(values), CHUNK, threads, SERIAL_BELOW)
+        return q, status
 
     def values(self, values: ArrayLike) -> tuple[Array, tuple[int, ...]]:
         """Known coordinates as (N, n_known), and their leading shape. Errors: `InputError`."""
@@ -333,7 +363,9 @@ def source_values(system: System, known: Mapping[str, Any]) -> dict[str, Any]:
     return out
 
 
-def on_branch(system: System, known: Mapping[str, Any], branch: Any, near: Any = None) -> Array:
+def on_branch(
+    system: System, known: Mapping[str, Any], branch: Any, near: Any = None, threads: int | None = None
+) -> Array:
     """Configurations (..., nq) on a branch, as `Plan.solve` gives them, for known values by coordinate name.
 
     What cannot close on this branch is put where it nearly touches. Errors: `InputError` where there is no closed form,
@@ -345,7 +377,7 @@ def on_branch(system: System, known: Mapping[str, Any], branch: Any, near: Any =
         raise InputError(f"branch {branch!r} cannot be looked up: {plan.reason}")
     columns = np.broadcast_arrays(*values.values(), np.zeros(()))[:-1]
     stacked = np.stack(columns, axis=-1) if columns else np.zeros(0)
-    return plan.solve(stacked, branch, near)[0]
+    return plan.solve(stacked, branch, near, threads)[0]
 
 
 @kept
