@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from kempe.spatial import Array
 SPARSE = 100
 """Columns from which on a matrix of loop equations is decomposed as a sparse one: few entries of a row are not zero."""
 SURE = 1e2
-"""How far above what counts as zero the smallest singular value must be estimated to be for no decomposition to tell."""
+"""How far above what counts as zero the estimate of the smallest singular value must be for sparse factors to do."""
 ESTIMATES = 8
 """Inverse iterations that estimate the smallest singular value."""
 
@@ -31,25 +32,28 @@ def null_space_from(A: Array, columns: Sequence[int], least: float) -> Array | N
     the largest one, the root of the largest sum of a row times that of a column.
     """
     m, n = A.shape
-    others = np.setdiff1d(np.arange(n), columns)
+    others = np.setdiff1d(np.arange(n), np.array(columns, dtype=np.int64))
     if len(others) != m or len(columns) != n - m:
         return None
-    from scipy.sparse import csc_matrix  # only here: they take long
-    from scipy.sparse.linalg import splu
+    import scipy.sparse  # only here: they take long
+    import scipy.sparse.linalg
 
+    library: Any = scipy.sparse
+    row: np.ndarray
+    column: np.ndarray
     row, column = np.nonzero(A)
     number = np.full(n, -1)
     number[others] = np.arange(m)
     entries, place = A[row, column], number[column]
     inner = place >= 0
     try:
-        factors = splu(csc_matrix((entries[inner], (row[inner], place[inner])), shape=(m, m)))
+        factors = library.linalg.splu(library.csc_matrix((entries[inner], (row[inner], place[inner])), shape=(m, m)))
     except RuntimeError:  # it is singular
         return None
-    x, inverse = np.random.default_rng(0).normal(size=m), 0.0
+    x: Array = np.random.default_rng(0).normal(size=m)
+    inverse = 0.0
     for _ in range(ESTIMATES):
-        x /= np.linalg.norm(x)
-        x = factors.solve(factors.solve(x), "T")
+        x = factors.solve(factors.solve(x / np.linalg.norm(x)), "T")
         inverse = float(np.sqrt(np.linalg.norm(x)))
     size = np.sqrt(np.bincount(row, np.abs(entries)).max() * np.bincount(column, np.abs(entries)).max())
     if not SURE * least * inverse * float(size) < 1.0:

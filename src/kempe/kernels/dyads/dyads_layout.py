@@ -8,8 +8,8 @@ A program is a pair of flat arrays, `ints` (int64) and `floats` (float64):
     floats  the operations, OP_FLOATS numbers each
 
 The kernel keeps a block of configurations side by side; each number of a configuration is a vector, and a place
-counts vectors: GAP and FLAG, two spare ones, MARGIN, the registers (a planar pose c, s, x, y each, the cosine and sine of
-the orientation and the origin), the coordinates, their targets, the branch signs, and a spare one.
+counts vectors: GAP and FLAG, two spare ones, MARGIN, the registers (a planar pose c, s, x, y each, the cosine and sine
+of the orientation and the origin), the coordinates, their targets, the branch signs, and a spare one.
 """
 
 HEADER, OP_INTS, OP_FLOATS = 12, 12, 20

@@ -224,7 +224,7 @@ class Assembler:
     # ---- configurations of closed forms
 
     @cached_property
-    def _bounded(self) -> tuple[Array, Array, Array]:
+    def _bounded(self) -> tuple[np.ndarray, Array, Array]:
         """Places in q of the unknowns with limits, and these."""
         layout = self.system.structure.layout
         low, high = velocity_lists(self.loops.weights, self.system.nv)[1:3, layout.vector_v]
@@ -232,7 +232,7 @@ class Assembler:
         return layout.vector_q[free], low[free], high[free]
 
     def _equations(self, q: Array, residual: Array, limits: bool, threads: int | None) -> np.ndarray:
-        """Which (N,) of the configurations q (N, nq) close as they are, inside the limits; writes the residuals (N,)."""
+        """Which (N,) of the configurations q (N, nq) are closed and inside the limits; writes the residuals (N,)."""
         loops, none = self.loops, np.empty((0, len(self.loops.names), self.system.nv))
         good = np.empty(len(q), dtype=bool)
         places, low, high = self._bounded
@@ -256,7 +256,7 @@ class Assembler:
         return good
 
     def confirm(self, starts: Array, limits: bool, threads: int | None) -> tuple[Assembly, np.ndarray, Array]:
-        """The answer for configurations (..., nq) that a closed form gave, the rows that were searched, and their starts.
+        """The answer for configurations (..., nq) of a closed form, the rows that were searched, and their starts.
 
         Where a configuration fulfils the equations to `ROUNDING`, and the limits, it is the answer; from the others one
         search starts. The answer is written to `starts`, which must be contiguous.
@@ -373,18 +373,14 @@ class Assembler:
         return Assembly(q.reshape(*lead, self.system.nq), good, code, residual, steps, starts, self)
 
     @cached_property
-    def _bound(self) -> Callable[..., int] | None:
+    def _bound(self) -> Callable[[Array], tuple[Array, Array, np.ndarray]] | None:
         """The kernel, bound to what does not differ from call to call; None where more than a kernel is needed."""
         loops = self.loops
         if self.frames or not self.plain or self.one_sided is not None or loops.functions or len(loops.ties) >= LARGE:
             return None
-        packed, pins, new = (
-            (loops.ints, loops.floats, loops.plan, loops.weights),
-            self.no_pins,
-            maker(1, self.system.nq),
-        )
-        search, tries, number = kernel.assemble, *SPENT[:2]
-        new_residual = maker(1)
+        packed, pins = (loops.ints, loops.floats, loops.plan, loops.weights), self.no_pins
+        new, new_residual = maker(1, self.system.nq), maker(1)
+        (tries, number, _), search = SPENT, kernel.assemble
 
         def assemble(start: Array) -> tuple[Array, Array, np.ndarray]:
             q, residual, info = new(), new_residual(), np.empty((1, 3), np.int64)
