@@ -50,7 +50,7 @@ def null_space_from(A: Array, columns: Sequence[int], least: float) -> Array | N
         factors = library.linalg.splu(library.csc_matrix((entries[inner], (row[inner], place[inner])), shape=(m, m)))
     except RuntimeError:  # it is singular
         return None
-    x: Array = np.random.default_rng(0).normal(size=m)
+    x: Any = np.random.default_rng(0).normal(size=m)
     inverse = 0.0
     for _ in range(ESTIMATES):
         x = factors.solve(factors.solve(x / np.linalg.norm(x)), "T")

@@ -42,7 +42,8 @@ def assemble(
     limits); steps of minimum norm keep the answer close to it, and with ``prefer="nearest"``, where freedoms are left,
     it is the closed configuration nearest to it. `branch` names a branch: signs such as '+-' for planar mechanisms made
     of dyads (see `assembly_modes`), or a posture, which is where the search starts. ``prefer="continuous"``: row by
-    row, each started where the last two lead. Coordinates stay inside their limits unless `limits=False`; one-sided
+    row, each started where the last two lead; a long sequence that keeps away from where branches of dyads meet is
+    taken from their closed form. Coordinates stay inside their limits unless `limits=False`; one-sided
     constraints of the system always hold: a start that violates them is brought there.
 
     Of the `budget` are read: starts (20), rng (0), threads, and time_limit (30 s), which bounds the search for the
