@@ -245,6 +245,7 @@ OWN_LOOPS = {
     "analysis/first_order/idle_freedoms.py _spins": "a basis that grows",
     "analysis/mobility/reachable.py moved_place": "motions integrated one after the other",
     "analysis/first_order/redundant_constraints.py _choose": "a basis that grows",
+    "analysis/first_order/null_space.py null_space_from": "inverse iteration: the matrix is factored once",
     "analysis/motion/transmission.py mechanical_advantage": "one kernel after the other",
     "solvers/analytic/answers/nearest.py descend": "bounded in each lane, with damping that grows",
     "solvers/tasks/default_start.py near_target": "one move for the first task that has one",
