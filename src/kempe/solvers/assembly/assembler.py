@@ -66,7 +66,7 @@ PIECE, CONFIRMED_BELOW = 4096, 20_000
 LONG = 512
 """Rows of a sequence from which on a closed form, where there is one, is tried before rows are searched one by one."""
 CONTINUED = Choice("dyads", "closed form on the branch of the first row, which no row comes near to leaving", ())
-"""Who answers for a sequence that `Plan.along` follows."""
+"""Who answers for a sequence that `_along` follows."""
 PLAIN_NUMBERS = {float, int, np.float64}
 FLOAT = np.dtype(np.float64)
 FEW = 300
@@ -255,7 +255,7 @@ class Assembler:
         loops.check()
         return good
 
-    def confirm(self, starts: Array, limits: bool, threads: int | None) -> tuple[Assembly, np.ndarray, Array]:
+    def _confirm(self, starts: Array, limits: bool, threads: int | None) -> tuple[Assembly, np.ndarray, Array]:
         """The answer for configurations (..., nq) of a closed form, the rows that were searched, and their starts.
 
         Where a configuration fulfils the equations to `ROUNDING`, and the limits, it is the answer; from the others one
@@ -299,7 +299,7 @@ class Assembler:
         q[:1], residual[:1], info[:1] = first
         for i in range(1, n, PIECE):
             j = min(i + PIECE, n)
-            x = plan.along(np.ascontiguousarray(starts[i:j, self.places]), q[i - 1], unit, turns)
+            x = plan._continued(np.ascontiguousarray(starts[i:j, self.places]), q[i - 1], unit, turns)
             if x is None or not self._equations(x, residual[i:j], limits, 1).all():
                 return None
             q[i:j] = x
@@ -312,7 +312,7 @@ class Assembler:
         """Answer of `assemble` for `values` (..., k) of the known coordinates in order, or a dict with all of them."""
         given: Any = values
         if prefer is None and limits is True and tolerance is TOLERANCE and budget is None:
-            answer = self.usual(values, start)
+            answer = self._usual(values, start)
             if answer is not None:
                 return answer
         named = values.__class__ is dict or isinstance(values, Mapping)
@@ -389,7 +389,7 @@ class Assembler:
 
         return assemble
 
-    def usual(self, given: Any, start: Any) -> Assembly | None:
+    def _usual(self, given: Any, start: Any) -> Assembly | None:
         """The answer to the usual call, one array and plain numbers by name, in a fraction of the time; else None.
 
         None leaves to `_solve` what it is to be said of other arguments.

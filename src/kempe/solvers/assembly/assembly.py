@@ -72,7 +72,7 @@ def assemble(
     if tolerance is not None:
         system, tolerance = allowing(system, tolerance)
     if branch is None and prefer is None and limits is True and tolerance is None and budget is None:
-        answer = bound(system, tuple(given)).usual(given, start)
+        answer = bound(system, tuple(given))._usual(given, start)
         if answer is not None:
             return answer
     signs, options = branch is not None and branch not in system.structure.posture_names, NOTHING
@@ -127,7 +127,7 @@ def on_named_branch(problem: Problem) -> Assembly:
     assembler = bound(problem.system, tuple(problem.known))
     threads = None if problem.budget is None else USUAL.of(problem.budget).threads
     start = on_branch(assembler.system, problem.known, problem.options["branch"], problem.start, threads)
-    answer, searched, before = assembler.confirm(start, flag(problem.limits, "limits"), threads)
+    answer, searched, before = assembler._confirm(start, flag(problem.limits, "limits"), threads)
     if len(searched):  # the others are as the closed form gave them
         plan: Any = closed_form(assembler.system, tuple(assembler.sources))
         after = answer.q.reshape(-1, assembler.system.nq)[searched]

@@ -262,7 +262,7 @@ class Plan(Report):
         point = pose[..., :2, 3] + pose[..., :2, :2] @ np.array([end.x, end.y])
         return point, pose[..., :2, :2] @ np.array([end.dx, end.dy])
 
-    def along(self, values: Array, before: Array, unit: Array, turns: np.ndarray) -> Array | None:
+    def _continued(self, values: Array, before: Array, unit: Array, turns: np.ndarray) -> Array | None:
         """Configurations (N, nq) for known `values` (N, n_known) that continue the closed one `before` (nq,).
 
         They lie on its branch, and each follows the row before it without a jump. None where a row does not close, is
