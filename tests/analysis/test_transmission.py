@@ -11,8 +11,8 @@ from motion_linkages import bennett, four_bar, jansen, linkage, slider_crank
 import kempe
 from kempe import Mechanism, spatial
 from kempe.analysis.first_order.null_space import null_space, null_space_from
-from kempe.analysis.motion.drive import drive
 from kempe.analysis.motion import transmission
+from kempe.analysis.motion.drive import drive
 from kempe.analysis.motion.motion import trace
 from kempe.analysis.motion.transmission import (
     dead_points,
