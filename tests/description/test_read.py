@@ -466,6 +466,19 @@ def test_xacro_arguments(tmp_path):
     assert '<link name="c"/>' in text
 
 
+def test_xacro_in_a_home_folder_reads_the_files_beside_it_alone(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for name in ("parts.xacro", "secret/parts.xacro"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text('<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><link name="arm"/></robot>')
+    assert '<link name="arm"' in expanded(tmp_path, '<xacro:include filename="parts.xacro"/>')
+    with pytest.raises(DescriptionError, match=r"secret/parts.xacro lies outside the folders of the robot"):
+        expanded(tmp_path, '<xacro:include filename="secret/parts.xacro"/>')
+    assert '<link name="arm"' in expanded(
+        tmp_path, '<xacro:include filename="secret/parts.xacro"/>', package_dirs=[tmp_path / "secret"]
+    )
+
+
 @pytest.mark.parametrize(
     ("inside", "words"),
     [

@@ -49,7 +49,7 @@ roots = [os.path.realpath(d) + os.sep for d in [*s["roots"], sys.prefix, sys.bas
 def guard(event, given):
     if event == "open" and isinstance(given[0], (str, bytes)):
         path = os.path.realpath(os.fsdecode(given[0]))
-        if not any((path + os.sep).startswith(root) for root in roots):
+        if os.path.dirname(path) != s["beside"] and not any((path + os.sep).startswith(root) for root in roots):
             raise RuntimeError(f"{path} lies outside the folders of the robot")
     elif event.startswith(("subprocess.", "socket.", "os.exec", "os.fork", "os.posix_spawn", "os.system", "ctypes.")):
         raise RuntimeError(f"{event} is no part of a robot")
@@ -82,6 +82,7 @@ def expand_xacro(
         "arguments": {str(k): str(v) for k, v in (arguments or {}).items()},
         "package_dirs": [str(Path(d).resolve()) for d in package_dirs],
         "roots": [str(d) for d in folders_to_read(path, package_dirs)],
+        "beside": str(path.parent),
     }
     ended = run_limited(_WORKER, settings, seconds=seconds, memory=MEMORY, output=SIZE_LIMIT)
     if ended.reason == "time":
@@ -102,14 +103,15 @@ def folders_to_read(path: Path, package_dirs: Iterable[str | Path]) -> list[Path
 
     These are `package_dirs`, the folders of packages that ROS names in the environment, and the folder that holds the
     file's package (the nearest folder above with a package.xml) and its neighbours; of a file without a package, the
-    folder that holds its own. A home folder and the first level of a disk are never taken as a whole.
+    folder that holds its own. A home folder and the first level of a disk are never taken as a whole, unless
+    `package_dirs` or ROS name them: of a file that lies there itself, the files beside it are read, and no folders.
     """
     found = [Path(d).resolve() for d in package_dirs]
     found += [Path(d) for name in ROS_PATHS for d in os.environ.get(name, "").split(os.pathsep) if d]
     package = next((d for d in path.parents if (d / "package.xml").is_file()), path.parent)
-    wide = package.parent
-    is_wide = len(wide.parts) < 3 or wide == Path.home() or wide in Path.home().parents
-    return [*found, package if is_wide else wide, path.parent]
+    home = Path.home()
+    whole = (d for d in (package.parent, package, path.parent) if len(d.parts) > 2 and d not in (home, *home.parents))
+    return [*found, *whole]
 
 
 def _failed(said: str, where: Where, package_dirs: tuple[str | Path, ...]) -> DescriptionError:
