@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from collections.abc import Set as AbstractSet
 from functools import cached_property
 from math import isfinite
@@ -15,7 +15,7 @@ from kempe.budget import Budget, Usual
 from kempe.calls import explained, flag, listed
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.base.search_layout import BAD_INPUT, LARGEST, NOT_FOUND, SOLVED
-from kempe.kernels.compiled import closure_batch, maker
+from kempe.kernels.compiled import closure_batch
 from kempe.kernels.compiled import loop_closing as kernel
 from kempe.kernels.constraints.loop_layout import velocity_lists
 from kempe.kinematics.closure_rows import freedoms_left
@@ -275,6 +275,13 @@ class Assembler:
             )
         return self._answer(q, lead, q, residual, info, limits), searched, before
 
+    @cached_property
+    def _units(self) -> tuple[Array, np.ndarray]:
+        """Coordinates (nq,) of one radian or one characteristic length, and places of those that turns bring back."""
+        layout, unit = self.system.structure.layout, np.ones(self.system.nq)
+        unit[layout.vector_q] = self.loops.scale[layout.vector_v]
+        return unit, layout.vector_q[circles(self.system)[layout.vector_v]]
+
     def _along(
         self, starts: Array, tries: int, rng: int, limits: bool, tolerance: float
     ) -> tuple[Array, Array, np.ndarray] | None:
@@ -289,11 +296,7 @@ class Assembler:
         first = self.run(starts[:1], self.no_pins, tries, rng=rng, limits=limits, tolerance=tolerance)
         if first[2][0, 0] != SOLVED:
             return None
-        layout, n, nq = self.system.structure.layout, len(starts), self.system.nq
-        unit = np.ones(nq)
-        unit[layout.vector_q] = self.loops.scale[layout.vector_v]
-        back = np.flatnonzero(circles(self.system))
-        turns = layout.vector_q[np.isin(layout.vector_v, back)]
+        (unit, turns), n, nq = self._units, len(starts), self.system.nq
         q, residual, info = np.empty((n, nq)), np.empty(n), np.empty((n, 3), dtype=np.int64)
         info[1:] = SOLVED, 0, 1
         q[:1], residual[:1], info[:1] = first
@@ -373,34 +376,28 @@ class Assembler:
         return Assembly(q.reshape(*lead, self.system.nq), good, code, residual, steps, starts, self)
 
     @cached_property
-    def _bound(self) -> Callable[[Array], tuple[Array, Array, np.ndarray]] | None:
-        """The kernel, bound to what does not differ from call to call; None where more than a kernel is needed."""
+    def _by_kernel(self) -> bool:
+        """Whether one call of the kernel answers for known coordinates as they are given."""
         loops = self.loops
-        if self.frames or not self.plain or self.one_sided is not None or loops.functions or len(loops.ties) >= LARGE:
-            return None
-        packed, pins = (loops.ints, loops.floats, loops.plan, loops.weights), self.no_pins
-        new, new_residual = maker(1, self.system.nq), maker(1)
-        (tries, number, _), search = SPENT, kernel.assemble
-
-        def assemble(start: Array) -> tuple[Array, Array, np.ndarray]:
-            q, residual, info = new(), new_residual(), np.empty((1, 3), np.int64)
-            search(*packed, start, pins, tries, STEPS, TOLERANCE, 0, number, 0, False, q, residual, info)
-            return q, residual, info
-
-        return assemble
+        more = self.frames or self.one_sided is not None or loops.functions or len(loops.ties) >= LARGE
+        return self.plain and not more
 
     def _usual(self, given: Any, start: Any) -> Assembly | None:
         """The answer to the usual call, one array and plain numbers by name, in a fraction of the time; else None.
 
         None leaves to `_solve` what it is to be said of other arguments.
         """
-        search = self._bound
-        if search is None or given.__class__ is not dict or len(given) != len(self.known):
+        if not self._by_kernel or given.__class__ is not dict or len(given) != len(self.known):
             return None
         base = self._single(given, start)
         if base is None:
             return None
-        q, residual, info = search(base)
+        loops, (tries, number, _) = self.loops, SPENT
+        q, residual, info = np.empty((1, self.shape[0])), np.empty(1), np.empty((1, 3), np.int64)
+        kernel.assemble(
+            loops.ints, loops.floats, loops.plan, loops.weights, base, self.no_pins, tries, STEPS, TOLERANCE, 0, number,
+            0, False, q, residual, info,
+        )  # fmt: skip
         return self._answer(base, (), q, residual, info, True)
 
     def _single(self, given: Mapping[str, Any], start: Any) -> Array | None:
