@@ -13,7 +13,7 @@ import pytest
 from robots import DATA
 
 import kempe
-from kempe.errors import InputError
+from kempe.errors import CallError, InputError
 from kempe.status import Status
 
 AXES = [(0.0, 0.0, 1.0), (1.0, 2.0, -0.5)]
@@ -131,7 +131,7 @@ def test_arguments_are_checked():
     X = robot.fk(robot.mid, frame)
     with pytest.raises(InputError, match="'sideways'; it must be one of 'pose'"):
         robot.ik(X, frame, task="sideways")
-    with pytest.raises(InputError, match="position_only"):
+    with pytest.raises(CallError, match="position_only"):
         robot.ik(X, frame, task="orientation", position_only=True)
     with pytest.raises(InputError, match="asks for an orientation"):
         robot.ik(X[:3, 3], frame, task="pose")
