@@ -394,11 +394,11 @@ def test_lenient_limits_are_for_urdf():
 XACRO = '<robot name="x" xmlns:xacro="http://www.ros.org/wiki/xacro">\n{}\n</robot>\n'
 
 
-def expanded(tmp_path: Path, inside: str, **options) -> str:
+def expanded(tmp_path: Path, inside: str, seconds: float = 600, **options) -> str:
     path = tmp_path / "m.urdf.xacro"
     path.write_text(XACRO.format(inside))
     pytest.importorskip("xacrodoc")
-    return expand_xacro(path, **options)
+    return expand_xacro(path, seconds=seconds, **options)
 
 
 def test_xacro_is_expanded_on_request(tmp_path):

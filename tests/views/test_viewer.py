@@ -29,7 +29,8 @@ from kempe.views.viewer.session import Session
 
 WIDE, HIGH = 960, 400
 TALOS = "talos_data/robots/talos_reduced.urdf"
-SOON = 40.0
+SOON = 300.0
+"""Seconds after which what is waited for does not come."""
 BLOCKS = (8, 12)
 """Blocks of a picture of the space beside the panel, high and wide, whose mean colours are compared."""
 ALIKE = 0.04
@@ -268,7 +269,10 @@ class Seen:
             y = self.tab.get_by_text(row, exact=True).bounding_box()["y"]
             found.sort(key=lambda one: abs(one.bounding_box()["y"] - y))
         found[0].scroll_into_view_if_needed()
-        box = found[0].bounding_box()
+        box, before = found[0].bounding_box(), None
+        while box != before:  # sentences above it may still come
+            self.tab.wait_for_timeout(200)
+            box, before = found[0].bounding_box(), box
         self.tab.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
 
     def drag(self, a, b, steps: int = 5) -> None:
