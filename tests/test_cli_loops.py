@@ -536,10 +536,11 @@ def test_trace_other_branches(tmp_path):
 def test_an_interrupt_keeps_what_was_done(tmp_path):
     out = tmp_path / "part.csv"
     code = (
-        "import os, signal, kempe, kempe.cli\n"
+        "import dataclasses, os, signal, kempe, kempe.cli\n"
         "trace = kempe.System.trace\n"
-        "def interrupted(*args, progress=None, **options):\n"
-        "    return trace(*args, progress=lambda n, s: os.kill(os.getpid(), signal.SIGINT), **options)\n"
+        "def interrupted(*args, budget=kempe.Budget(), **options):\n"
+        "    budget = dataclasses.replace(budget, progress=lambda n, s: os.kill(os.getpid(), signal.SIGINT))\n"
+        "    return trace(*args, budget=budget, **options)\n"
         "kempe.System.trace = interrupted\n"
         f"import sys; sys.argv[1:] = ['trace', 'four_bar', '--out', {str(out)!r}]\n"
         "kempe.cli.main()\n"
