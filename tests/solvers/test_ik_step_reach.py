@@ -433,7 +433,7 @@ def straight_way_of_a_case(s: System, rng: np.random.Generator) -> tuple:
     else:
         X = asked(kind, s, frame, q, rng)[0]
     Q = [np.array(q)]
-    while len(Q) * dt < 20.0 and (len(Q) < 30 or np.abs(Q[-1] - Q[-25]).max() > 1e-9):
+    while len(Q) * dt < 40.0 and (len(Q) < 30 or np.abs(Q[-1] - Q[-25]).max() > 1e-9):
         Q.append(s.ik_step(Q[-1], X, frame, dt, velocity_limits=1.0, keep_direction=True).q)
     case = (s.name, kind, dt, q.tolist())
     assert turns_at_speed(np.array(Q), dt, 1.0) == 0, case

@@ -30,6 +30,8 @@ PROBE = 2e-3
 """Distance at which a direction is checked to be that of a branch."""
 SAME_LINE = 1e-4
 """Directions nearer than this are one."""
+NO_FORM = 1e-7
+"""Size of second-order forms up to which they are errors of differences."""
 DOUBLE = 1e-3
 """Derivative of the second-order forms, relative to their size, below which a direction counts as double."""
 AHEAD = 0.8
@@ -135,7 +137,7 @@ def cone(equations: Closure, x: Array) -> tuple[Array, bool]:
     forms = np.einsum("nd,nke->kde", null_space, second_order(equations, x, left, null_space))
     forms = 0.5 * (forms + forms.transpose(0, 2, 1))
     size = np.abs(forms).max()
-    if size < 1e-9:
+    if size < NO_FORM:
         return np.zeros((0, n)), True
     forms = forms / size
     found = _two(forms) if d == 2 else _many(forms, equations.budget)
@@ -209,16 +211,18 @@ def _walkable(equations: Closure, x: Array, directions: Array) -> Array:
     return np.array(lines).reshape(-1, equations.n)
 
 
-def singular_node(equations: Closure, x: Array, toward: Array) -> Node | None:
-    """The node at a singular point on the branch whose direction is nearest to `toward` (n,), not at a cusp."""
+def singular_node(equations: Closure, x: Array, toward: Array, came: Array | None = None) -> Node | None:
+    """The node at a singular point on the branch whose direction is nearest to `toward` (n,), not at a cusp.
+
+    Where several branches have that direction it is the one of the point `came` (nq,), which is before the other.
+    """
     lines, germ = branches_at(equations, x)
     if germ is not None:
+        before = None if came is None else germ.half_of(equations, [came])
+        half = int(np.argmax(germ.tangents @ toward)) if before is None else germ.partner[before]
         cosines = germ.tangents @ toward / max(float(np.linalg.norm(toward)), 1e-300)
-        half = int(np.argmax(cosines))
-        ahead = np.flatnonzero(cosines > cosines[half] - SAME_LINE)
-        if cosines[half] < AHEAD or len(ahead) > 1 or germ.cusp(half):
-            return None
-        return germ.node(half)
+        alike = before is None and int(np.sum(cosines > cosines[half] - SAME_LINE)) > 1
+        return None if cosines[half] < AHEAD or alike or germ.cusp(half) else germ.node(half)
     if not len(lines):
         return None
     cosines = lines @ toward / max(float(np.linalg.norm(toward)), 1e-300)
@@ -296,7 +300,7 @@ def crossing(equations: Closure, a: Node, b: Node) -> Node | None:
         z = equations.between(a.x, x)
         along = float(z @ y) / h
         if -1e-9 <= along <= h + 1e-9 and np.linalg.norm(z - along * y / h) <= 0.25 * h:
-            return singular_node(equations, x, y)
+            return singular_node(equations, x, y, a.x)
     return None
 
 

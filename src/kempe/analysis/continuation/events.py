@@ -11,7 +11,6 @@ import numpy as np
 from kempe.analysis.continuation.continuation import Closure
 from kempe.analysis.continuation.crossings import (
     AHEAD,
-    PARTED,
     SingularNode,
     branches_at,
     crossing,
@@ -28,6 +27,8 @@ from kempe.spatial import Array
 
 AWKWARD = 1e-5
 """Relative singular value below which a step had better land elsewhere: rounding is blown up there."""
+HIDDEN = 1e-5
+"""Relative singular value, falling, below which a curve may come to a point near which rounding hides it."""
 NEARLY = 1e-3
 """Relative singular value at both ends of a step below which it may lead past a point where branches touch."""
 RESTING = 1e-9
@@ -77,7 +78,7 @@ def walk(equations: Closure, a: Node, longest: float, periods: Array) -> Iterato
         for b in tracing.walk(a, taken, longest, h):
             before = last[-1]
             last.append(b.x)
-            if b.sigma < min(PARTED, sigma) and b.lines is None:  # nearer to a point where rounding hides the curve
+            if b.sigma < min(HIDDEN, sigma) and b.lines is None:  # nearer to a point where rounding hides the curve
                 singular = passage(equations, last, known, periods)
                 if singular is not None:
                     way = equations.between(before, singular.x)
@@ -105,6 +106,8 @@ def checked(equations: Closure, a: Node, b: Node | None) -> list[Node] | None:
     if not turned:
         return None if turned is None or _touches(equations, a, b) else [b]
     middle = crossing(equations, a, b)
+    if isinstance(middle, SingularNode):  # the step may have led to another one of the branches that touch there
+        return [middle, middle.germ.first(equations, middle.half)]
     return None if middle is None else [middle, b]
 
 
@@ -227,7 +230,7 @@ def hidden_crossings(equations: Closure, nodes: list[Node]) -> list[Node]:
         if m.sigma < 2.0 * max(a.sigma - m.sigma, b.sigma - m.sigma):
             x = next((x for n in (2, 3, 4) if n <= equations.n
                       and (x := locate(equations, m.x, n, 2.0 * h)) is not None), None)  # fmt: skip
-            found = None if x is None else singular_node(equations, x, m.t)
+            found = None if x is None else singular_node(equations, x, m.t, a.x)
         if found is None:
             out.append(m)
             continue
