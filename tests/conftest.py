@@ -111,15 +111,17 @@ def solved_as_marked() -> Iterator[None]:
 
 
 @pytest.fixture
-def looks(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
-    """A clock whose time is up at look number n, counted from 0: ``looks(n)``."""
+def looks(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], itertools.count[int]]:
+    """A clock whose time is up at look number n, counted from 0: ``looks(n)``, which gives what counts them."""
+    from kempe.solvers.analytic.plans import question
     from kempe.solvers.common import clock
     from kempe.solvers.one_frame import multi_start
 
-    def at(n: int) -> None:
+    def at(n: int) -> itertools.count[int]:
         count = itertools.count()
         fake = types.SimpleNamespace(monotonic=lambda: np.inf if next(count) >= n else -np.inf)
-        for module in (clock, multi_start):
+        for module in (clock, multi_start, question):
             monkeypatch.setattr(module, "time", fake)
+        return count
 
     return at

@@ -7,15 +7,22 @@ import inspect
 import math
 import pickle
 import pkgutil
+import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from rounded import exact, rounded
 
 import kempe
 from kempe import Budget
-from kempe.budget import Usual
+from kempe.budget import TimeUp, Usual, checks, look
 from kempe.errors import CallError, InputError, NoSolutionError
+from kempe.solvers.common import clock
+from kempe.solvers.common.clock import TimeLimit
+
+ROOT = Path(__file__).parent.parent
 
 ARM, LINKAGE, SEVEN = (kempe.load(n) for n in ("puma560", "four_bar", "iiwa14"))
 Q = ARM.mid + 0.1
@@ -117,15 +124,10 @@ def test_options_that_never_were_are_refused(option):
 
 # ---- time limits
 
-UNTIMED = {
-    "assemble": "starts times steps",
-    "ik_sweep": "points, each of a closed form",
-    "task_space": "starts, each one rank",
-}
-"""Verbs whose work other numbers bound: what bounds it."""
 ENDLESS = {
     "ik": "a target takes milliseconds; the number of targets says how long it takes",
     "ik_all": "so do the targets of a batch",
+    "assemble": "so do the sets of known values of a batch",
     "workspace": "`n` says how long it takes",
     "map_file": "the rows of the file say how long it takes",
 }
@@ -147,45 +149,176 @@ def test_every_verb_with_a_budget_ends_by_itself():
     for extra in ("matplotlib", "viser", "zarr", "sympy"):
         pytest.importorskip(extra)
     verbs = usual()
-    assert len(verbs) > 20 and set(UNTIMED) | set(ENDLESS) <= set(verbs)
+    assert len(verbs) > 20 and set(ENDLESS) <= set(verbs)
     for verb, all_ in verbs.items():
         for own in all_:
-            if "time_limit" in own.reads:
-                assert own.reads["time_limit"] is not None or verb in ENDLESS, verb
-            else:
-                assert verb in UNTIMED, verb
+            assert own.reads["time_limit"] is not None or verb in ENDLESS, verb
 
 
-FLAT = kempe.load("parallelogram")
+FLAT, FIVE, CAR = (kempe.load(n) for n in ("parallelogram", "five_bar", "car"))
+FAR = np.eye(4)
+FAR[:3, 3] = 0.0, 0.0, -0.6718  # inside the reach of the lengths, but not with this orientation
+
+
+def open_loops(count: int = 1) -> kempe.System:
+    """Loops of four bars, one of which is too long to close them; of many of them each start changes a part."""
+    m = kempe.Mechanism("open", dim=2)
+    for k in range(count):
+        a, b, c = (m.body(f"{n}{k}") for n in "abc")
+        m.revolute(f"A{k}", m.ground, a)
+        m.revolute(f"B{k}", a, b, at=(0.3, 0.0))
+        m.revolute(f"C{k}", b, c, at=(9.0, 0.0))
+        m.revolute(f"D{k}", m.ground, c, at=(1.0, 0.0), child_at=(0.5, 0.0))
+    return m.build()
+
+
+def one_sided() -> kempe.System:
+    """A pendulum whose end would have to be higher than it reaches."""
+    m = kempe.Mechanism("low", dim=2)
+    m.revolute("A", m.ground, m.body("a"))
+    m.constrain(kempe.constraints.HalfSpace("a", (0.0, 5.0, 0.0), (0.0, 1.0, 0.0)), name="high")
+    return m.build()
+
+
+def chain(count: int) -> kempe.System:
+    m, before = kempe.Mechanism("chain"), "ground"
+    for k in range(count):
+        m.revolute(f"j{k}", m.ground if k == 0 else before, m.body(f"b{k}"), at=(0.0, 0.05, 0.1),
+                   rpy=(0.5 * math.pi * (-1) ** k, 0.0, 0.0), limits=(-0.05, 0.05))  # fmt: skip
+        before = f"b{k}"
+    return m.build()
+
+
+OPEN, MANY, LOW, LONG = open_loops(), open_loops(30), one_sided(), chain(40)
+TURNED = LONG.fk(LONG.mid, LONG.frame_names[-1]) @ np.diag([1.0, -1.0, -1.0, 1.0])
+NEVER = kempe.tasks.Function(lambda q: q[0] ** 2 + 1.0)
 TIMED = {
     "mobility": lambda b: FLAT.mobility(FLAT.q("flat"), budget=b),
-    "manoeuvre": lambda b: kempe.load("car").manoeuvre([0.0, 0.0, 0.0], [0.0, 1.0, 0.0], radius=1.0, budget=b),
-    "drive of what rolls": lambda b: kempe.load("car").drive(
+    "classify": lambda b: CAR.classify(budget=b),
+    "idealised": lambda b: rounded(exact("bennett"), 6, np.random.default_rng(0)).idealised(budget=b),
+    "manoeuvre": lambda b: CAR.manoeuvre([0.0, 0.0, 0.0], [0.0, 1.0, 0.0], radius=1.0, budget=b),
+    "drive of what rolls": lambda b: CAR.drive(
         {"drive.x": [0.0, 1e9], "drive.rz": [0.0, 1.0]}, start=[0.0, 0.0, 0.0], budget=b
     ),
     "drive far": lambda b: LINKAGE.drive({"A": [0.3, 1e300]}, budget=b),
+    "simulate": lambda b: CAR.simulate(1.0, inputs={"drive.x": 1.0, "drive.rz": 0.1}, budget=b),
     "singularities": lambda b: ARM.singularities("tool", budget=b),
+    "curves": lambda b: kempe.load("two_link").singularities("e", budget=Budget(time_limit=math.inf)).curves(budget=b),
     "reach.poses": lambda b: ARM.reach.poses(np.repeat(X[None], 5000, axis=0), "tool", budget=b),
     "reach.place": lambda b: ARM.reach.place(X[None], "tool", {"x": (0.0, 0.1)}, 5000, budget=b),
     "reach.capability": lambda b: ARM.reach.capability("tool", [[0.0] * 3, [0.5] * 3], 9, 9, budget=b),
+    "assemble open": lambda b: OPEN.assemble(budget=b),
+    "assemble many": lambda b: MANY.assemble(budget=b),
+    "assemble many rows": lambda b: MANY.assemble({"A0": np.linspace(0.0, 1.0, 3)}, budget=b),
+    "assemble a batch": lambda b: OPEN.assemble({"A0": np.linspace(0.0, 6.0, 100)}, budget=b),
+    "assemble row by row": lambda b: OPEN.assemble({"A0": np.linspace(0.0, 6.0, 9)}, prefer="continuous", budget=b),
+    "assemble one-sided": lambda b: LOW.assemble(budget=b),
+    "assemble one-sided rows": lambda b: LOW.assemble({"A": np.linspace(0.0, 1.0, 9)}, budget=b),
+    "assemble a function": lambda b: ARM.assemble(also=[NEVER], budget=b),
     "assembly_modes": lambda b: rssr().assembly_modes({"A": 0.4}, budget=b),
+    "ik": lambda b: LONG.ik(TURNED, LONG.frame_names[-1], budget=b),
+    "ik of a batch": lambda b: ARM.ik(np.repeat(FAR[None], 9, axis=0), "tool", budget=b),
+    "ik of a batch, analytic": lambda b: ARM.ik(np.repeat(FAR[None], 9, axis=0), "tool", method="auto", budget=b),
+    "ik of tasks": lambda b: ARM.ik([kempe.tasks.Pose("tool", X), NEVER], budget=b),
+    "ik_all": lambda b: SEVEN.ik_all(P, "tool", budget=b),
+    "ik_path": lambda b: ARM.ik_path(np.repeat(X[None], 9, axis=0), "tool", budget=b),
+    "ik_sweep": lambda b: SEVEN.inverse.sweep(P, "tool", THIRD, budget=b),
+    "ik_sweep of an arm angle": lambda b: SEVEN.inverse.sweep(P, "tool", n=5000, budget=b),
     "self_motion": lambda b: SEVEN.inverse.self_motion(FREE, "tool", budget=b),
     "trace": lambda b: LINKAGE.trace("A", budget=b),
-    "sample": lambda b: kempe.load("five_bar").configuration_space.sample(99, budget=b),
+    "resample": lambda b: LINKAGE.trace("A", budget=Budget(time_limit=math.inf)).resample(9, budget=b),
+    "sample": lambda b: FIVE.configuration_space.sample(99, budget=b),
     "components": lambda b: rssr().configuration_space.components(budget=b),
-    "path": lambda b: kempe.load("five_bar").configuration_space.path(
-        kempe.load("five_bar").assemble().q, kempe.load("five_bar").assemble({"A": 1.0}).q, budget=b
-    ),
+    "path": lambda b: FIVE.configuration_space.path(FIVE_Q[0], FIVE_Q[1], budget=b),
+    "task_space": lambda b: ARM.task_space("tool", budget=b),
+    "workspace": lambda b: ARM.workspace("tool", n=5e6, cells=8, budget=b),
 }
+"""Each verb with a time limit: a problem that takes it long, or for ever."""
+FIVE_Q = [FIVE.assemble().q, FIVE.assemble({"A": 1.0}).q]
+ELSEWHERE = {
+    "map_file": "tests/analysis/maps/test_file_map.py",
+    "plot_spaces": "tests/views/test_space_pictures.py",
+}
+"""Verbs whose answers at the end of their time are tested elsewhere, for they need files or pictures."""
+
+
+def test_every_verb_with_a_time_limit_is_in_the_battery():
+    verbs = {name.split()[0].rstrip(",") for name in TIMED} | set(ELSEWHERE)
+    assert verbs == set(usual())
+
+
+def says(answer: Any) -> bool:
+    """Whether an answer says, for one of its problems, that its time was up."""
+    late = np.any(getattr(answer, "late", False)) or getattr(answer, "broken", None) is kempe.Status.OUT_OF_TIME
+    if not late and not np.any(np.asarray(getattr(answer, "code", 0)) == kempe.Status.OUT_OF_TIME):
+        return False
+    text = f"{answer} {np.asarray(answer.status).ravel()[-1]}"
+    assert "time limit" in text or "stopped early" in text or "were requested" in text, text  # of samples
+    return True
 
 
 @pytest.mark.parametrize("verb", TIMED)
 def test_an_answer_says_that_its_time_was_up(looks, verb):
+    """At the first look at the clock; a few know nothing then, and raise."""
     looks(0)
-    answer = TIMED[verb](Budget(time_limit=5.0))
-    late = getattr(answer, "late", False) or getattr(answer, "broken", None) is kempe.Status.OUT_OF_TIME
-    assert late or answer.code is kempe.Status.OUT_OF_TIME, str(answer)
-    assert "time limit" in str(answer) or "stopped early" in str(answer), answer  # of samples
+    try:
+        answer = TIMED[verb](Budget(time_limit=5.0))
+    except kempe.errors.TimeLimitError as error:
+        assert verb.split()[0] in ("idealised", "classify", "task_space", "ik_sweep")
+        assert "the time limit of 5 s was over before anything was known" in str(error)
+        return
+    assert says(answer)
+
+
+@pytest.mark.parametrize("look", [1, 7, 60])
+@pytest.mark.parametrize("verb", TIMED)
+def test_a_verb_ends_at_whichever_look_its_time_is_up(looks, verb, look):
+    """Few looks follow: the work is over, and what was done by then is put in order; each is answered, or raises."""
+    count = looks(look)
+    try:
+        answer = TIMED[verb](Budget(time_limit=5.0))
+    except kempe.errors.TimeLimitError:
+        assert next(count) > look
+        return
+    done = next(count)
+    assert says(answer) is (done > look) or verb in FAST, (done, str(answer))
+    assert done <= look + 3000, done
+
+
+FAST = {"assemble open", "ik_sweep of an arm angle", "workspace"}
+"""Verbs that may end by themselves at the look at which the time is up."""
+
+
+@pytest.mark.parametrize(
+    "ask", [lambda: FLAT.mobility(FLAT.q("flat")), lambda: MANY.assemble(), lambda: CAR.classify()]
+)
+def test_a_verb_that_another_one_asks_has_the_time_of_that_one(ask):
+    """It has no answer of its own where that time is up: nobody takes a part for the whole."""
+    with TimeLimit(1e-9), pytest.raises(TimeUp):
+        ask()
+
+
+def test_a_block_of_time_is_over_where_it_ends():
+    """Also where the same one stands in itself, and in a thread of its own."""
+    time = TimeLimit(1e-9)
+    with time, pytest.raises(TimeUp):
+        look()
+    look()
+    again = TimeLimit(1e9)
+    with again, again:
+        assert len(checks()) == 2
+    assert not checks()
+
+
+def test_time_limits_stand_in_the_documentation():
+    """The table of docs/conventions.md is what the verbs do."""
+    text = (ROOT / "docs" / "conventions.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| `([a-z_.]+)` \| (\d+ s|none)", text, re.MULTILINE))
+    for verb, all_ in usual().items():
+        limits = [own.reads["time_limit"] for own in all_]
+        single = min((x for x in limits if x is not None), default=None)
+        assert rows.pop(verb) == ("none" if single is None else f"{single:g} s"), verb
+    assert not rows
 
 
 # ---- Ctrl-C
@@ -244,6 +377,21 @@ def test_an_interrupt_goes_on_to_the_caller_with_what_was_done(verb):
     if not verb.startswith("plot"):
         assert "interrupted" in str(answer) or answer.code is kempe.Status.INTERRUPTED
         assert "answer" in str(stop.value) and issubclass(stop.type, KeyboardInterrupt)
+
+
+@pytest.mark.parametrize("ask", [
+    lambda: open_loops(30).assemble(), lambda: ARM.assemble(also=[NEVER]),
+    lambda: ARM.ik([kempe.tasks.Pose("tool", X), NEVER]), lambda: ARM.ik(kempe.tasks.Pose("tool", FAR)),
+    lambda: OPEN.assemble(),
+])  # fmt: skip
+@pytest.mark.parametrize("at", [0, 3])
+def test_an_interrupt_while_a_kernel_looks_at_the_clock_is_not_lost(ask, at, monkeypatch):
+    """Python hears Ctrl-C in the function that kernels call, from which no exception passes through a kernel."""
+    ends = Ends(at)
+    monkeypatch.setattr(clock, "look", ends)
+    with pytest.raises(KeyboardInterrupt):
+        ask()
+    assert ends.came
 
 
 def test_what_a_verb_inside_another_did_is_no_answer(monkeypatch):

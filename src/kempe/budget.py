@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
@@ -44,6 +45,41 @@ class Budget:
     """Threads of a batch; left out: as many as there are cores."""
     progress: Callable[..., Any] | None = None
     """Called now and then with how much is done."""
+
+
+class TimeUp(Exception):
+    """The time of a call is up: raised inside the call, and caught there."""
+
+
+_thread = threading.local()
+
+
+def checks() -> tuple[Callable[[], None], ...]:
+    """What `look` of this thread calls now."""
+    return getattr(_thread, "checks", ())
+
+
+class watched_by:
+    """A block in which `look` of this thread calls further functions; they raise where the work must end."""
+
+    def __init__(self, *more: Callable[[], None]):
+        self.more = more
+
+    def __enter__(self) -> None:
+        _thread.checks = (*self.more, *checks())
+
+    def __exit__(self, *_: object) -> None:
+        _thread.checks = checks()[len(self.more) :]
+
+
+def look() -> None:
+    """Look whether the work of this thread must end: where the time of a call is up, `TimeUp` is raised.
+
+    What may take long calls it between two pieces of about 0.1 s, on whichever layer it is: it knows no verb and no
+    limit. Verbs set these by `TimeLimit` as a block; the innermost block is asked first.
+    """
+    for check in getattr(_thread, "checks", ()):
+        check()
 
 
 class Usual:

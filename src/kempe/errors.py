@@ -166,6 +166,18 @@ class NoSolutionError(KempeError, RuntimeError):
         return (type(self), (self.solution,))
 
 
+class TimeLimitError(KempeError, TimeoutError):
+    """The time limit of a verb was over before anything was known that it could answer."""
+
+    def __init__(self, verb: str, limit: float | None):
+        self.verb, self.limit = verb, limit
+        super().__init__(f"{verb}: the time limit of {limit or 0.0:g} s was over before anything was known; "
+                         "allow more by kempe.Budget(time_limit=...)")  # fmt: skip
+
+    def __reduce__(self):
+        return (type(self), (self.verb, self.limit))
+
+
 class Interrupted(KeyboardInterrupt):
     """Ctrl-C came while a verb worked; `answer` is the part that was done by then, None where there is none."""
 

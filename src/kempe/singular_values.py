@@ -7,6 +7,10 @@ from typing import Any, Literal, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from kempe.budget import look
+
+LARGE = 2000
+"""Entries from which on a decomposition takes far longer than a look at the clock."""
 Floats = NDArray[np.float64]
 
 
@@ -25,6 +29,8 @@ def svd(A: Any, full_matrices: bool = True, compute_uv: bool = True) -> Any:
     numpy.linalg.LinAlgError
         For matrices with entries that are not finite.
     """
+    if getattr(A, "size", 0) > LARGE:
+        look()
     numpys: Any = np.linalg
     try:
         return numpys.svd(A, full_matrices=full_matrices, compute_uv=compute_uv)

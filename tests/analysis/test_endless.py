@@ -191,14 +191,14 @@ def test_samples_points_and_self_motions_keep_what_was_done(looks):
     points = path.resample(100_000, budget=kempe.Budget(time_limit=5.0))
     assert points.late and not points and not points.closed and 0 < len(points) < 100_000
     assert "of 100000 points" in points.status and np.abs(s.loops.closure_error(points.q)).max() < 1e-12
-    looks(5)
+    looks(20)
     family = panda.inverse.self_motion(panda.q("ready"), "panda_hand_tcp", budget=kempe.Budget(time_limit=5.0))
     assert family.late and 1 < len(family) < 10 and "time limit of 5 s" in family.ends[1]
 
 
 def test_modes_and_paths_of_targets_keep_what_was_done(looks):
     s, panda = kempe.load("rssr"), kempe.load("panda")
-    looks(2)
+    looks(20)
     modes = s.assembly_modes({"A": 0.4}, frame="rocker", budget=kempe.Budget(time_limit=5.0))
     assert modes.late and modes and "found from 256 starts" in modes.status and "time limit" in modes.status
     q = panda.q("ready") + 0.3 * np.linspace(0.0, 1.0, 50)[:, None]

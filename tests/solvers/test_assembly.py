@@ -78,7 +78,7 @@ def test_convergence_is_quadratic(name):
     sizes = []
     arrays = b.loops.ints, b.loops.floats, b.loops.plan, b.loops.weights
     for limit in range(4):
-        kernel.assemble(*arrays, start, b.no_pins, 1, limit, 1e100, 0, 0, 0, False, q, r, info)
+        kernel.assemble(*arrays, start, b.no_pins, 0, 1, limit, 1e100, 0, 0, 0, False, 0, q, r, info)
         sizes.append(r[0])
     bound = 30.0
     for before, after in zip(sizes, sizes[1:], strict=False):

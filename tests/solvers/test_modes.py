@@ -14,9 +14,9 @@ from linkages import four_bar
 import kempe
 from kempe import Mechanism, System
 from kempe.errors import InputError, UnknownNameError
+from kempe.solvers.common import clock
 from kempe.solvers.common.problem import Problem
 from kempe.solvers.dyads.dyads import closed_form
-from kempe.solvers.modes import modes
 from kempe.solvers.modes.modes import SOLVERS, Modes, assembly_modes, by_dyads, by_starts, no_dyads
 from kempe.solvers.modes.modes_search import estimates
 from kempe.solvers.modes.same_configuration import metric_of
@@ -409,12 +409,12 @@ def test_the_time_limit_is_the_one_that_was_given(requested, limit, monkeypatch)
     """Also none at all, which must not become the usual one where solvers complete the budget."""
     seen = []
 
-    class Seen(modes.TimeLimit):
+    class Seen(clock.TimeLimit):
         def __init__(self, value):
             seen.append(value)
             super().__init__(value)
 
-    monkeypatch.setattr(modes, "TimeLimit", Seen)
+    monkeypatch.setattr(clock, "TimeLimit", Seen)
     system = kempe.load("bennett")
     assembly_modes(system, {system.coordinate_names[0]: 0.5}, budget=kempe.Budget(starts=8, time_limit=requested))
     assert seen and set(seen) == {limit}

@@ -271,11 +271,13 @@ class System(Compiled, Pictured):
         return assemble(self, known, start, branch=branch, prefer=prefer, limits=limits, also=also, tolerance=tolerance,
                         budget=budget)  # fmt: skip
 
-    def idealised(self, tolerance: float | str | None = "measured") -> Idealised | None:
+    def idealised(
+        self, tolerance: float | str | None = "measured", *, budget: Budget | None = None
+    ) -> Idealised | None:  # fmt: skip
         """The nearest system that closes exactly and moves, with what differs; see `kempe.solvers.assembly.ideal`."""
         from kempe.solvers.assembly.ideal import idealised
 
-        return idealised(self, tolerance)
+        return idealised(self, tolerance, budget=budget)
 
     @explained
     def assembly_modes(
@@ -320,7 +322,7 @@ class System(Compiled, Pictured):
 
     def classify(
         self, q: Any = None, *, t: float = 0.0, project: bool = False, rng: np.random.Generator | int = 0,
-        tolerance: float | str | None = None,
+        tolerance: float | str | None = None, budget: Budget | None = None,
     ) -> Classification:  # fmt: skip
         """Kind of each constraint (holonomic or not, redundant), and the freedoms of configuration and velocity.
 
@@ -328,7 +330,7 @@ class System(Compiled, Pictured):
         """
         from kempe.analysis.mobility.classify import classify
 
-        return classify(self, q, t=t, project=project, rng=rng, tolerance=tolerance)
+        return classify(self, q, t=t, project=project, rng=rng, tolerance=tolerance, budget=budget)
 
     @explained
     def trace(

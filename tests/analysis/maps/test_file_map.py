@@ -18,6 +18,7 @@ from interrupts import Interrupt, ended
 import kempe
 from kempe import Budget, Status, spatial
 from kempe.analysis.maps import file_map, part_log, row_sources, row_store, row_verbs, side_by_side
+from kempe.budget import look
 from kempe.calls import until_interrupt
 from kempe.errors import DamagedError, InputError, KempeError, UnknownNameError
 from kempe.kinematics.common import parallel
@@ -386,7 +387,7 @@ def test_a_chunk_whose_work_is_stopped_is_gone_on_with(tmp_path, monkeypatch, sp
         if len(rows):
             if len(answered) == most[0]:
                 workers[0].stop()
-            parallel.check_stop()
+            look()
             answered.append(len(rows))
         return before(job, rows)
 

@@ -75,13 +75,14 @@ def manoeuvre(
     loose = _loose(system, goal, free, car)
     motion, said, late = None, "", False
     try:
-        for plan in plans(car, q, goals, None if radius is None else float(radius), loose):
-            time.check()
-            found = _exact(car, q, goals, plan)
-            said = "" if found is None else _outside(system, found, int(samples))
-            if not said:
-                motion = found
-                break
+        with time:
+            for plan in plans(car, q, goals, None if radius is None else float(radius), loose):
+                time.check()
+                found = _exact(car, q, goals, plan)
+                said = "" if found is None else _outside(system, found, int(samples))
+                if not said:
+                    motion = found
+                    break
     except Refused as refusal:
         said = str(refusal)
     except TimeUp as error:

@@ -19,6 +19,7 @@ from kempe.analysis.first_order.generic_configurations import NEAR, close, find_
 from kempe.analysis.mobility.growth_vectors import growth
 from kempe.analysis.mobility.one_sided_report import OneSidedReport, if_any
 from kempe.analysis.mobility.reachable import EvaluationPoint, Reach, random_place, reach
+from kempe.budget import Budget, TimeUp, Usual
 from kempe.calls import explained, explained_methods, generator
 from kempe.description.parts import ReadOnlyDict
 from kempe.errors import InputError, shown
@@ -27,6 +28,7 @@ from kempe.kinematics.configuration import one
 from kempe.kinematics.velocity.velocity import tangent_rows
 from kempe.reals import is_real
 from kempe.solvers.assembly.ideal import tolerant
+from kempe.solvers.common.clock import SHORT, TimeLimit, time_limited, time_of
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import InWords, counted
@@ -101,6 +103,8 @@ class Classification(Worded):
     """Which one-sided constraints are closed at `q` and what they still allow; None where there are none."""
     moved: float = 0.0
     """How far `q` is from the configuration that was given, where that was not closed."""
+    late: bool = False
+    """Whether the time limit ended the search for growth vectors; `constraints` has those that were looked at."""
     reachable_around: int | None = None
     """The dimension that motions reach from configurations drawn at random."""
     within: Idealised | None = field(default=None, repr=False)
@@ -119,6 +123,8 @@ class Classification(Worded):
     @property
     def code(self) -> Status:  # type: ignore[override]
         """The outcome: `UNDETERMINED` where growth and what is reached are not known."""
+        if self.late:
+            return Status.OUT_OF_TIME
         return Status.UNDETERMINED if self.why and self.growth is None else Status.SOLVED
 
     def _words(self) -> ModuleType:
@@ -127,11 +133,15 @@ class Classification(Worded):
         return classify_text
 
 
+USUAL = Usual("classify", time_limit=SHORT)
+
+
 @explained
+@time_limited(USUAL)
 @tolerant("q")
 def classify(
     system: System, q: Any = None, *, t: float = 0.0, project: bool = False, rng: np.random.Generator | int = 0,
-    tolerance: float | str | None = None,
+    tolerance: float | str | None = None, budget: Budget | None = None,
 ) -> Classification:  # fmt: skip
     """Which kind each constraint of a system is, and how far velocities that are free reach, with the reasoning.
 
@@ -139,9 +149,12 @@ def classify(
     A `q` that misses what holds positions by more than rounding is refused, or with `project` replaced by the nearest
     closed one that is found; `moved` says how far that is.
     `rng` draws letters of brackets and configurations around. Ranks are decided by the size of singular values against
-    an estimate of rounding; `doubtful` says that one is not clearly on either side. Errors: `InputError`;
-    `UnsupportedError` for constraints that are no recorded expressions, by name.
+    an estimate of rounding; `doubtful` says that one is not clearly on either side. Of the `budget` the time_limit
+    (30 s) is read: where it ends the search for growth vectors, `late` is true, growth and what is reached are None,
+    and the freedoms and those constraints that were looked at are known. Errors: `InputError`; `UnsupportedError` for
+    constraints that are no recorded expressions, by name; `TimeLimitError` where the freedoms are not known by then.
     """
+    time_of(USUAL).put_in_order()  # there is nothing to do afterwards
     if not is_real(t):
         raise InputError(f"t is {shown(t)}; it must be one number")
     given = None if q is None else one(system, q)
@@ -154,15 +167,15 @@ def classify(
     if at.given > NEAR and given is not None and not project:
         raise InputError(f"q misses what holds positions by {at.given:.3g} (radians and characteristic lengths); the "
                          f"nearest closed configuration found is {moved:.3g} away: project=True takes it")  # fmt: skip
-    found = _Classifier(system, at.q, float(t), generator(rng)).found()
+    found = _Classifier(system, at.q, float(t), generator(rng), time_of(USUAL)).found()
     return replace(found, one_sided=if_any(system, at.q), moved=moved)
 
 
 class _Classifier:
     """The rows of a system at a closed configuration, and around it."""
 
-    def __init__(self, system: System, q: Array, t: float, rng: np.random.Generator):
-        self.system, self.rows, self.rng = system, tangent_rows(system), rng
+    def __init__(self, system: System, q: Array, t: float, rng: np.random.Generator, time: TimeLimit):
+        self.system, self.rows, self.rng, self.time = system, tangent_rows(system), rng, time
         self.of: dict[str, list[int]] = {}
         for i, row in enumerate(self.rows.names):
             self.of.setdefault(row.of, []).append(i)
@@ -197,13 +210,20 @@ class _Classifier:
             return self._without(why, made, around)
         if place.extra and not np.any(np.abs(place.null_space(which).basis[-1]) > 1e-9):
             return self._without("the velocities that are requested contradict each other at q", made, around)
-        total = reach(place, around, which, self.rng)
+        try:
+            total = reach(place, around, which, self.rng)
+        except TimeUp:
+            if not self.time.spent:
+                raise
+            said = f"the time limit of {self.time.limit:g} s ended the search for what brackets of velocities span"
+            return replace(self._without(said, made, around), late=True)
         kind = self._together(total)
         lost = "constraints of velocity lose rank at q, where velocities do not go on smoothly around"
         why = "" if total.growth is not None else lost
+        each = self._each(around or place)
         return Classification(
             **made, kind=kind, growth=total.growth, growth_around=total.around, reachable_dimension=total.dimension,
-            degree=total.degree, constraints=self._each(around or place), doubtful=total.doubtful, why=why,
+            degree=total.degree, constraints=each, late=self.time.spent, doubtful=total.doubtful, why=why,
             reachable_around=total.dimension_around,
         )  # fmt: skip
 
@@ -222,7 +242,16 @@ class _Classifier:
         return UNILATERAL if sided else HOLONOMIC
 
     def _each(self, place: EvaluationPoint) -> Mapping[str, ConstraintKind]:
-        return ReadOnlyDict({name: self._one(place, name, rows) for name, rows in self.of.items()})
+        each: dict[str, ConstraintKind] = {}
+        for name, rows in self.of.items():
+            if self.time.spent and name in self.moving:
+                continue
+            try:
+                each[name] = self._one(place, name, rows)
+            except TimeUp:
+                if not self.time.spent:
+                    raise
+        return ReadOnlyDict(each)
 
     def _one(self, place: EvaluationPoint, name: str, own: list[int]) -> ConstraintKind:
         rows, whole = self.rows.names, place.null_space().dimension

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 
 SHOWN = 24
 """Constraints that are listed one by one."""
+LATE = "the time limit ended the work before each constraint was looked at alone"
+"""What is said where that is all that is missing."""
 SEEN = 1e-9
 """Distance above which it is reported that the configuration is not the one that was given."""
 
@@ -24,7 +26,8 @@ def vector(growth: tuple[int, ...], open_end: bool = False) -> str:
 def sentence(c: Classification) -> str:
     """The result in one sentence, and within which tolerance it holds."""
     doubt = "; a rank is doubtful" if c.doubtful and "beyond the digits" not in _sentence(c) else ""
-    return _sentence(c) + doubt + said(c.within)
+    ended = f"; {LATE}" if c.late and not c.why else ""
+    return _sentence(c) + doubt + ended + said(c.within)
 
 
 def _sentence(c: Classification) -> str:

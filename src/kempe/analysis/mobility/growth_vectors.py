@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from kempe.budget import look
 from kempe.kernels.compiled import lie_brackets
 from kempe.kinematics.velocity.velocity_rows import VelocityRows
 from kempe.singular_values import svd
@@ -34,6 +35,8 @@ MORE = 2
 """Brackets of a length that are tried besides those that may be independent."""
 WORK = 4e8
 """Products of series, in numbers, that the longest brackets may take."""
+PIECE = 3e7
+"""Products of series between two looks at the clock."""
 VANISHED, ROUNDED = 1e-13, 1e-14
 """Rows of a size below this part of the largest are rounding, as those are that say twice that a motion is flat;
 others have rounding of the other size."""
@@ -151,10 +154,13 @@ class Words:
         at, letters = self.at, np.ascontiguousarray(letters)
         count, length, columns = letters.shape
         found, noise = np.empty((count, length, columns)), np.empty((count, length))
-        lie_brackets.words(
-            *at.rows.packed, self.order, self.entries, at.pivots, at.inverse, self.slots, at.rows.balls, self.state,
-            self.inputs, self.units, letters, found, noise,
-        )  # fmt: skip
+        piece = max(1, int(PIECE / ((len(self.order) + 1) * 3.0**length)))
+        for i in range(0, count, piece):
+            look()
+            lie_brackets.words(
+                *at.rows.packed, self.order, self.entries, at.pivots, at.inverse, self.slots, at.rows.balls, self.state,
+                self.inputs, self.units, letters[i : i + piece], found[i : i + piece], noise[i : i + piece],
+            )  # fmt: skip
         return found, noise
 
 

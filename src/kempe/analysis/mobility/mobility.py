@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from types import ModuleType
@@ -26,10 +27,10 @@ from kempe.calls import explained, explained_methods, generator
 from kempe.errors import InputError
 from kempe.kinematics.ball_angles import regular_chart
 from kempe.kinematics.common.result import Worded
-from kempe.kinematics.configuration import as_q
+from kempe.kinematics.configuration import as_q, home_of
 from kempe.model.tree.own_tree import own_tree
 from kempe.solvers.assembly.ideal import tolerant
-from kempe.solvers.common.clock import SHORT, TimeLimit, TimeUp
+from kempe.solvers.common.clock import SHORT, TimeLimit, TimeUp, time_limited, time_of
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import verb
@@ -191,6 +192,7 @@ USUAL = Usual("mobility", time_limit=SHORT)
 
 
 @explained
+@time_limited(USUAL)
 @tolerant()
 def mobility(
     system: System, q: Any = None, actuated: Iterable[str] | None = None, *, local: bool = True,
@@ -203,16 +205,31 @@ def mobility(
     given. `actuated` names joints or coordinates whose control is looked at (default: those marked in the file).
     `local=False` leaves out the true number, where the rank does not prove it, and is faster. `rng` draws the generic
     configurations. Of the `budget` the time_limit (30 s) is read: where it ends the search for the true number, `late`
-    is true, `dof` is None, and the count and the ranks are known. Where three angles of a ball joint are singular
-    coordinates, it is looked at in others: `rank` and `local` are then about angles measured from there.
+    is true, `dof` is None, and the count is known, mostly the ranks, too. Where three angles of a ball joint are
+    singular coordinates, it is looked at in others: `rank` and `local` are then about angles measured from there.
     Errors: `InputError`, `UnknownNameError`.
     """
-    time = TimeLimit(USUAL.of(budget).time_limit)
+    time = time_of(USUAL)
     time.put_in_order()  # there is nothing to do afterwards
     shown, system = system, own_tree(system)
     driven(system, actuated)  # a wrong name is refused before any work
-    at = close(system, _given(system, q)) if q is not None else find_closed(system)
-    rng = generator(rng)
+    given = None if q is None else _given(system, q)
+    try:
+        return _looked_at(system, shown, given, actuated, local, generator(rng), time)
+    except TimeUp:
+        if not time.spent:
+            raise
+    why = f"the time limit of {time.limit:g} s came before a closed configuration and its ranks were known"
+    at = NearestClosed(home_of(system) if given is None else given, False, math.nan, math.nan, why)
+    return replace(_open(system, shown, at), late=True)
+
+
+def _looked_at(
+    system: System, shown: System, given: Array | None, actuated: Iterable[str] | None, local: bool,
+    rng: np.random.Generator, time: TimeLimit,
+) -> Mobility:  # fmt: skip
+    """Everything, at the closed configuration that is given, or one that is searched."""
+    at = close(system, given) if given is not None else find_closed(system)
     if not at.closed:
         return _open(system, shown, at)
     other, q, turned = regular_chart(system, at.q)
@@ -237,6 +254,8 @@ def _found(
     try:
         truth = _local(system, rank, local, rng, time)
     except TimeUp:
+        if not time.spent:
+            raise
         late = True
     best = min([rank, *generic, *_on_branches(system, truth)], key=lambda r: r.nullity)
     idle = idle_freedoms(system, [rank, *generic], motors)

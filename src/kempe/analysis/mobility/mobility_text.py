@@ -20,6 +20,8 @@ SHOWN = 12
 
 def sentence(m: Mobility) -> str:
     """The result in one sentence: what the count says, what is true, and why they differ."""
+    if m.late and m.rank is None:
+        return f"Gruebler says {m.gruebler}; {m.why_open}"
     if not m.closed:
         return (
             f"Gruebler says {m.gruebler}; the mechanism cannot be closed here (residual {m.residual:.2g}), "

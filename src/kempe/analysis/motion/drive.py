@@ -35,10 +35,11 @@ from kempe.calls import explained, explained_methods, flag, interruptible, until
 from kempe.constraints.tape import TIME
 from kempe.errors import InputError
 from kempe.kinematics.common.tabular import write_table
+from kempe.kinematics.configuration import as_q, home_of
 from kempe.model.clocked import clocked, timed
 from kempe.reals import is_mapping, reals
 from kempe.solvers.assembly.ideal import tolerant
-from kempe.solvers.common.clock import BROKEN_OFF, LONG, TimeLimit, TimeUp
+from kempe.solvers.common.clock import BROKEN_OFF, LONG, TimeLimit, TimeUp, time_limited, time_of
 from kempe.solvers.common.slip import rolls
 from kempe.solvers.dyads.held import held_at
 from kempe.spatial import Array
@@ -149,8 +150,20 @@ class Drive(Motion):
         return [*lines, *super()._notes()]
 
 
+def _not_begun(
+    time: TimeLimit, system: System, inputs: Mapping[str, Any], times: Any = None, start: Any = None, **_: Any
+) -> Drive:  # fmt: skip
+    """The motion where the time was up before a closed configuration was known: it stays where `start` is, or home."""
+    near = home_of(system) if start is None or isinstance(start, str) or is_mapping(start) else as_q(system, start)
+    clock, samples = _samples(inputs, times)
+    requested = {n: np.array([v]) for n, v in zip(inputs, samples(0, 1)[-1].tolist(), strict=True)}
+    said = f"nothing was driven: {time.reason(TimeUp())} came before a closed configuration was known"
+    return Drive(system, near[None], clock[:1], requested, np.ones(1, dtype=bool), (), (), (), False, False, said, True)
+
+
 @explained
 @interruptible
+@time_limited(USUAL, _not_begun)
 @tolerant()
 def drive(
     system: System, inputs: Mapping[str, ArrayLike | Callable[[float], float]], times: ArrayLike | None = None,
@@ -196,11 +209,11 @@ def drive(
     if hold and set(hold) & set(names):
         raise InputError(f"{sorted(set(hold) & set(names))} are both driven and held; a coordinate is one of them")
     clock, samples = _samples(inputs, times)
-    longest, time = longest_step(spend.step), TimeLimit(spend.time_limit)
+    longest, time = longest_step(spend.step), time_of(USUAL, budget)
     time.put_in_order()  # there is nothing to do afterwards
     if rolls(system):
-        return _rolled(driven(system, names, dict(hold or {}), start, clock, samples, limits, time), system, names,
-                       clock, samples)  # fmt: skip
+        rolled = driven(system, names, dict(hold or {}), start, clock, samples, limits, time)
+        return _rolled(rolled, system, names, clock, samples)
     first = dict(zip(names, samples(0, 1)[-1].tolist(), strict=True))
     closure, q = _begin(system, start, dict(hold or {}), first, index)
     if q is None:
@@ -337,26 +350,27 @@ def _run(
     stuck: Stuck | None = None
     last, broken = state.u, None
     try:
-        for k in range(len(clock)):
-            end = samples(k, 1)[-1]
-            parts = int(np.ceil(np.abs((end - last) / context.unit).max() / BETWEEN)) if k else 1
-            single = len(names) == 1 or stuck is None  # a way back in several inputs is looked for once a sample
-            for u in samples(k, min(max(parts, 1), MOST_PARTS) if single else 1):
-                state, stuck, gap = context.follow(state, stuck, last, u, k)
-                last = u
-                if gap > CONTINUOUS:
-                    jumps.append((k, gap))
-            requested.append(end)
-            poses.append(state.q if stuck is None else stuck.q)
-            held.append(stuck is not None and not stuck.reached)
-            if stuck is not None and not stuck.reached:
-                if toggles and toggles[-1].last == k - 1 and toggles[-1].q is stuck.q:
-                    toggles[-1] = replace(toggles[-1], last=k)
-                else:
-                    at = dict(zip(names, stuck.u.tolist(), strict=True))
-                    toggles.append(Toggle(k, k, stuck.q, at, stuck.reason))
-            if progress is not None and k % 16 == 0:
-                progress(k + 1, len(clock))
+        with context.closure.budget:
+            for k in range(len(clock)):
+                end = samples(k, 1)[-1]
+                parts = int(np.ceil(np.abs((end - last) / context.unit).max() / BETWEEN)) if k else 1
+                single = len(names) == 1 or stuck is None  # a way back in several inputs is looked for once a sample
+                for u in samples(k, min(max(parts, 1), MOST_PARTS) if single else 1):
+                    state, stuck, gap = context.follow(state, stuck, last, u, k)
+                    last = u
+                    if gap > CONTINUOUS:
+                        jumps.append((k, gap))
+                requested.append(end)
+                poses.append(state.q if stuck is None else stuck.q)
+                held.append(stuck is not None and not stuck.reached)
+                if stuck is not None and not stuck.reached:
+                    if toggles and toggles[-1].last == k - 1 and toggles[-1].q is stuck.q:
+                        toggles[-1] = replace(toggles[-1], last=k)
+                    else:
+                        at = dict(zip(names, stuck.u.tolist(), strict=True))
+                        toggles.append(Toggle(k, k, stuck.q, at, stuck.reason))
+                if progress is not None and k % 16 == 0:
+                    progress(k + 1, len(clock))
     except BROKEN_OFF as error:
         broken = error
     n = len(held)

@@ -43,9 +43,10 @@ from kempe.analysis.motion.endless import NO_RETURN, Endless
 from kempe.budget import Budget, Usual
 from kempe.calls import explained, flag, interruptible
 from kempe.errors import InputError
-from kempe.reals import is_whole
+from kempe.kinematics.configuration import as_q, home_of
+from kempe.reals import is_mapping, is_whole
 from kempe.solvers.assembly.ideal import tolerant
-from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp
+from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp, time_limited, time_of
 from kempe.solvers.common.slip import slip_of
 from kempe.solvers.common.tracing import Node, arc, node
 from kempe.spatial import Array
@@ -83,8 +84,22 @@ class _Options:
     time: TimeLimit
 
 
+def _not_begun(
+    time: TimeLimit, system: System, driver: str | None = None, start: Any = None, *,
+    hold: Mapping[str, float] | None = None, ways: str = "both", limits: bool = True, budget: Budget | None = None,
+    **_: Any,
+) -> Path:  # fmt: skip
+    """The path where the time was up before a closed configuration was known: it stays where `start` is, or at home."""
+    near = home_of(system) if start is None or isinstance(start, str) or is_mapping(start) else as_q(system, start)
+    options, held = _options(system, driver, ways, limits, USUAL.of(budget)), [*(hold or ())]
+    equations = Closure(system, [angle_or_slide(system, n) for n in held], near)
+    said = f"it was not followed: {time.reason(TimeUp())} came before a closed configuration was known"
+    return replace(_failed(equations, options, said, near), late=True)
+
+
 @explained
 @interruptible
+@time_limited(USUAL, _not_begun)
 @tolerant()
 def trace(
     system: System, driver: str | None = None, start: ArrayLike | Mapping[str, float] | str | None = None, *,
@@ -185,7 +200,7 @@ def _options(system: System, driver: str | None, ways: str, limits: bool, spend:
     if not is_whole(points) or points < 2:
         raise InputError(f"points is {points!r}; it must be a whole number, at least 2")
     return _Options(driver, ways, longest, limits, int(points), spend.progress, periods(system, limits),
-                    TimeLimit(spend.time_limit))  # fmt: skip
+                    time_of(USUAL, spend))  # fmt: skip
 
 
 # ---- the walk

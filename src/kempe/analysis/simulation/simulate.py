@@ -198,7 +198,8 @@ def simulate(
     else:
         flight = MovingFlight(fall.moving, gravity, float(restitution), limit)
         try:
-            flight.run(*first, float(duration))
+            with limit:
+                flight.run(*first, float(duration))
         except BROKEN_OFF as error:
             broken = error
         end, reason = flight.known, flight.reason

@@ -17,12 +17,12 @@ from kempe.kernels.base.declare import FLAG, FLOAT, INT, OUT, OUTI, F, I
 from kempe.kernels.base.random import mix
 from kempe.kernels.base.rotations import turn_ball
 from kempe.kernels.base.scratch import beyond, copy
-from kempe.kernels.base.search_layout import BAD_INPUT, LARGEST, NOT_FOUND, SOLVED
+from kempe.kernels.base.search_layout import BAD_INPUT, LARGEST, LATE, NOT_FOUND, SOLVED, UNFINISHED
 from kempe.kernels.base.vectors import keep, raw
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.constraints.constraint_rows import LoopScratch
 from kempe.kernels.constraints.envelope import add_product, factor, normal, product, solve
-from kempe.kernels.constraints.goals import fill
+from kempe.kernels.constraints.goals import call, fill
 from kempe.kernels.constraints.loop_coordinates import (
     distance,
     draw,
@@ -43,6 +43,8 @@ FLOOR = 1e-30
 """Square of the scaled residual below which rounding is all there is."""
 LEAST = 1e-14
 """Floor of the damping, which holds up J J^T where the equations are redundant."""
+MANY = 60
+"""Equations from which on the clock is looked at before each step: then a step takes far longer than that."""
 LONGEST_SLIDE = 2.0
 """Longest step of a slide, in characteristic lengths."""
 
@@ -64,6 +66,15 @@ def evaluate(loops, with_blocks):
     """Square of the scaled residual at q."""
     row_poses(loops.ints, loops.floats, loops.q, 0, loops.scratch)
     return fill(loops, with_blocks)
+
+
+@routine
+def is_late(loops, work, stop):
+    """Whether the work must end, as the function at the address `stop` says; 0 is none."""
+    work.column[0] = 0.0
+    if stop != 0:
+        call(stop, loops.q, work.column, work.y, 0)
+    return work.column[0] != 0.0
 
 
 @routine
@@ -119,13 +130,14 @@ def damped_step(loops, work, damping):
 
 
 @routine
-def close(loops, work, limit, accepted, kept):
+def close(loops, work, limit, accepted, kept, stop):
     """Least square of the residual reached from q, steps taken, and whether it was the last one evaluated.
 
     `kept` is where it was reached; where it was the last one, poses and equations are those of that configuration.
     """
     best, before, last, steps = np.inf, np.inf, np.inf, 0
     m = loops.plan[L.N_ROWS]
+    often = stop if m >= MANY else 0
     while True:
         square = evaluate(loops, True)
         if not square < LARGEST:
@@ -135,6 +147,8 @@ def close(loops, work, limit, accepted, kept):
             best = square
             copy(kept, loops.q, 0, loops.nq)
         if square <= FLOOR or (square <= accepted and square > 0.1 * before) or steps >= limit:
+            break
+        if often != 0 and is_late(loops, work, often):
             break
         before = square
         damping = min(DAMPING * square / m, MOST_DAMPING) + LEAST
@@ -147,14 +161,17 @@ def close(loops, work, limit, accepted, kept):
 
 
 @routine
-def descend(loops, work, limit, kept):
+def descend(loops, work, limit, kept, stop):
     """Least square of the residual near q and steps taken, where it does not vanish; `kept` is where.
 
     Damped steps that are taken back where they lead up (Levenberg, 1944; Marquardt, 1963).
     """
     copy(kept, loops.q, 0, loops.nq)
     best, damping, steps = evaluate(loops, True), 1.0, 0
+    often = stop if loops.plan[L.N_ROWS] >= MANY else 0
     while steps < limit and damping < 1e12:
+        if often != 0 and is_late(loops, work, often):
+            break
         size = damped_step(loops, work, damping)
         steps += 1
         square = evaluate(loops, True)
@@ -172,7 +189,7 @@ def descend(loops, work, limit, kept):
 
 
 @routine
-def approach(loops, work, limit, accepted, kept):
+def approach(loops, work, limit, accepted, kept, stop):
     """Steps taken along the closed configurations towards the one nearest to `home`, from the closed one in `kept`.
 
     Each goes the way to `home` as far as the tangent space allows, shortened where that leads away, and is closed again
@@ -183,6 +200,8 @@ def approach(loops, work, limit, accepted, kept):
     least = distance(loops, work.home, work.target)
     part, size = 1.0, 1.0
     while rounds < limit and part > 0.05 and size > 1e-9:
+        if is_late(loops, work, stop):
+            break
         rounds += 1
         evaluate(loops, True)
         distance(loops, work.home, work.target)
@@ -197,7 +216,7 @@ def approach(loops, work, limit, accepted, kept):
         factor(loops, work.a, LEAST)
         solve(loops, work.a, work.y)
         size = move(loops, work.step, work.y, work.target, True)
-        square, used, _ = close(loops, work, limit, accepted, loops.q)
+        square, used, _ = close(loops, work, limit, accepted, loops.q, stop)
         steps += 1 + used
         far = distance(loops, work.home, work.target)
         if square <= accepted and far < least:
@@ -210,15 +229,25 @@ def approach(loops, work, limit, accepted, kept):
 
 
 @routine
-def search(loops, work, key, tries, limit, accepted, nearest, best_q):
-    """Square of the residual, steps and starts of the assembly that begins at q; `best_q` is where it ends."""
-    best, steps, count, current = np.inf, 0, 0, False
+def search(loops, work, key, first, tries, limit, accepted, nearest, best_q, stop):
+    """Square of the residual, steps, starts of the assembly that begins at q, and whether the time was up.
+
+    `best_q` is where it ends, and, of an assembly that goes on after `first` starts, where these have led.
+    """
+    best, steps, count, current, late = np.inf, 0, first, False, False
     if not sound(loops, work.home):
-        return best, steps, count
+        return best, steps, count, late
+    if first > 0 or tries == 0:
+        copy(loops.q, best_q, 0, loops.nq)
+        square = evaluate(loops, False)
+        best = square if square < LARGEST else np.inf
     while count < tries and not best <= accepted:
         if count > 0:
+            late = is_late(loops, work, stop)
+            if late:
+                break
             draw(loops, work.home, min(1.0, WIDER * count), mix(key, np.uint64(count)))
-        square, used, last = close(loops, work, limit, accepted, work.kept)
+        square, used, last = close(loops, work, limit, accepted, work.kept, stop)
         steps += used
         count += 1
         current = last and square < best
@@ -226,40 +255,46 @@ def search(loops, work, key, tries, limit, accepted, nearest, best_q):
             best = square
             copy(best_q, work.kept, 0, loops.nq)
     if not best < np.inf:
-        return best, steps, count
+        return best, steps, count, late
     copy(loops.q, best_q, 0, loops.nq)
     if best > accepted:
-        best, used = descend(loops, work, 10 * limit, best_q)
-        steps += used
         current = False
+        if nearest != UNFINISHED and not late:
+            late = is_late(loops, work, stop)
+            if not late:
+                best, used = descend(loops, work, 10 * limit, best_q, stop)
+                steps += used
     elif nearest > 0:
-        steps += approach(loops, work, nearest, accepted, best_q)
+        steps += approach(loops, work, nearest, accepted, best_q, stop)
         current = False
     if not current:
         copy(loops.q, best_q, 0, loops.nq)
         best = evaluate(loops, False)
     read_off(loops, work.home)
     copy(best_q, loops.q, 0, loops.nq)
-    return best, steps, count
+    return best, steps, count, late
 
 
 @kernel(
-    I("_"), F("_"), I("_"), F("_"), F("N", "nq"), F("1|N", "_"), INT, INT, FLOAT, INT, INT, INT, FLAG,
-    OUT("N", "nq"), OUT("N"), OUTI("N", 3),
+    I("_"), F("_"), I("_"), F("_"), F("N", "nq"), F("1|N", "_"), INT, INT, INT, FLOAT, INT, INT, INT,
+    FLAG, INT, OUT("N", "nq"), OUT("N"), OUTI("N", 3),
 )  # fmt: skip
 def assemble(
-    ints, floats, plan, weights, starts, pins, tries, limit, tolerance, nearest, seed, offset, follow,
+    ints, floats, plan, weights, starts, pins, first, tries, limit, tolerance, nearest, seed, offset, follow, stop,
     out_q, out_residual, info
 ):  # fmt: skip
     """Number of starts that were not closed.
 
     ints, floats: the table; plan, weights: the loops (`loop_layout`). starts: (N, nq), with the held coordinates. pins:
     (N or 1, 12 pins) the poses (3x4) of pinned frames. tries: starts at most, the first at `starts`, the others drawn
-    from (seed, offset + row), wider and wider about it. limit: steps of a start. tolerance: largest norm of the
-    residual, in radians and characteristic lengths. nearest: steps at most towards the closed configuration nearest
-    to the start. follow: each row after the first starts where the two before it lead, with its own held coordinates.
+    from (seed, offset + row), wider and wider about it. first: how many of them were made before: `out_q` is then where
+    these led. limit: steps of a start. tolerance: largest norm of the residual, in radians and characteristic lengths.
+    nearest: steps at most towards the closed configuration nearest to the start; UNFINISHED: none, and what is open is
+    not led nearer to closing, for further starts follow. follow: each row after the first starts where the two before
+    it lead, with its own held coordinates. stop: address of a function that writes whether the work must end, or 0: it
+    is read before each start but the first, and, of many equations, before each step; rows after that are not begun.
     out_q: (N, nq), the closed configuration, else the nearest to closing. out_residual: (N,). info: (N, 3)
-    status, steps, starts.
+    status (+ LATE where the work ended before all starts), steps, starts.
     """
     nq, nv, n_rows, m = ints[NQ], ints[NV], ints[TABLE_ROWS], plan[L.N_ROWS]
     sweep = scratch_size(n_rows)
@@ -272,7 +307,7 @@ def assemble(
     work = ClosingScratch(step, beyond(step, nv), beyond(error, m), beyond(error, 2 * m),
                           beyond(blocks, plan[L.BLOCKS]), beyond(q, nq), beyond(q, 2 * nq))  # fmt: skip
     best_q = beyond(q, 3 * nq)
-    accepted, missed = tolerance * tolerance, 0
+    accepted, missed, ended = tolerance * tolerance, 0, False
     for i in range(starts.shape[0]):
         pin = beyond(raw(pins), i * pins.shape[1] if pins.shape[0] > 1 else 0)
         loops = LoopScratch(raw(ints), raw(floats), raw(plan), raw(weights), pin, q, scratch,
@@ -281,8 +316,15 @@ def assemble(
         if follow and i > 0:
             lead_on(loops, raw(out_q), i)
         key = mix(mix(np.uint64(0), np.uint64(seed)), np.uint64(offset + i))
-        best, steps, count = search(loops, work, key, tries, limit, accepted, nearest, best_q)
+        copy(best_q, beyond(raw(out_q), i * nq) if first > 0 else q, 0, nq)
+        best, steps, count, late = search(
+            loops, work, key, first, first if ended else tries, limit, accepted, UNFINISHED if ended else nearest,
+            best_q, stop,
+        )  # fmt: skip
+        ended = ended or late
         status = BAD_INPUT if not best < np.inf else (SOLVED if best <= accepted else NOT_FOUND)
+        if ended and status == NOT_FOUND:
+            status = NOT_FOUND + LATE
         for k in range(nq):
             out_q[i, k] = best_q[k] if status != BAD_INPUT else np.nan
         out_residual[i] = math.sqrt(best) if status != BAD_INPUT else np.nan

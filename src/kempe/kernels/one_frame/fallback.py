@@ -6,7 +6,7 @@ import numpy as np
 
 from kempe.kernels.base._jit import kernel, routine
 from kempe.kernels.base.scratch import copy
-from kempe.kernels.base.search_layout import LINEAR, NOT_FOUND, SOLVED, STATUS, STEPS
+from kempe.kernels.base.search_layout import DESCENTS, LINEAR, NOT_FOUND, SOLVED, STATUS, STEPS
 from kempe.kernels.base.vectors import keep, raw
 from kempe.kernels.forward.table_layout import NQ, NV
 from kempe.kernels.one_frame.descent import descend
@@ -23,22 +23,22 @@ from kempe.kernels.one_frame.ik_problem import (
     write,
 )
 
-DESCENTS, DESCENT_STEPS = 16, 5
-"""Descents to the nearest configuration, at most as many as starts, and steps of each by those of a start.
-
-The best of 16 is the best of 1000 for at least 95 of 100 goals out of reach of five real arms."""
+DESCENT_STEPS = 5
+"""Steps of a descent by those of a start."""
 
 
 @routine
-def answer_nearest(problem, i):
+def answer_nearest(problem, i, one):
     """Write for goal i, which no start reached, the nearest configuration that descents find.
 
-    They begin at the answer as it is, whose energy stands for its linear error, and at random.
+    They begin at the answer as it is, whose energy stands for its linear error, and at random. `one` is the only one
+    that is made, counted from 1: errors are written after the last one. With 0 all are made.
     """
     chain, best = problem.chain, answer_of(problem, i)
     least, steps = best[chain.nq + LINEAR], int(best[chain.nq + STEPS])
     begin(problem, i, problem.home)
-    for k in range(min(problem.tries, DESCENTS)):
+    most, only = min(problem.tries, DESCENTS), one - 1
+    for k in range(max(only, 0), only + 1 if only >= 0 else most):
         if k == 0:
             copy(chain.q, best, 0, chain.nq)
         else:
@@ -48,6 +48,9 @@ def answer_nearest(problem, i):
         if reached < least:
             least = reached
             copy(best, problem.kept, 0, chain.nq)
+    if 0 <= only < most - 1:
+        best[chain.nq + LINEAR], best[chain.nq + STEPS] = least, steps
+        return
     copy(chain.q, best, 0, chain.nq)
     solved, linear, angular = judged(problem, problem.home)
     copy(best, chain.q, 0, chain.nq)
@@ -59,17 +62,20 @@ def approach(
     ints, floats, limits, task, targets, seeds, seed, first, start_limit, iteration_limit, tol_linear, tol_angular,
     length, out,
 ):  # fmt: skip
-    """Number of goals not reached; those NOT_FOUND in `out`, as `schedule.reach` left it, get the nearest q instead."""
+    """Number of goals not reached; those NOT_FOUND in `out`, as `schedule.reach` left it, get the nearest q instead.
+
+    `first` is the only descent that is made, counted from 1, or 0 for all of them: see `answer_nearest`.
+    """
     columns, nq, nv = count_columns(raw(ints)), ints[NQ], ints[NV]
     notes, block = np.empty(problem_ints(columns, nv), np.int64), np.empty(problem_floats(columns, nq, nv))
     problem = problem_of(
-        ints, floats, limits, task, targets, seeds, seed, first, start_limit, iteration_limit, tol_linear, tol_angular,
+        ints, floats, limits, task, targets, seeds, seed, 0, start_limit, iteration_limit, tol_linear, tol_angular,
         length, out, columns, raw(notes), raw(block),
     )  # fmt: skip
     missed = 0
     for i in range(targets.shape[0]):
         if out[i, nq + STATUS] == NOT_FOUND:
-            answer_nearest(problem, i)
+            answer_nearest(problem, i, first)
         missed += int(out[i, nq + STATUS] != SOLVED)
     keep(block)
     keep(notes)

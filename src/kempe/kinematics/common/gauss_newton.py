@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kempe.budget import look
 from kempe.singular_values import svd
 from kempe.spatial import Array
 
@@ -75,6 +76,7 @@ def least_squares_of_many(A: Array, b: Array, cut: float = CUT) -> Array:
         bad = ~(np.linalg.norm(found[..., 1], axis=-1) * scale < WELL)
         y[:] = np.einsum("kmn,km->kn", A, found[..., 0]) if wide else found[..., 0]
     for k in np.flatnonzero(bad):
+        look()
         y[k] = _by_values(A[k], b[k], cut)
     return y
 
@@ -98,6 +100,8 @@ def gauss_newton(
     """
     before, k = math.inf, 0
     while True:
+        if len(x) > LARGE:
+            look()
         r, J = equations(x)
         if k == tries or before <= last or not met < float(np.abs(r).max(initial=0.0)) < math.inf:
             break
@@ -122,6 +126,7 @@ def gauss_newton_of_many(
     """
     x, left = np.array(x), np.arange(len(x))
     for _ in range(tries):
+        look()
         r, J = equations(x[left], left)
         size = np.abs(r).max(axis=1, initial=0.0)
         x[left[~np.isfinite(size)]] = np.nan

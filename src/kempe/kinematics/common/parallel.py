@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from kempe.budget import checks, look, watched_by
 from kempe.errors import InputError
 from kempe.reals import is_whole
 
@@ -18,31 +19,22 @@ _pools: dict[int, ThreadPoolExecutor] = {}
 
 
 class Stopped(Exception):
-    """The work of a thread was told to stop: raised inside it by `check_stop`, and caught by whoever began it."""
-
-
-_own = threading.local()
+    """The work of a thread was told to stop: raised inside it by `look`, and caught by whoever began it."""
 
 
 def stopped_by(sign: threading.Event, work: Callable[..., Any]) -> Callable[..., Any]:
-    """The function, which ends with `Stopped` at the next `check_stop` of its thread once the sign is set."""
+    """The function, which ends with `Stopped` at the next `look` of its thread once the sign is set."""
+
+    def check() -> None:
+        if sign.is_set():
+            raise Stopped
 
     def call(*args: Any) -> Any:
-        _own.sign = sign
-        try:
-            check_stop()
+        with watched_by(check):
+            look()
             return work(*args)
-        finally:
-            _own.sign = None
 
     return call
-
-
-def check_stop() -> None:
-    """Raise `Stopped` if the work of this thread was told to stop: between two pieces of about 0.1 s."""
-    sign = getattr(_own, "sign", None)
-    if sign is not None and sign.is_set():
-        raise Stopped
 
 
 def _begin_anew() -> None:
@@ -80,17 +72,25 @@ def over_chunks(
         piece = max(chunk, serial_below)  # between two of them Python sees an interrupt
         total = 0
         for i in range(0, max(count, 1), piece):
-            check_stop()
+            look()
             total += work(i, min(i + piece, count))
         return total
-    starts = iter(range(0, count, chunk))
+    starts, watching = iter(range(0, count, chunk)), checks()
+
+    def take(i: int) -> int:
+        look()
+        return work(i, min(i + chunk, count))
 
     def take_chunks() -> int:
         try:
-            return sum(work(i, min(i + chunk, count)) for i in starts)
+            return sum(map(take, starts))
         finally:
             for _ in starts:
                 pass
+
+    def take_watched() -> int:
+        with watched_by(*watching):
+            return take_chunks()
 
     from concurrent.futures import ThreadPoolExecutor, wait  # which imports what one thread does not need
 
@@ -98,7 +98,7 @@ def over_chunks(
         pool = _pools.get(n)
         if pool is None:
             pool = _pools[n] = ThreadPoolExecutor(n - 1, thread_name_prefix="kempe")
-    others = [pool.submit(take_chunks) for _ in range(n - 1)]
+    others = [pool.submit(take_watched) for _ in range(n - 1)]
     try:
         return take_chunks() + sum(f.result() for f in others)
     finally:

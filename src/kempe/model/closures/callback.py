@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.budget import look
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -41,7 +42,10 @@ class Callback:
         def work(q: Any, value: Any, columns: Any, flag: int) -> None:
             out = np.ctypeslib.as_array(value, (rows,))
             out[:] = np.nan  # what stays where it raises
+            if self.error is not None:  # the kernel goes on, and ends sooner
+                return
             with self:
+                look()
                 x = np.ctypeslib.as_array(q, (nq,)).copy()
                 if alone is not None and not flag:
                     out[:] = alone(x)

@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from kempe.budget import look
 from kempe.kernels.base.search_layout import ANGULAR, ANSWER, LINEAR, SOLVED, STATUS
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.compiled import schedule
-from kempe.kinematics.common.parallel import check_stop, over_chunks
+from kempe.kinematics.common.parallel import over_chunks
 from kempe.solvers.analytic.answers.nearest import Aim, descend, limits_of
 from kempe.solvers.analytic.plans.choice import within_domains
 from kempe.solvers.analytic.plans.plan import TASKS, ChainPlan
@@ -200,7 +201,7 @@ class _Targets:
 
         def pieces(i: int, j: int) -> int:
             for k in range(i, j, PIECE):
-                check_stop()
+                look()
                 last = min(k + PIECE, j)
                 if self.question.stopped(which[k:last]):
                     out[k:last] = np.nan

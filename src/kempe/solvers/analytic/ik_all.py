@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.budget import Budget, Usual
+from kempe.budget import Budget, Usual, look
 from kempe.calls import explained
 from kempe.errors import InputError
 from kempe.kernels.base.search_layout import LARGEST
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.compiled import maker
 from kempe.kernels.forward.table_layout import SLIDE
-from kempe.kinematics.common.parallel import check_stop, over_chunks
+from kempe.kinematics.common.parallel import over_chunks
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.kept import kept
 from kempe.rigid import sound
@@ -351,7 +351,7 @@ def solve_held(
 
     def pieces(i: int, j: int) -> int:
         for k in range(i, j, piece):
-            check_stop()
+            look()
             last = min(k + piece, j)
             if question.stopped(slice(k, last)):
                 out[k:last, :, -A.INFO + A.CODE], counts[k:last, 1] = A.UNUSED, 1

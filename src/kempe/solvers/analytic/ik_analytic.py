@@ -11,7 +11,7 @@ from kempe.kernels.base.search_layout import SOLVED
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.solvers.analytic.ik_all import TOLERANCE, attainable, chain_lines, plan_for, solve, solve_held
 from kempe.solvers.analytic.plans.plan import ChainPlan
-from kempe.solvers.analytic.plans.question import Question
+from kempe.solvers.analytic.plans.question import Question, Watch
 from kempe.solvers.one_frame.inverse import run
 from kempe.solvers.one_frame.multi_start import FrameProblem, misses
 from kempe.spatial import Array
@@ -53,7 +53,9 @@ def answer(
     """As `inverse.run`: the solution inside the limits nearest to `near` (1 or N, nq); where there is none, numbers."""
     n, chain = len(task.targets), task.chain
     within = min(*task.tolerance, TOLERANCE)
-    question = Question(task.system, task.frame, task.name, task.axis, task.targets, (n,), within)
+    question = Question(
+        task.system, task.frame, task.name, task.axis, task.targets, (n,), within, watch=Watch(task.time_limit, n)
+    )
     found = solve(question, plan, near, {}, threads)
     own, inside = found._rows[..., : len(plan.lines)], found.inside
     unit = np.abs(plan.lines.multiplier)

@@ -43,8 +43,11 @@ class Assembly(Answer):
     late: bool = False
     """Whether the time limit ended the search for the nearest mechanism that closes exactly.
 
-    This is then the answer for the dimensions as they are given.
+    This is then the answer for the dimensions as they are given. Sets of known values for which it ended the search for
+    a closed configuration have the `code` `OUT_OF_TIME`.
     """
+    limit: float | None = field(default=None, repr=False)
+    """The time limit, in seconds, where it may have ended the work."""
 
     @classmethod
     def single(

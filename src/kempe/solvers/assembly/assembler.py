@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.budget import Budget, Usual
+from kempe.budget import Budget, TimeUp, Usual, checks, look
 from kempe.calls import explained, flag, listed
 from kempe.errors import InputError, UnknownNameError
-from kempe.kernels.base.search_layout import BAD_INPUT, LARGEST, NOT_FOUND, SOLVED
+from kempe.kernels.base.search_layout import BAD_INPUT, LARGEST, LATE, NOT_FOUND, SOLVED, UNFINISHED
 from kempe.kernels.compiled import closure_batch
 from kempe.kernels.compiled import loop_closing as kernel
 from kempe.kernels.constraints.loop_layout import velocity_lists
@@ -28,7 +28,8 @@ from kempe.model.tree.own_tree import own_tree
 from kempe.reals import reals
 from kempe.solvers.assembly.assembled import Assembly
 from kempe.solvers.assembly.ideal import ideal_of
-from kempe.solvers.common.arguments import place_of, seed_number, start_count, with_places
+from kempe.solvers.common.arguments import deadline, place_of, seed_number, start_count, with_places
+from kempe.solvers.common.clock import SHORT, TimeLimit, clock
 from kempe.solvers.common.problem import Choice, Problem, chosen_by
 from kempe.spatial import Array
 from kempe.status import MEMBERS, Status
@@ -55,9 +56,11 @@ LOOSEST = 1e-3
 NEAREST_STEPS = 50
 """Steps at most towards the closed configuration nearest to the start."""
 PREFER = (None, "nearest", "continuous")
-TIME_LIMIT = 30.0
-"""Seconds that the search for the nearest mechanism that closes exactly may take, once for each system."""
-USUAL = Usual("assemble", starts=STARTS, time_limit=TIME_LIMIT, rng=0, threads=None)
+MANY = 60
+"""Equations from which on one start may take long."""
+USUAL = Usual("assemble", starts=STARTS, time_limit=SHORT, rng=0, threads=None)
+"""Of a single set of known values that no other verb asks for."""
+BATCH = Usual("assemble", starts=STARTS, time_limit=None, rng=0, threads=None)
 CHUNK, SERIAL_BELOW = 64, 2048
 ROUNDING = 1e-14
 """Residual, in radians and characteristic lengths, up to which a configuration of a closed form is taken as it is."""
@@ -73,12 +76,14 @@ FEW = 300
 """Equations up to which the freedoms that are left are counted: it takes a dense decomposition."""
 
 
-def _spent(budget: Budget | None) -> tuple[int, int, int | None]:
-    """Starts, the number that random starts are drawn by, and threads: what a budget asks for, checked."""
+def _spent(budget: Budget | None) -> tuple[int, int, int | None, float | None]:
+    """Starts, the number that random starts are drawn by, threads and seconds: what a budget asks for, checked."""
     spend = USUAL.of(budget)
-    return start_count(spend.starts), seed_number(spend.rng), spend.threads
+    deadline(spend.time_limit)
+    return start_count(spend.starts), seed_number(spend.rng), spend.threads, spend.time_limit
 
 
+OUT_OF_TIME = int(Status.OUT_OF_TIME)
 SPENT = _spent(None)
 """The same for calls without a budget, found once."""
 
@@ -100,6 +105,7 @@ class Assembler:
         self.explicit = must_be_explicit(self.tree, self.sources)
         self.loops = self._loops((False,) * len(self.frames))
         self.no_pins = np.zeros((1, 12 * len(self.frames)))
+        self.quick = self.one_sided is None and self._is_quick(self.loops)
 
     def __repr__(self) -> str:
         return f"Assembler of {self.system.name!r} from {', '.join(self.known) or 'nothing known'}"
@@ -180,46 +186,99 @@ class Assembler:
     def run(
         self, starts: Array, pins: Array, tries: int = STARTS, nearest: int = 0, rng: int = 0,
         threads: int | None = 1, limits: bool = True, tolerance: float = TOLERANCE, follow: bool = False,
-        loops: PackedLoops | None = None,
+        loops: PackedLoops | None = None, limit: float | None = None,
     ) -> tuple[Array, Array, np.ndarray]:  # fmt: skip
-        """Configurations (N, nq), residuals (N,) and (status, steps, starts) (N, 3) from starts (N, nq)."""
-        loops, n = loops or self.loops, len(starts)
+        """Configurations (N, nq), residuals (N,) and (status, steps, starts) (N, 3) from starts (N, nq).
+
+        Rows that the time `limit` [s] ended have the status `OUT_OF_TIME`, and what is nearest to closing by then. The
+        clock is read after the first start of each row, of many equations before each step.
+        """
+        n, few = len(starts), False
         q, residual, info = np.empty((n, self.system.nq)), np.empty(n), np.empty((n, 3), dtype=np.int64)
+        if loops is None:
+            loops, few = self.loops, self.quick and n <= CHUNK and not (follow or nearest)
         weights = loops.weights if limits else limitless(self.system, loops)
-
+        if few and not kernel.assemble(
+            loops.ints, loops.floats, loops.plan, weights, starts, pins, 0, 1, STEPS, tolerance,
+            UNFINISHED if tries > 1 else 0, rng, 0, False, 0, q, residual, info,
+        ):  # fmt: skip
+            return q, residual, info
         by_parts = tries > 1 and len(loops.ties) >= LARGE and not (nearest or follow) and self.one_sided is None
-        first = 1 if by_parts else tries
 
-        def work(i: int, j: int) -> int:
-            return kernel.assemble(
+        def work(i: int, j: int, first: int, most: int, steps: int, stop: int) -> int:
+            before = info[i:j, 1].copy() if first else 0
+            left = kernel.assemble(
                 loops.ints, loops.floats, loops.plan, weights, starts[i:j], pins[i:j] if len(pins) > 1 else pins,
-                first, STEPS, tolerance, nearest, rng, i, follow, q[i:j], residual[i:j], info[i:j],
+                first, most, STEPS, tolerance, steps, rng, i, follow, stop, q[i:j], residual[i:j], info[i:j],
             )  # fmt: skip
+            if first:
+                info[i:j, 1] += before
+            if stop and (error := clock().taken()):
+                raise error
+            return left
 
         if follow:
             sound = np.isfinite(starts).all(axis=-1) & np.isfinite(pins).all(axis=-1)
             if not sound.all():  # the others follow as if these rows were not there
                 q[:], residual[:], info[:] = np.nan, np.nan, (BAD_INPUT, 0, 0)
                 inner = self.run(starts[sound], pins[sound] if len(pins) > 1 else pins, tries, nearest, rng, threads,
-                                 limits, tolerance, True, loops)  # fmt: skip
+                                 limits, tolerance, True, loops, limit)  # fmt: skip
                 q[sound], residual[sound], info[sound] = inner
                 return q, residual, info
-        if self.one_sided is not None:
-            from kempe.solvers.assembly.assembly_bounded import OneSidedAssembly
+        if not few:
+            q[:], residual[:], info[:] = starts, np.inf, 0
+            info[:, 0] = OUT_OF_TIME
+        time, stop = TimeLimit(limit), clock().address
+        search: Any = None
+        try:
+            with time:
+                if few:
+                    for i in np.flatnonzero(info[:, 0] != SOLVED).tolist() if tries > 1 else ():
+                        work(i, i + 1, 1, tries, 0, stop)
+                elif self.one_sided is not None:
+                    from kempe.solvers.assembly.assembly_bounded import OneSidedAssembly
 
-            bounded = OneSidedAssembly(self.system, loops, weights, STEPS, tolerance, rng, threads)
-            return (bounded.follow if follow else bounded.assemble)(starts, pins, tries)
-        if n <= CHUNK or follow:
-            work(0, n)
-        else:
-            over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
-        loops.check()
-        if by_parts:
-            search = LocalStarts(self.system, loops, weights, tolerance)
-            for i in np.flatnonzero(info[:, 0] == NOT_FOUND).tolist():
-                pin = pins[i] if len(pins) > 1 else pins[0]
-                q[i], residual[i], info[i] = search.close(starts[i], q[i], pin, tries, rng, i, info[i])
+                    bounded = OneSidedAssembly(self.system, loops, weights, STEPS, tolerance, rng, threads)
+                    (bounded.follow if follow else bounded.assemble)(starts, pins, tries, q, residual, info)
+                elif n <= CHUNK or follow:
+                    work(0, n, 0, 1 if by_parts else tries, nearest, stop)
+                else:
+                    over_chunks(lambda i, j: work(i, j, 0, 1 if by_parts else tries, nearest, stop), n, CHUNK, threads,
+                                SERIAL_BELOW)  # fmt: skip
+                loops.check()
+                if by_parts:
+                    search = LocalStarts(self.system, loops, weights, tolerance)
+                    search.close_all(starts, pins, tries, rng, q, residual, info)
+        except TimeUp:
+            if not time.spent:
+                raise
+            self._end(loops, weights, starts, pins, q, residual, info, by_parts)
+        info[info[:, 0] == NOT_FOUND + LATE, 0] = OUT_OF_TIME
         return q, residual, info
+
+    def _is_quick(self, loops: PackedLoops) -> bool:
+        """Whether one start takes less than about a millisecond: then the clock is read after the first one only."""
+        return len(loops.names) < MANY and len(loops.ties) < LARGE and not loops.functions
+
+    def _end(
+        self, loops: PackedLoops, weights: Array, starts: Array, pins: Array, q: Array, residual: Array,
+        info: np.ndarray, by_parts: bool,
+    ) -> None:  # fmt: skip
+        """Complete what was written when the time was up."""
+        for function in loops.functions:
+            function.error = None  # it was the time that was up
+        code = info[:, 0]
+        cut = (code == BAD_INPUT) & np.isfinite(starts).all(axis=-1) & bool(loops.functions)
+        q[cut], residual[cut], code[cut] = starts[cut], np.inf, OUT_OF_TIME
+        if by_parts:
+            code[(code == NOT_FOUND) & (info[:, 2] <= 1)] = OUT_OF_TIME
+        unknown = np.flatnonzero(~np.isfinite(residual) & np.isfinite(q).all(axis=-1))
+        if self.one_sided is None and (len(unknown) <= 1 or not loops.functions):
+            m, packed = len(loops.names), (loops.ints, loops.floats, loops.plan, weights)
+            out, none = np.empty((len(unknown), m)), np.empty((0, m, self.system.nv))
+            own = pins[unknown] if len(pins) > 1 else pins
+            closure_batch.equations(*packed, own, q[unknown], False, out, none)
+            residual[unknown] = np.linalg.norm(out, axis=-1)
 
     # ---- configurations of closed forms
 
@@ -339,10 +398,12 @@ class Assembler:
             flag(limits, "limits")
         if prefer not in PREFER:
             raise InputError(f"prefer is {prefer!r}; it must be one of {', '.join(map(repr, PREFER))}")
-        tries, number, threads = SPENT if budget is None else _spent(budget)
+        tries, number, threads, limit = SPENT if budget is None else _spent(budget)
         base, lead = self._single(given, start), ()
         if base is None:
             base, lead = self._starts(given, start)
+        if (lead or checks()) and (budget is None or budget.time_limit is None):
+            limit = BATCH.of(budget).time_limit
         turned = self._turned(given) if self.frames else ()
         pins = self._pins(given, turned, lead) if turned else self.no_pins
         steps = NEAREST_STEPS if prefer == "nearest" and self.freedoms != 0 else 0
@@ -350,9 +411,11 @@ class Assembler:
         along = self._along(base, tries, number, limits, tolerance) if follow and len(base) >= LONG else None
         q, residual, info = along or self.run(
             base, pins, tries, steps, number, threads, limits, tolerance, follow,
-            self._loops(turned, steps > 0) if turned or steps else None,
+            self._loops(turned, steps > 0) if turned or steps else None, limit,
         )  # fmt: skip
         answer = self._answer(base, lead, q, residual, info, limits)
+        if lead or answer.code is Status.OUT_OF_TIME:
+            answer.__dict__["limit"] = limit
         return chosen_by(answer, CONTINUED) if along else answer
 
     def _answer(
@@ -392,13 +455,17 @@ class Assembler:
         base = self._single(given, start)
         if base is None:
             return None
-        loops, (tries, number, _) = self.loops, SPENT
+        loops, number = self.loops, SPENT[1]
         q, residual, info = np.empty((1, self.shape[0])), np.empty(1), np.empty((1, 3), np.int64)
-        kernel.assemble(
-            loops.ints, loops.floats, loops.plan, loops.weights, base, self.no_pins, tries, STEPS, TOLERANCE, 0, number,
-            0, False, q, residual, info,
-        )  # fmt: skip
-        return self._answer(base, (), q, residual, info, True)
+        if kernel.assemble(
+            loops.ints, loops.floats, loops.plan, loops.weights, base, self.no_pins, 0, 1, STEPS, TOLERANCE, UNFINISHED,
+            number, 0, False, 0, q, residual, info,
+        ):  # fmt: skip
+            q, residual, info = self.run(base, self.no_pins, limit=None if checks() else SHORT)
+        answer = self._answer(base, (), q, residual, info, True)
+        if answer.code is Status.OUT_OF_TIME:
+            answer.__dict__["limit"] = SHORT
+        return answer
 
     def _single(self, given: Mapping[str, Any], start: Any) -> Array | None:
         """The start (1, nq) of the usual call, an array and plain numbers, in a fraction of the time; else None."""
@@ -498,22 +565,39 @@ class LocalStarts:
         self.of_row = np.repeat(np.arange(len(loops.ties)), [len(tie.rows) for tie in loops.ties])
         low, high = velocity_lists(loops.weights, system.nv)[3:5]
         self.range = high - low
+        self.reached: tuple[Array, float, np.ndarray]
+
+    def close_all(
+        self, starts: Array, pins: Array, tries: int, rng: int, q: Array, residual: Array, info: np.ndarray
+    ) -> None:  # fmt: skip
+        """Go on where a first start did not close, as `q`, `residual` and `info` say, and write there."""
+        for i in np.flatnonzero(info[:, 0] == NOT_FOUND).tolist():
+            self.reached = q[i], float(residual[i]), info[i]
+            try:
+                self.reached = self.close(
+                    starts[i], q[i], pins[i] if len(pins) > 1 else pins[0], tries, rng, i, info[i]
+                )
+            finally:
+                q[i], residual[i], info[i] = self.reached
 
     def close(
         self, start: Array, q: Array, pin: Array, tries: int, rng: int, row: int, before: np.ndarray
     ) -> tuple[Array, float, np.ndarray]:  # fmt: skip
         """Configuration, residual and (status, steps, starts), from what a first start came to and `before` says of it.
 
-        `row` is the number of the start `start` in its batch, by which random numbers are drawn.
+        `row` is the number of the start `start` in its batch, by which random numbers are drawn. `reached` is the same
+        of what was done by now.
         """
         random = np.random.default_rng([rng, row])
         _, steps, first = before.tolist()
         least = np.inf
         parts = STEPS // LOCAL_STEPS * max(1, tries - first - int(WHOLE * tries))
         for k in range(parts):
+            look()
             square = np.zeros(len(self.moved_by))
             np.add.at(square, self.of_row, self._equations(q, pin) ** 2)
             least = min(least, math.sqrt(square.sum()))
+            self.reached = q, least, np.array([NOT_FOUND + LATE, steps, first + k * LOCAL_STEPS // STEPS])
             there = self._changed(q, int(random.choice(len(square), p=square / square.sum())), random)
             found, residual, info = self._run(there, pin, 1, LOCAL_STEPS, rng, row)
             steps += int(info[1])
@@ -522,6 +606,7 @@ class LocalStarts:
             if info[0] == SOLVED:
                 return q, residual, np.array([SOLVED, steps, first + 1 + k * LOCAL_STEPS // STEPS])
         count = first + parts * LOCAL_STEPS // STEPS
+        self.reached = q, least, np.array([NOT_FOUND + LATE, steps, count])
         found, residual, info = self._run(start, pin, 1 + max(0, tries - count), STEPS, rng, row)
         code = int(info[0])
         if residual > least:
@@ -554,9 +639,11 @@ class LocalStarts:
         loops = self.loops
         q, residual, info = np.empty((1, self.system.nq)), np.empty(1), np.empty((1, 3), dtype=np.int64)
         kernel.assemble(
-            loops.ints, loops.floats, loops.plan, self.weights, start[None].copy(), pin[None], tries, steps,
-            self.tolerance, 0, rng, row, False, q, residual, info,
+            loops.ints, loops.floats, loops.plan, self.weights, start[None].copy(), pin[None], 0, tries, steps,
+            self.tolerance, 0, rng, row, False, clock().address, q, residual, info,
         )  # fmt: skip
+        if error := clock().taken():
+            raise error
         loops.check()
         return q[0], float(residual[0]), info[0]
 

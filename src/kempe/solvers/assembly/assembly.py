@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.budget import Budget
+from kempe.budget import Budget, checks
 from kempe.calls import explained, flag
 from kempe.constraints.tape import TIME
 from kempe.errors import InputError
@@ -17,9 +17,9 @@ from kempe.model.clocked import known_time
 from kempe.model.kept import kept
 from kempe.reals import plain
 from kempe.solvers.assembly.assembled import Assembly
-from kempe.solvers.assembly.assembler import LOOSEST, TIME_LIMIT, TOLERANCE, USUAL, Assembler, bare, bound
-from kempe.solvers.assembly.ideal import one_number, within
-from kempe.solvers.common.clock import TimeUp
+from kempe.solvers.assembly.assembler import LOOSEST, TOLERANCE, USUAL, Assembler, bare, bound
+from kempe.solvers.assembly.ideal import is_known, one_number, within
+from kempe.solvers.common.clock import LEAST, TimeLimit, TimeUp
 from kempe.solvers.common.problem import NOTHING, Choice, Problem, Solver, choose, chosen_by, takes_all
 from kempe.status import Status, member
 
@@ -46,12 +46,14 @@ def assemble(
     taken from their closed form. Coordinates stay inside their limits unless `limits=False`; one-sided
     constraints of the system always hold: a start that violates them is brought there.
 
-    Of the `budget` are read: starts (20), rng (0), threads, and time_limit (30 s), which bounds the search for the
-    nearest mechanism that closes exactly, once for each system; where it ends, the answer is the one for the
-    dimensions as they are given, and says so. The first start is `start`; the others are drawn around it
-    from rng, wider and wider. An open loop is never a success: the answer then says which loop is open, by how much,
-    and `q` is the nearest to closing; ``answer.expect()`` raises `NoSolutionError` then. Redundant constraints are no
-    obstacle. Method: damped least squares with steps of minimum norm (Nakamura and Hanafusa, 1986; Sugihara, 2011).
+    Of the `budget` are read: starts (20), rng (0), threads, and time_limit (30 s; none for the search of a batch, whose
+    length says how long it takes). Sets of known values for which it ended the search have the code `OUT_OF_TIME`, and
+    in `q` what is nearest to closing by then. Where it ended the search for the nearest mechanism that closes exactly,
+    which is made once for each system, the answer is the one for the dimensions as they are given, and says so. The
+    first start is `start`; the others are drawn around it from rng, wider and wider. An open loop is never a success:
+    the answer then says which loop is open, by how much, and `q` is the nearest to closing; ``answer.expect()`` raises
+    `NoSolutionError` then. Redundant constraints are no obstacle. Method: damped least squares with steps of minimum
+    norm (Nakamura and Hanafusa, 1986; Sugihara, 2011).
     `also` are constraints of `kempe.constraints`, or functions of q (nq,) that are zero, for this call. `tolerance` is
     as in `kempe.solvers.assembly.ideal`; where no other mechanism closes, the largest residual of a success.
     """
@@ -62,35 +64,64 @@ def assemble(
         system = held_too(system, also)
     if TIME in given:
         system, given = known_time(system, given)
-    posture = branch is None or branch in system.structure.posture_names
-    limit = TIME_LIMIT if budget is None else USUAL.of(budget).time_limit
-    if posture and not _searched_in_time(system, tolerance, limit):
-        q = system.q(branch) if branch is not None and start is None else start
-        most = min(tolerance, LOOSEST) if isinstance(tolerance, float) else TOLERANCE
-        problem = Problem(system, "one", given, q, prefer, limits, most, budget)
-        return replace(bare(system, given)._solve(problem), late=True)
+    signs = branch is not None and branch not in system.structure.posture_names
+    time = None if is_known(system, tolerance) else _time(budget)
+    if time is not None:
+        try:
+            within(system, tolerance, time)
+        except TimeUp:
+            if not time.spent:
+                raise
+            answer = _of_given(system, given, start, branch, prefer, limits, tolerance, _left(budget, time), signs)
+            return replace(answer, late=True, limit=time.limit)
+        budget = _left(budget, time)
     if tolerance is not None:
         system, tolerance = allowing(system, tolerance)
     if branch is None and prefer is None and limits is True and tolerance is None and budget is None:
         answer = bound(system, tuple(given))._usual(given, start)
         if answer is not None:
-            return answer
-    signs, options = branch is not None and branch not in system.structure.posture_names, NOTHING
+            return answer if time is None else replace(answer, limit=time.limit)
+    options = NOTHING
     if signs:
         options = {"branch": branch}
     elif branch is not None and start is None:
         start = system.q(branch)
     problem = Problem(system, "one", given, start, prefer, limits, tolerance or TOLERANCE, budget, options)
-    return chosen(system, tuple(given), signs)[0].run(problem)
+    answer = chosen(system, tuple(given), signs)[0].run(problem)
+    return answer if time is None else replace(answer, limit=time.limit)
 
 
-def _searched_in_time(system: System, tolerance: Any, limit: float | None) -> bool:
-    """Whether the nearest mechanism that closes exactly is known within the time limit [s]."""
-    try:
-        within(system, tolerance, limit)
-    except TimeUp:
-        return False
-    return True
+def _time(budget: Budget | None) -> TimeLimit:
+    """The time of the call; none where another verb asks, whose time counts."""
+    asked = checks() and (budget is None or budget.time_limit is None)
+    return TimeLimit(None if asked else USUAL.of(budget).time_limit)
+
+
+def _left(budget: Budget | None, time: TimeLimit) -> Budget | None:
+    """The budget with what is left of the time."""
+    return budget if time.limit is None else replace(budget or Budget(), time_limit=time.left)
+
+
+def _of_given(
+    system: System, given: Mapping[str, Any], start: Any, branch: str | None, prefer: str | None, limits: bool,
+    tolerance: Any, budget: Budget | None, signs: bool,
+) -> Assembly:  # fmt: skip
+    """The answer for the dimensions as they are given: the time was up before a nearest exact mechanism was known.
+
+    Branches that `signs` name are those of that mechanism: then there is no success.
+    """
+    if signs:
+        return _unsolved(bare(system, given), Problem(system, "one", given, start, None, limits, TOLERANCE, budget))
+    q = system.q(branch) if branch is not None and start is None else start
+    most = min(tolerance, LOOSEST) if isinstance(tolerance, float) else TOLERANCE
+    return bare(system, given)._solve(Problem(system, "one", given, q, prefer, limits, most, budget))
+
+
+def _unsolved(assembler: Assembler, problem: Problem) -> Assembly:
+    """The answer where the time was up before configurations were found on the branch that is named."""
+    answer = assembler._solve(problem._replace(prefer=None, budget=Budget(starts=1, time_limit=LEAST)))
+    code = np.where(np.asarray(answer.code) == Status.BAD_INPUT, Status.BAD_INPUT, Status.OUT_OF_TIME)
+    return replace(answer, success=plain(np.zeros(np.shape(code), dtype=bool)), code=member(plain(code)))
 
 
 def allowing(system: System, tolerance: float | str) -> tuple[System, float]:
@@ -124,10 +155,19 @@ def on_named_branch(problem: Problem) -> Assembly:
     """The answer on a branch named by the signs of its dyads: closed form, polished and checked."""
     from kempe.solvers.dyads.dyads import closed_form, on_branch  # only here: other calls do not need them
 
-    assembler = bound(problem.system, tuple(problem.known))
-    threads = None if problem.budget is None else USUAL.of(problem.budget).threads
-    start = on_branch(assembler.system, problem.known, problem.options["branch"], problem.start, threads)
-    answer, searched, before = assembler._confirm(start, flag(problem.limits, "limits"), threads)
+    assembler, asked = bound(problem.system, tuple(problem.known)), USUAL.of(problem.budget)
+    threads = None if problem.budget is None else asked.threads
+    named = problem.budget is not None and problem.budget.time_limit is not None
+    many = not named and any(np.ndim(x) for x in problem.known.values())
+    time = TimeLimit(None) if many else _time(problem.budget)
+    try:
+        with time:
+            start = on_branch(assembler.system, problem.known, problem.options["branch"], problem.start, threads)
+            answer, searched, before = assembler._confirm(start, flag(problem.limits, "limits"), threads)
+    except TimeUp:
+        if not time.spent:
+            raise
+        return replace(_unsolved(assembler, problem), limit=time.limit)
     if len(searched):  # the others are as the closed form gave them
         plan: Any = closed_form(assembler.system, tuple(assembler.sources))
         after = answer.q.reshape(-1, assembler.system.nq)[searched]

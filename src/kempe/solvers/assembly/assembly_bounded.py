@@ -17,12 +17,15 @@ from kempe.kernels.compiled import task_search as kernel
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kinematics.common.parallel import over_chunks
 from kempe.model.closures.packed_loops import PackedLoops
+from kempe.solvers.common.clock import clock
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
 
 CHUNK, SERIAL_BELOW = 16, 32
+MANY = 60
+"""Rows from which on the clock is looked at within a start."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,21 +45,35 @@ class OneSidedAssembly:
         """Which velocity coordinates (nv,) stay as they are given."""
         return np.isin(np.arange(self.system.nv), self.loops.unknown, invert=True)
 
-    def assemble(self, starts: Array, pins: Array, tries: int) -> tuple[Array, Array, np.ndarray]:
-        """Configurations (N, nq), residuals (N,) and (status, steps, starts) (N, 3), as kernels write them."""
-        q, info = self._search(starts, pins, tries, 0)
-        return q, self.residuals(q, pins), info
+    def assemble(
+        self, starts: Array, pins: Array, tries: int, q: Array, residual: Array, info: np.ndarray
+    ) -> None:  # fmt: skip
+        """Write configurations (N, nq), residuals (N,) and (status, steps, starts) (N, 3), as kernels write them.
 
-    def follow(self, starts: Array, pins: Array, tries: int) -> tuple[Array, Array, np.ndarray]:
+        Where `TimeUp` ends it, what was found by then is written.
+        """
+        try:
+            self._search(starts, pins, tries, 0, q, info)
+        finally:
+            residual[:] = self.residuals(q, pins)
+
+    def follow(
+        self, starts: Array, pins: Array, tries: int, q: Array, residual: Array, info: np.ndarray
+    ) -> None:  # fmt: skip
         """The same, each row started where the two before it lead, with its own held coordinates."""
-        q, info = np.empty_like(starts), np.zeros((len(starts), 3), dtype=np.int64)
+        try:
+            self._follow(starts, pins, tries, q, info)
+        finally:
+            residual[:] = self.residuals(q, pins)
+
+    def _follow(self, starts: Array, pins: Array, tries: int, q: Array, info: np.ndarray) -> None:
         for i in range(len(starts)):
             first = starts[i : i + 1]
             if i:
                 ahead = self.system.structure.layout.difference(q[max(i - 2, 0)], q[i - 1])
                 first = self._with_known(self.system.structure.layout.integrate(q[i - 1], ahead)[None], first)
-            q[i : i + 1], info[i : i + 1] = self._search(first, pins[i : i + 1] if len(pins) > 1 else pins, tries, i)
-        return q, self.residuals(q, pins), info
+            own = pins[i : i + 1] if len(pins) > 1 else pins
+            self._search(first, own, tries, i, q[i : i + 1], info[i : i + 1])
 
     def residuals(self, q: Array, pins: Array) -> Array:
         """Norm (N,) of what equations and bounds miss at configurations, in radians and characteristic lengths."""
@@ -67,9 +84,11 @@ class OneSidedAssembly:
         )
         return np.linalg.norm(g - np.clip(g, *loops.bounds), axis=1)
 
-    def _search(self, starts: Array, pins: Array, tries: int, offset: int) -> tuple[Array, np.ndarray]:
-        """Configurations and (status, steps, starts), from starts that are drawn wider and wider about those given."""
-        q, info = self._solve(starts, starts, pins)
+    def _search(
+        self, starts: Array, pins: Array, tries: int, offset: int, q: Array, info: np.ndarray
+    ) -> None:  # fmt: skip
+        """Write configurations and (status, steps, starts), from starts drawn wider and wider about those given."""
+        self._solve(starts, starts, pins, q, info)
         left = np.flatnonzero(info[:, 0] == S.NOT_FOUND)
         nv, least = self.system.nv, self.residuals(q, pins)
         scale, count = self.loops.scale * ~self.held, 1
@@ -77,32 +96,37 @@ class OneSidedAssembly:
             each = [np.random.default_rng((self.rng, offset + int(i), count)).uniform(-1.0, 1.0, nv) for i in left]
             spread = min(1.0, L.WIDER * count) * np.pi * scale
             some = pins[left] if len(pins) > 1 else pins
-            found, more = self._solve(
-                self.system.structure.layout.integrate(starts[left], np.stack(each) * spread), starts[left], some
-            )
+            begin = self.system.structure.layout.integrate(starts[left], np.stack(each) * spread)
+            found, more = begin.copy(), np.zeros((len(left), 3), dtype=np.int64)
+            before, info[left, 0] = info[left, 0], S.NOT_FOUND + S.LATE  # until these starts are made
+            self._solve(begin, starts[left], some, found, more)
+            info[left, 0] = before
             size = self.residuals(found, some)
             better = (more[:, 0] == S.SOLVED) | (size < least[left])
             q[left[better]], least[left[better]] = found[better], size[better]
             info[left, 0] = more[:, 0]
             info[left, 1:] += more[:, 1:]
             left, count = left[more[:, 0] == S.NOT_FOUND], count + 1
-        return q, info
 
-    def _solve(self, starts: Array, goals: Array, pins: Array) -> tuple[Array, np.ndarray]:
-        """One start each; what is found is led towards the goals."""
+    def _solve(self, starts: Array, goals: Array, pins: Array, q: Array, info: np.ndarray) -> None:
+        """Write the ends of one start each; what is found is led towards the goals. It may end by `TimeUp`."""
         loops, ties = self.loops, len(self.loops.ties)
-        q, info = np.empty_like(starts), np.empty((len(starts), 3), dtype=np.int64)
         stages, strengths = np.ones(2 * ties, dtype=np.int64), np.ones((ties, 3))
         strengths[:, 1:] = self.tolerance
 
+        stop = clock().address if len(loops.names) >= MANY or loops.functions else 0  # each start is short, else
+
         def work(i: int, j: int) -> int:
-            return kernel.solve(
+            left = kernel.solve(
                 loops.ints, loops.floats, loops.plan, self.weights, stages, strengths, starts[i:j], goals[i:j],
-                pins[i:j] if len(pins) > 1 else pins, 1, self.steps, S.AHEAD, 0, False, self.rng, q[i:j], info[i:j],
+                pins[i:j] if len(pins) > 1 else pins, 1, self.steps, S.AHEAD, stop, False,
+                self.rng, q[i:j], info[i:j],
             )  # fmt: skip
+            if error := clock().taken():
+                raise error
+            return left
 
         over_chunks(work, len(starts), CHUNK, self.threads, SERIAL_BELOW)
-        return q, info
 
     def _with_known(self, q: Array, known: Array) -> Array:
         """Configurations with the held coordinates of others."""

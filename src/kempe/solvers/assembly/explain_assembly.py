@@ -25,6 +25,8 @@ MOST = 1000
 """Equations up to which the freedoms that are left are counted: it takes a dense decomposition."""
 NEARLY = 0.05
 """Residual up to which it is checked whether the loops close within a larger tolerance."""
+GLANCE = 1.0
+"""Seconds that the search for what would close without limits may take."""
 COINCIDE = 1e-6
 """Distance of joints, in characteristic lengths, below which they are at one place."""
 
@@ -55,6 +57,9 @@ def _sentence(answer: Assembly, index: tuple[int, ...]) -> str:
         return f"a known value is outside its limits: {_outside(bound, q)}"
     if code == Status.OTHER_BRANCH:
         return "the branch requested cannot be closed with these values; q is closed on another one"
+    if code == Status.OUT_OF_TIME:
+        said = wording.late(answer.limit, starts, done="closed")
+        return wording.failed(said, _open(bound, q, residual), "q is the nearest to closing so far")
     why: Any = _one_sided(bound, q) or _limits(bound, q) or _too_many(bound)
     why = why or "with these values no closed configuration was found"
     wider, loose = nearly(bound.system) if residual < NEARLY and not answer.late else None, ""
@@ -162,7 +167,7 @@ def _limits(bound: Assembler, q: Array) -> Evidence | None:
     """Whether it closes without the limits, and which coordinates are then outside."""
     if bound.frames or not np.isfinite(bound.system.structure.limits).any():
         return None
-    free, _, info = bound.run(q[None], bound.no_pins, limits=False)
+    free, _, info = bound.run(q[None], bound.no_pins, limits=False, limit=GLANCE)
     names = outside_limits(bound.system, free[0]) if info[0, 0] == Status.SOLVED else []
     return evidence("limits", names=names, done="closes") if names else None
 

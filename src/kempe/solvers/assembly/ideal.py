@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from kempe.budget import Budget
+from kempe.budget import Budget, TimeUp, Usual, checks
 from kempe.calls import explained, explained_methods
 from kempe.description.mechanism import unused_name
-from kempe.errors import InputError, shown
+from kempe.errors import InputError, TimeLimitError, shown
 from kempe.joints import Revolute
 from kempe.kinematics.ball_angles import regular_chart
 from kempe.kinematics.closure_rows import evaluate, freedoms_left, full, residual, row_names
@@ -33,7 +33,7 @@ from kempe.model.tree.own_tree import own_tree
 from kempe.reals import is_real
 from kempe.solvers.assembly.dimensions import ENOUGH, Dimensions, Valley, fitted, moves_all_along
 from kempe.solvers.assembly.relations import Place, Relations, snapped
-from kempe.solvers.common.clock import TimeLimit
+from kempe.solvers.common.clock import ENDLESS, LONG, TIME_LIMIT, TimeLimit, time_limited
 from kempe.solvers.common.slip import rolls
 from kempe.spatial import Array, log_so3, xyz_rpy_from_pose
 from kempe.words import InWords, counted
@@ -74,9 +74,6 @@ NEARLY = 4.0
 """Relations that hold within this multiple of the changes that make it close are meant to hold."""
 GAP = 3.0
 """Ratio of singular values from which they may part what moves from what is held."""
-
-
-ENDLESS = TimeLimit(None)
 
 
 @dataclass(frozen=True)
@@ -203,29 +200,54 @@ def tolerance_of(system: System, tolerance: Any) -> float:
     return float(tolerance)
 
 
-def within(system: System, tolerance: Any = None, limit: float | None = None) -> Idealised | None:
+def within(system: System, tolerance: Any = None, time: TimeLimit = ENDLESS) -> Idealised | None:
     """The nearest mechanism within a tolerance; None where the given one closes as it is, or where there is none.
 
     `tolerance` is a number in metres and radians, "measured", or None: that of the system, else what is rounding. Of a
-    `kempe.Tolerance` the smaller number counts. Raises `TimeUp` where the time `limit` [s] ends the search, of which
-    nothing is kept then.
+    `kempe.Tolerance` the smaller number counts. Raises `TimeUp` where the `time` ends the search, of which nothing is
+    kept then; without one, and where no verb with a time limit asks, `TimeLimitError` after 600 s.
     """
-    tolerance = system.structure.tolerance if tolerance is None else one_number(tolerance)
-    answers, key = system._kept.setdefault(within, {}), tolerance
-    if tolerance.__class__ not in (float, int, str):
-        key = repr(tolerance)
+    answers, key, tolerance = _kept(system, tolerance)
     found = answers.get(key, answers)  # it never holds itself
     if found is not answers:
         return found
-    return keep(answers, key, _searched(system, tolerance_of(system, tolerance), time=TimeLimit(limit)))
+    own = time is ENDLESS and not checks()
+    time = TimeLimit(LONG) if own else time
+    try:
+        with time:
+            return keep(answers, key, _searched(system, tolerance_of(system, tolerance), time=time))
+    except TimeUp:
+        if own:
+            raise TimeLimitError("the search for the nearest mechanism that closes exactly", time.limit) from None
+        raise
+
+
+def is_known(system: System, tolerance: Any = None) -> bool:
+    """Whether `within` need not search."""
+    answers, key, _ = _kept(system, tolerance)
+    return key in answers
+
+
+def _kept(system: System, tolerance: Any) -> tuple[dict[Any, Any], Any, Any]:
+    """What `within` has found, the key of a tolerance in it, and the tolerance itself."""
+    tolerance = system.structure.tolerance if tolerance is None else one_number(tolerance)
+    key = tolerance if tolerance.__class__ in (float, int, str) else repr(tolerance)
+    return system._kept.setdefault(within, {}), key, tolerance
+
+
+USUAL = Usual("idealised", time_limit=TIME_LIMIT)
 
 
 @explained
-def idealised(system: System, tolerance: float | str | None = MEASURED) -> Idealised | None:
+@time_limited(USUAL)
+def idealised(
+    system: System, tolerance: float | str | None = MEASURED, *, budget: Budget | None = None
+) -> Idealised | None:  # fmt: skip
     """The nearest system that closes exactly and moves, as a proposal: what differs, and by how much.
 
     None where the given one closes as it is, or where there is none within the `tolerance`: a number in metres and
-    radians, or "measured", the smallest up to a hundredth of the system's size. Errors: `InputError`.
+    radians, or "measured", the smallest up to a hundredth of the system's size. Of the `budget` the time_limit (120 s)
+    is read. Errors: `InputError`, `TimeLimitError` where the search did not end by then.
     """
     return within(system, tolerance)
 

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import ctypes
-import math
+import functools
+import threading
 import time
-from typing import Any
+from collections.abc import Callable
+from functools import cache
+from typing import Any, TypeVar
 
+from kempe.budget import Budget, TimeUp, Usual, checks, look, watched_by
+from kempe.errors import TimeLimitError
 from kempe.solvers.common.arguments import deadline
+
+Function = TypeVar("Function", bound=Callable[..., Any])
 
 SHORT = 30.0
 """Seconds that a single call may take which usually takes less than a second."""
@@ -21,16 +28,29 @@ SHARE = 0.8
 """Part of the time after which what was found is put in order: that takes the rest."""
 
 
-class TimeUp(Exception):
-    """The time of a call is up: raised inside the call, and caught there."""
+class TimeLimit(watched_by):
+    """The time of one call [s], None for as long as it takes. Errors: `InputError`.
 
-
-class TimeLimit:
-    """The time of one call [s], None for as long as it takes. Errors: `InputError`."""
+    As a block: what is done in it ends with `TimeUp` at the next `look`, on whichever layer that is. It comes once in
+    each thread, so that what was done can be put in order by whoever catches it; `spent` says that it came.
+    """
 
     def __init__(self, limit: Any):
         self.limit, self.end = limit, deadline(limit)
+        self._told: set[int] = set()
         self.soon = self.end - (1.0 - SHARE) * (limit or 0.0)
+        super().__init__(*(() if limit is None else (self._once,)))
+
+    @property
+    def spent(self) -> bool:
+        """Whether `TimeUp` came."""
+        return bool(self._told)
+
+    def _once(self) -> None:
+        thread = threading.get_ident()
+        if thread not in self._told and time.monotonic() >= self.soon:
+            self._told.add(thread)
+            raise TimeUp
 
     @property
     def left(self) -> float | None:
@@ -38,8 +58,10 @@ class TimeLimit:
         return None if self.limit is None else max(self.end - time.monotonic(), LEAST)
 
     def check(self) -> None:
-        """Raise `TimeUp` if the time of the call is spent."""
+        """Raise `TimeUp` if the time of the call is spent, or that of a verb which asks it."""
+        look()
         if self.limit is not None and time.monotonic() >= self.soon:
+            self._told.add(threading.get_ident())
             raise TimeUp
 
     def put_in_order(self) -> None:
@@ -48,7 +70,72 @@ class TimeLimit:
 
     def reason(self, error: BaseException) -> str:
         """What ended the computation, as text: the interrupt, or the time limit."""
-        return f"the time limit of {self.limit:g} s" if isinstance(error, TimeUp) else "the interrupt"
+        if not isinstance(error, TimeUp):
+            return "the interrupt"
+        return "the time limit" if self.limit is None else f"the time limit of {self.limit:g} s"
+
+
+ENDLESS = TimeLimit(None)
+"""No time limit."""
+
+
+def time_limited(
+    usual: Usual, otherwise: Callable[..., Any] | None = None
+) -> Callable[[Function], Function]:  # fmt: skip
+    """A decorator for verbs: their time limit is looked at on all layers, from the first line to the last.
+
+    Verbs say themselves what was done by then. Where the time is up before anything is, `otherwise` answers, from the
+    `TimeLimit` and the arguments of the verb; without it `TimeLimitError` is raised. A verb that another one asks,
+    without a time limit of its own, has the time of that one.
+    """
+
+    def of(verb: Function) -> Function:
+        @functools.wraps(verb)
+        def call(*args: Any, **options: Any) -> Any:
+            budget, outer = options.get("budget"), getattr(_running, "call", None)
+            limit = usual.of(budget).time_limit
+            if checks() and (budget is None or budget.time_limit is None):
+                limit = None
+            time = TimeLimit(limit)
+            _running.call = usual, time
+            try:
+                with time:
+                    return verb(*args, **options)
+            except TimeUp:
+                if not time.spent:
+                    raise  # that of a verb which called this one
+            finally:
+                _running.call = outer
+            if otherwise is None:
+                raise TimeLimitError(usual.verb, time.limit)
+            return otherwise(time, *args, **options)
+
+        return call  # type: ignore[return-value]
+
+    return of
+
+
+_running = threading.local()
+
+
+def time_of(usual: Usual, budget: Budget | None = None) -> TimeLimit:
+    """The time of the call of a `time_limited` verb that runs now; where none does, that of a budget."""
+    verb, time = getattr(_running, "call", None) or (None, ENDLESS)
+    return time if verb is usual else TimeLimit(usual.of(budget).time_limit)
+
+
+class EndReached(TimeUp):
+    """A kernel came to the end that its caller set by `up_at`; it says itself what it ended."""
+
+
+def up_at(end: float) -> Callable[[], None]:
+    """A check for `watched_by` that raises `EndReached` from the time `end` of `time.monotonic` on."""
+
+    def check() -> None:
+        if time.monotonic() >= end:
+            raise EndReached
+
+    return check
 
 
 BROKEN_OFF = (KeyboardInterrupt, TimeUp)
@@ -66,17 +153,38 @@ _KIND = ctypes.CFUNCTYPE(None, _NUMBER, _NUMBER, _NUMBER, ctypes.c_int64)
 
 
 class Clock:
-    """A function, as kernels call it, that writes 1 from the time `end` of `time.monotonic` on; at no address if never.
+    """The function `look` as kernels call it: it writes 1 where the work must end.
 
-    The object must live as long as it is called.
+    No exception passes through a kernel: what `look` raises, and Ctrl-C while it runs, is kept for the thread until it
+    is `taken` after the kernel.
     """
 
-    def __init__(self, end: float):
-        self.address, self._kept = 0, None
-        if end < math.inf:
+    def __init__(self):
+        def work(_q: Any, out: Any, _columns: Any, _flag: int) -> None:
+            out[0] = 1.0  # what stays where it raises, and until the error is taken
+            if getattr(self._thread, "error", None) is None:
+                with self:
+                    look()
+                    out[0] = 0.0
 
-            def work(_q: Any, out: Any, _columns: Any, _flag: int) -> None:
-                out[0] = float(time.monotonic() >= end)
+        self._thread, self._work = threading.local(), _KIND(work)
+        self.address = int(ctypes.cast(self._work, ctypes.c_void_p).value or 0)
 
-            self._kept = _KIND(work)
-            self.address = int(ctypes.cast(self._kept, ctypes.c_void_p).value or 0)
+    def __enter__(self) -> None: ...
+
+    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> bool:
+        self._thread.error = error
+        return True
+
+    def taken(self) -> TimeUp | None:
+        """The `TimeUp` of a look of a kernel since the last call; other errors are raised."""
+        error, self._thread.error = getattr(self._thread, "error", None), None
+        if error is None or isinstance(error, TimeUp):
+            return error
+        raise error
+
+
+@cache
+def clock() -> Clock:
+    """The one clock of all kernels."""
+    return Clock()

@@ -106,9 +106,10 @@ def given_up(done: str, starts: int) -> str:
     return f"not {done} after {counted(starts, 'start')}"
 
 
-def late(limit: float | None, starts: int, most: int) -> str:
-    """That the time was up, and after how many starts."""
-    return f"not reached within the time limit of {limit or 0.0:g} s, after {starts} of {counted(most, 'start')}"
+def late(limit: float | None, starts: int, most: int | None = None, done: str = "reached") -> str:
+    """That the time was up, and after how many starts, of `most` where that is known."""
+    count = counted(starts, "start") if most is None else f"{starts} of {counted(most, 'start')}"
+    return f"not {done} within the time limit of {limit or 0.0:g} s, after {count}"
 
 
 def ended(limit: float) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from kempe.budget import Budget, Usual
+from kempe.budget import Budget, TimeUp, Usual
 from kempe.calls import brief, explained, explained_methods, flag, generator, interruptible
 from kempe.errors import InputError
 from kempe.kinematics.common.result import Cells
@@ -21,7 +21,7 @@ from kempe.solvers.assembly.assembly import assemble
 from kempe.solvers.assembly.ideal import tolerant
 from kempe.solvers.common.answer import Configurations
 from kempe.solvers.common.arguments import start_count
-from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, partial
+from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, partial, time_limited, time_of
 from kempe.solvers.common.problem import Choice, Problem, Solver, choose, chosen_by, takes_all
 from kempe.solvers.dyads.branch_proofs import enclose
 from kempe.solvers.dyads.dyads import CLOSED, MOST_SIGNS, DyadAnswer, Incomplete, Plan, closed_form, source_values
@@ -120,8 +120,19 @@ class Modes(Configurations):
         return f"{counted(len(self), 'configuration')} of {self.system.name}; {self.status}"
 
 
+def _not_begun(
+    time: TimeLimit, system: System, known: Mapping[str, Any] | None = None, start: Any = None, *, limits: bool = True,
+    **_: Any,
+) -> Modes:  # fmt: skip
+    """The answer where the time was up before any mode was looked for."""
+    none, said = np.zeros(0, dtype=np.int64), f"none is known: {time.reason(TimeUp())} came first"
+    problem = Problem(system, "all", dict(known or {}), None, limits=bool(limits))
+    return replace(_answer(problem, np.empty((0, system.nq)), said, [], none, none, False), late=True)
+
+
 @explained
 @interruptible
+@time_limited(USUAL, _not_begun)
 @tolerant()
 def assembly_modes(
     system: System, known: Mapping[str, Any] | None = None, start: Any = None, *, limits: bool = True,
@@ -151,7 +162,6 @@ def assembly_modes(
     spend = USUAL.of(budget)
     generator(spend.rng)
     start_count(spend.starts)
-    TimeLimit(spend.time_limit)
     flag(limits, "limits")
     name = None if frame is None else system.structure.frame_name(frame)
     problem = Problem(system, "all", dict(given), base, limits=bool(limits), budget=budget, frame=name)
@@ -289,7 +299,7 @@ def by_starts(question: Problem) -> Modes:
 
     system, spend = question.system, USUAL.of(question.budget)
     found = search(system, dict(question.known), question.start, question.frame, generator(spend.rng),
-                   start_count(spend.starts), TimeLimit(spend.time_limit), spend.progress,
+                   start_count(spend.starts), time_of(USUAL, question.budget), spend.progress,
                    bool(question.limits))  # fmt: skip
     q, hits, free = found.clusters.q, found.clusters.hits, found.free
     isolated, families = np.flatnonzero(free == 0), np.flatnonzero(free > 0)

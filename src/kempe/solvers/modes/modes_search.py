@@ -28,7 +28,7 @@ from kempe.model.tree.coordinates import distinct
 from kempe.model.tree.own_tree import own_tree
 from kempe.singular_values import svd
 from kempe.solvers.assembly.assembler import Assembler, of_equations
-from kempe.solvers.common.clock import BROKEN_OFF, TimeLimit
+from kempe.solvers.common.clock import BROKEN_OFF, ENDLESS, TimeLimit
 from kempe.solvers.modes.mirror_images import mirrored, mixed
 from kempe.solvers.modes.same_configuration import SAME, Clusters
 from kempe.spatial import Array
@@ -174,7 +174,7 @@ class ModesSearch:
 
 def search(
     system: System, known: dict[str, Any], near: Array | None, frame: str | None, rng: np.random.Generator, starts: int,
-    budget: TimeLimit | None = None, progress: Callable[[int, int], Any] | None = None, limits: bool = False,
+    budget: TimeLimit = ENDLESS, progress: Callable[[int, int], Any] | None = None, limits: bool = False,
 ) -> ModesSearch:  # fmt: skip
     """Assembly modes from at most so many random starts, the first of them `near` or home.
 
@@ -187,9 +187,9 @@ def search(
     while s.tried < starts:
         before = s.copy()
         try:
-            if budget is not None:
+            with budget:
                 budget.check()
-            done = _one_round(s, starts)
+                done = _one_round(s, starts)
             before = s  # the round is done
             if progress is not None:
                 progress(s.tried, len(s.free))

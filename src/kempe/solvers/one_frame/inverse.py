@@ -19,6 +19,7 @@ from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.kept import kept
 from kempe.rigid import sound
 from kempe.solvers.common.arguments import deadline, seed_number, start_count, step_count, tolerances
+from kempe.solvers.common.clock import SHORT
 from kempe.solvers.common.problem import Choice, Problem, Solver, TaskOf, choose, chosen_by
 from kempe.solvers.common.serial_chain import Chain, chain_of, inside, obstacle
 from kempe.solvers.common.targets import (
@@ -46,7 +47,8 @@ if TYPE_CHECKING:
 
 METHODS = ("numeric", "analytic", "auto")
 TASKS, CLOSED = "tasks are requested, not a target of one frame", "method='analytic' asks for a closed form"
-USUAL = Usual("ik", starts=MOST, iterations=ITERATIONS, time_limit=None, rng=0, threads=None)
+USUAL = Usual("ik", starts=MOST, iterations=ITERATIONS, time_limit=SHORT, rng=0, threads=None)
+BATCH = Usual("ik", starts=MOST, iterations=ITERATIONS, time_limit=None, rng=0, threads=None)
 
 
 @explained
@@ -68,11 +70,13 @@ def ik(
     move keeps its value there, else the neutral one, inside the limits. Targets and starts broadcast: many starts for
     one target give many answers. With `history`, the answer to one target has its iterates (`Solution.history`).
 
-    Of the `budget` are read: starts (1000), iterations (40), time_limit, rng (0), threads. Starts are tried in order,
-    `start` or the middle of the limits first, the others drawn from rng; the first that reaches the target is the
-    answer: the same for the same arguments, whatever the threads. Iterations are the steps of one start, at most; where
-    all fail, as many descents to the nearest, at most 16, have five times as many. The time limit is looked at after
-    each 32 starts: an answer that it ended says so, and is the only one that depends on the machine.
+    Of the `budget` are read: starts (1000), iterations (40), time_limit (30 s for one target, none for a batch, whose
+    number of targets says how long it takes), rng (0), threads. Starts are tried in order, `start` or the middle of the
+    limits first, the others drawn from rng; the first that reaches the target is the answer: the same for the same
+    arguments, whatever the threads. Iterations are the steps of one start, at most; where all fail, as many descents to
+    the nearest, at most 16, have five times as many. A time limit that is given is looked at after each 32 starts, of
+    chains of more than 31 coordinates after fewer: an answer that it ended says so, and is the only one that depends on
+    the machine.
 
     The answer says by `success` and `status` whether it was reached and if not, why; ``answer.expect()`` raises
     `NoSolutionError` then. Not reached, its `q` is the nearest found: least is the square of the miss, of the position
@@ -161,13 +165,15 @@ def _no_tasks(system: System, frame: str | None, task: TaskOf, method: str, pref
 
 def _of_chain(problem: Problem) -> Solution:
     """The answer by the frame's own chain: by numbers, or in closed form where the method is not numeric."""
-    system, name, lead, spend = problem.system, str(problem.frame), problem.lead, USUAL.of(problem.budget)
+    system, name, lead = problem.system, str(problem.frame), problem.lead
+    spend = (BATCH if lead else USUAL).of(problem.budget)
+    usual = problem.budget is None or problem.budget.time_limit is None
     chain, tolerance = chain_of(system, name, problem.task[1]), problem.tolerance
     base, seeds = seeds_of(system, chain, problem.start, lead)
     question = FrameProblem(
         system, name, problem.targets, *problem.task, TOLERANCE if tolerance is None else tolerances(tolerance),
         start_count(spend.starts), seed_number(spend.rng), chain, step_count(spend.iterations), spend.time_limit,
-        deadline(spend.time_limit),
+        deadline(spend.time_limit), usual,
     )  # fmt: skip
     plan = None
     if problem.method != "numeric":

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import spatial
-from kempe.kernels.base.search_layout import ANSWER, LINEAR, NOT_FOUND, SOLVED, STARTS, STATUS, STEPS
+from kempe.budget import look
+from kempe.kernels.base.search_layout import ANSWER, DESCENTS, LINEAR, NOT_FOUND, SOLVED, STARTS, STATUS, STEPS
 from kempe.kernels.compiled import schedule
 from kempe.kernels.forward.table_layout import HAS_QUATERNION
-from kempe.kinematics.common.parallel import check_stop, over_chunks
+from kempe.kinematics.common.parallel import over_chunks
 from kempe.model.tree.characteristic_length import characteristic_length
 from kempe.solvers.common.proofs import by_lengths
 from kempe.solvers.common.serial_chain import Chain
@@ -37,9 +38,11 @@ TOLERANCE = (1e-6, 1e-6)
 """Largest position error [m] and rotation angle [rad] of a success."""
 ROUND = 32
 """Starts of a round where there is a time limit: all targets get these before one gets more."""
-CHUNK, SERIAL_BELOW, LANES, WORK, DESCENTS = 256, 1024, 8, 4096, 64
+CHUNK, SERIAL_BELOW, LANES, WORK, NEAREST = 256, 1024, 8, 4096, 64
 """Targets of a chunk, and from how many on there are threads; the targets that are searched side by side; starts of all
 targets together, and targets whose nearest configuration is searched for, between two looks at the clock."""
+LONG = 16
+"""Coordinates of a chain, twice which make it long: rounds are shorter by the square of its length in these."""
 UNBEGUN = -1.0
 """In place of the status of an answer: the time was up before."""
 LOOSE = 1e-4
@@ -68,6 +71,19 @@ class FrameProblem:
     time_limit: float | None = None
     end: float = math.inf
     """When the time is up, by `time.monotonic`."""
+    usual: bool = False
+    """Whether nobody named the time limit."""
+
+    @property
+    def share(self) -> int:
+        """How many times as long a start takes as of a chain that is not long."""
+        return max(1, len(self.chain.q_index) // LONG) ** 2
+
+    @property
+    def round(self) -> int | None:
+        """Starts between two looks at the clock; None: as many as come next."""
+        no = self.time_limit is None or (self.usual and self.share == 1)
+        return None if no else max(1, ROUND // self.share)
 
     @property
     def mask(self) -> tuple[int, ...]:
@@ -96,8 +112,8 @@ def answered(
     """
     chain, n = task.chain, out.shape[1] - ANSWER
     head = (chain.ints, chain.floats, limits, rows_of(task), goals_of(task, targets), seeds, task.rng)
-    few = FEW if task.time_limit is None else ROUND
-    count = min(task.starts, GLANCE if postpone else few)
+    few = task.round or FEW
+    count = min(task.starts, few, GLANCE if postpone else few)
     out[:, n + STATUS] = UNBEGUN
     _some(task, head, slice(None), 0, count, 0.0, out, threads, CHUNK)
     left = np.flatnonzero(out[:, n + STATUS] != SOLVED)
@@ -178,13 +194,21 @@ def _nearest(
     nearest: Callable[..., int] = fallback.approach
     out[rows, n + LINEAR] = np.inf  # energies in another unit: descents begin there
 
+    each = [0] if task.share == 1 else range(1, min(task.starts, DESCENTS) + 1)
+
     def work(i: int, j: int) -> int:
-        some = rows[i:j]
+        some, missed = rows[i:j], 0
         own, found = _part(head, some), out[some]
         if time.monotonic() >= task.end:
             _end(task, targets, some, out)
             return len(some)
-        missed = nearest(*own, 0, task.starts, task.iterations, *task.tolerance, length, found)
+        for only in each:
+            look()
+            if only > 1 and time.monotonic() >= task.end:
+                _end(task, targets, some, out)
+                return len(some)
+            missed = nearest(*own, only, task.starts, task.iterations, *task.tolerance, length, found)
+            out[some] = found
         if missed and task.chain.span.wide and not task.chain.ints[HAS_QUATERNION]:
             from kempe.solvers.one_frame.sharpen import search_again
 
@@ -192,7 +216,8 @@ def _nearest(
         out[some] = found
         return missed
 
-    return over_chunks(work, len(rows), DESCENTS, threads, 2 * DESCENTS) if len(rows) else 0
+    piece = max(1, NEAREST // task.share)
+    return over_chunks(work, len(rows), piece, threads, 2 * piece) if len(rows) else 0
 
 
 def _part(head: tuple[Any, ...], rows: Any) -> tuple[Any, ...]:
@@ -207,11 +232,11 @@ def _some(
 ) -> None:  # fmt: skip
     """Write the answers (k, n + ANSWER) of some starts for these rows, until the time is up; `head` as in `go_on`."""
     search, given = _search(task.chain), _part(head, rows) if isinstance(rows, np.ndarray) else head
-    piece = max(LANES, min(chunk or CHUNK, WORK // count))
+    piece = max(LANES, min(chunk or CHUNK, WORK // (count * task.share)))
 
     def work(i: int, j: int) -> int:
         for k in range(i, j, piece):
-            check_stop()
+            look()
             if time.monotonic() >= task.end:
                 break
             last = min(k + piece, j)
@@ -226,7 +251,7 @@ def _up_to(
 ) -> tuple[np.ndarray, int]:  # fmt: skip
     """The rows that are still not reached after so many starts, or when the time is up, and how many these are."""
     while done < starts and len(left):
-        count = starts - done if task.time_limit is None else min(ROUND, starts - done)
+        count = min(task.round or starts, starts - done)
         some = _more(task, head, left, done, count, out, threads)
         if some is None:
             break

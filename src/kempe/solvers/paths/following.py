@@ -287,7 +287,8 @@ class _FollowedPath(PathSteps):
         if begin:
             said.append(f"no answer was found for {'targets 0 to ' if begin > 1 else 'target '}{begin - 1}")
         try:
-            self._go(out, jumps, said, restart, begin)
+            with self.budget:
+                self._go(out, jumps, said, restart, begin)
         except BROKEN_OFF as error:
             interrupted, late = (isinstance(error, kind) for kind in BROKEN_OFF)
             said.append(partial(interrupted, late).strip(" ()"))
@@ -306,7 +307,8 @@ class _FollowedPath(PathSteps):
         from kempe.solvers.paths.rolling_path import without_slip
 
         try:
-            return without_slip(self, path, begin)
+            with self.budget:
+                return without_slip(self, path, begin)
         except BROKEN_OFF as error:
             interrupted, late = (isinstance(error, kind) for kind in BROKEN_OFF)
             said = f"{path.reason}; it slips, {partial(interrupted, late).strip(' ()')}"

@@ -253,7 +253,8 @@ class _Direction:
         passed; without one back to q."""
         out: list[Array] = []
         try:
-            return self._follow(q, sign, steps, goal, out)
+            with self.time:
+                return self._follow(q, sign, steps, goal, out)
         except BROKEN_OFF as error:
             self.broken = error
             return _HalfCurve(out, False, self.time.reason(error), sign * self.wish)

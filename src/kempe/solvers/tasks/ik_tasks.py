@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.budget import Usual
+from kempe.budget import Usual, checks, watched_by
 from kempe.constraints.base import Constraint
 from kempe.errors import InputError, shown
 from kempe.kernels.base import search_layout as S
@@ -26,7 +26,7 @@ from kempe.reals import is_sequence, is_whole
 from kempe.solvers.assembly.assembler import TOLERANCE as CLOSED
 from kempe.solvers.assembly.assembler import limitless
 from kempe.solvers.common.arguments import deadline, seed_number, start_count, step_count, tolerances
-from kempe.solvers.common.clock import Clock
+from kempe.solvers.common.clock import EndReached, clock, up_at
 from kempe.solvers.common.problem import Problem
 from kempe.solvers.common.serial_chain import inside
 from kempe.solvers.tasks import effort
@@ -123,7 +123,11 @@ class Demands:
         stages, strengths, *_ = self.levels
         weights = loops.weights if self.limits else limitless(self.system, loops)
         q, info = np.empty((n, self.system.nq)), np.empty((n, 3), dtype=np.int64)
-        aim, pins, clock = starts if self.aim is None else self.aim, self.pins, Clock(self.end)
+        aim, pins, stop = (
+            starts if self.aim is None else self.aim,
+            self.pins,
+            clock().address if self.end < math.inf or checks() else 0,
+        )
         if rows is not None:
             starts, aim, pins = (x[rows] if len(x) > 1 else x for x in (starts, aim, pins))
         most = self.starts if tries is None else min(tries, self.starts)
@@ -132,18 +136,24 @@ class Demands:
             return x[i:j] if len(x) > 1 else x
 
         def work(i: int, j: int) -> int:
-            return kernel.solve(
-                loops.ints, loops.floats, loops.plan, weights, stages, strengths, part(starts, i, j), part(aim, i, j),
-                part(pins, i, j), most, self.iterations, self.mode, clock.address, self.loose, self.rng,
-                q[i:j], info[i:j],
-            )  # fmt: skip
+            with watched_by(up_at(self.end)):
+                left = kernel.solve(
+                    loops.ints, loops.floats, loops.plan, weights, stages, strengths, part(starts, i, j),
+                    part(aim, i, j), part(pins, i, j), most, self.iterations, self.mode, stop, self.loose, self.rng,
+                    q[i:j], info[i:j],
+                )  # fmt: skip
+            error = clock().taken()
+            if error is not None and not isinstance(error, EndReached):  # the time of a verb that asked
+                raise error
+            return left
 
         over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
         callbacks = [t.function for t in loops.ties if t.function is not None] + [self.callback]
         for callback in callbacks:
             if isinstance(callback, Callback) and callback.error is not None:
                 error, callback.error = callback.error, None
-                raise error
+                if not isinstance(error, EndReached):
+                    raise error
         return self._kept(self.packed.inside(q) if self.limits else q, starts), info
 
     def _kept(self, q: Array, starts: Array) -> Array:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from kempe.kinematics.one_sided import one_sided_rows
 from kempe.singular_values import svd
 from kempe.solvers.assembly.idle import moved_by_spins
 from kempe.solvers.common.arguments import start_count
-from kempe.solvers.common.clock import TIME_LIMIT, TimeLimit, TimeUp, partial
+from kempe.solvers.common.clock import TIME_LIMIT, TimeLimit, TimeUp, partial, time_limited, time_of
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import InWords, counted
@@ -223,6 +222,7 @@ class Components(Report):
 
 @explained
 @interruptible
+@time_limited(USUAL)
 def components(system: System, *, budget: Budget | None = None) -> Components:
     """The connected components of the configuration space, with the proof, or as a lower bound with the reason.
 
@@ -236,7 +236,15 @@ def components(system: System, *, budget: Budget | None = None) -> Components:
     one. Of the `budget` are read: starts (256), rng (0), time_limit (120 s).
     """
     spend = USUAL.of(budget)
-    time = TimeLimit(spend.time_limit)
+    time = time_of(USUAL, budget)
+    try:
+        return _counted(system, spend, time)
+    except TimeUp as error:
+        return Components(system, 0, False, f"none is known: {time.reason(error)} came first", None, late=True)
+
+
+def _counted(system: System, spend: Budget, time: TimeLimit) -> Components:
+    """The components, as `components` counts them."""
     if not has_loops(system):
         divided = bool(one_sided_rows(system).declared)
         why = "one-sided constraints may divide it" if divided else "a product of circles, intervals and rotations"
@@ -334,7 +342,7 @@ def _traced(
     q, several = _of_one_freedom(system, q, mobility.dof or 1)
     parts, late = list[Component](), False
     while len(q) and len(parts) != enough:
-        left = None if time.limit is None else time.end - monotonic()
+        left = time.left
         if left is not None and left <= 0.0:
             return Traced(tuple(parts), several, True)
         path = until_interrupt(trace, system, start=q[0], ways="branches", budget=Budget(time_limit=left))

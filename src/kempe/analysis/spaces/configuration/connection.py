@@ -21,7 +21,7 @@ from kempe.kinematics.configuration import as_q, has_loops
 from kempe.kinematics.measure import judge
 from kempe.reals import is_real
 from kempe.solvers.common.answer import Configurations
-from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp
+from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp, time_limited, time_of
 from kempe.spatial import Array
 from kempe.status import Status
 
@@ -75,6 +75,7 @@ class Connection(Configurations):
 
 @explained
 @interruptible
+@time_limited(USUAL)
 def path(system: System, q0: Any, q1: Any, *, budget: Budget | None = None) -> Connection:
     """A continuous motion from q0 to q1 (nq,) within limits and on all constraints, or why there is none.
 
@@ -90,7 +91,7 @@ def path(system: System, q0: Any, q1: Any, *, budget: Budget | None = None) -> C
         raise InputError(
             f"step is {spend.step!r}; it must be between 1e-4 and 1, in radians and characteristic lengths"
         )
-    time, step, rng = TimeLimit(spend.time_limit), float(spend.step), generator(spend.rng)
+    time, step, rng = time_of(USUAL, budget), float(spend.step), generator(spend.rng)
     a, b = _end(system, q0, "q0"), _end(system, q1, "q1")
     manifold = Manifold(system, system.nv)
     for name, q in (("the start q0", a), ("the goal q1", b)):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from kempe.kinematics.configuration import circles, has_loops, random
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.reals import is_real
 from kempe.solvers.common.answer import Configurations
-from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp
+from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp, time_limited, time_of
 from kempe.spatial import Array
 from kempe.words import counted
 
@@ -72,8 +72,15 @@ def _made(system: System, n: int, q: Array, measure: str, exact: bool, how: str,
     return Sample(q, measure, exact, said, taken, n, system)
 
 
+def _not_begun(time: TimeLimit, system: System, n: float, *_: Any, **__: Any) -> Sample:
+    """The answer where the time was up before a configuration was drawn."""
+    none = f"none is known: {time.reason(TimeUp())} came first"
+    return _broken(_made(system, int(n), np.empty((0, system.nq)), "no measure", False, none, 0.0), TimeUp())
+
+
 @explained
 @interruptible
+@time_limited(USUAL, _not_begun)
 def sample(
     system: System, n: float, rng: np.random.Generator | int | None = None, *, budget: Budget | None = None
 ) -> Sample:  # fmt: skip
@@ -90,7 +97,7 @@ def sample(
     if not (is_real(n) and 1 <= n <= MOST and n == int(n)):
         raise InputError(f"n is {shown(n)}; it must be a whole number of configurations, from 1 to {MOST}")
     rng, spend, n = generator(rng), USUAL.of(budget), int(n)
-    time = TimeLimit(spend.time_limit)
+    time = time_of(USUAL, budget)
 
     def check(done: int) -> None:
         time.check()

@@ -9,7 +9,7 @@ import numpy as np
 
 from kempe.analysis.first_order.image_rank import image_ranks
 from kempe.analysis.spaces.configuration.manifold import Manifold
-from kempe.budget import Budget, Usual
+from kempe.budget import Budget, TimeUp, Usual, look
 from kempe.calls import brief, explained, explained_methods, generator
 from kempe.constraints import KINDS
 from kempe.constraints.base import Constraint
@@ -18,7 +18,9 @@ from kempe.kinematics.common.result import Cells, Report
 from kempe.kinematics.configuration import as_q, has_loops, random
 from kempe.kinematics.tasks.packed import count, jacobian, units
 from kempe.solvers.common.arguments import start_count
+from kempe.solvers.common.clock import SHORT, time_limited, time_of
 from kempe.spatial import Array
+from kempe.status import Status
 from kempe.words import counted, verb
 
 if TYPE_CHECKING:
@@ -28,7 +30,9 @@ SEEN = 10_000
 """Further configurations of a tree, which cost next to nothing, that bound the image."""
 OF_FRAMES = ("pose", "position")
 """Kinds of constraints that a frame alone stands for."""
-USUAL = Usual("task_space", starts=64, rng=0)
+USUAL = Usual("task_space", starts=64, rng=0, time_limit=SHORT)
+SOME = 8
+"""Configurations whose ranks are found between two looks at the clock."""
 
 
 @explained_methods
@@ -53,6 +57,8 @@ class TaskSpace(Report):
     q: Array
     image: dict[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
     samples: int = 0
+    late: bool = False
+    """Whether the time limit ended the work: ranks are those of the samples that were looked at."""
 
     @property
     def redundancy(self) -> int:
@@ -84,7 +90,14 @@ class TaskSpace(Report):
         else:
             said = "isolated configurations reach what is reached, but for singular ones"
         here = f"; at this q the rank is {self.rank}, a singular configuration" if self.singular else ""
-        return f"{self.task}: {counts}, rank {k}; {said}{here}"
+        seen = counted(self.samples, "random configuration")
+        late = f"; the time limit ended the work after {seen}" if self.late else ""
+        return f"{self.task}: {counts}, rank {k}; {said}{here}{late}"
+
+    @property
+    def code(self) -> Status:  # type: ignore[override]
+        """The outcome: whether all that was asked for was looked at."""
+        return Status.OUT_OF_TIME if self.late else Status.SOLVED
 
     def _headline(self) -> str:
         return f"{self.system.name}: {self.status}"
@@ -99,6 +112,7 @@ class TaskSpace(Report):
 
 
 @explained
+@time_limited(USUAL)
 def task_space(
     system: System, tasks: Any, q: Any = None, *, task: str | None = None, budget: Budget | None = None
 ) -> TaskSpace:  # fmt: skip
@@ -108,7 +122,8 @@ def task_space(
     list of them. Ranks are those of the task's rates by the velocities that loops leave, at `q` (nq,) (by default a
     configuration that was drawn) and, for the generic rank, at random configurations; the image is that of those within
     limits and one-sided constraints, of a tree of 10 000 more. Of the `budget` are read: starts (64 random
-    configurations), rng (0). Errors: `InputError`, `UnknownNameError`.
+    configurations), rng (0), time_limit (30 s): where it ends the work, `late` is true, and what is said rests on the
+    `samples` that were looked at. Errors: `InputError`, `UnknownNameError`, `TimeLimitError` before the first of them.
 
     >>> from kempe import load
     >>> print(task_space(load("two_link"), "e", task="position").status)
@@ -123,9 +138,20 @@ def task_space(
         raise InputError(f"q has shape {at.shape}; it must be one configuration ({system.nq},) of finite numbers")
     every, m = np.concatenate([at[None], drawn]), sum(count(system, t) for t in wanted)
     metres = np.array([unit == "m" for t in wanted for unit in units(system, t)])
-    rates = np.concatenate([jacobian(system, t, every) for t in wanted], axis=-2)
-    ranks, n = image_ranks(system, every, rates, metres)
-    rank, generic = int(ranks[0]), int(ranks.max())
+    time, ranks, n = time_of(USUAL), list[int](), 0
+    time.put_in_order()
+    try:
+        for k in range(0, len(every), SOME):
+            look()
+            some = every[k : k + SOME]
+            rates = np.concatenate([jacobian(system, t, some) for t in wanted], axis=-2)
+            found, n = image_ranks(system, some, rates, metres)
+            ranks += found.tolist()
+    except TimeUp:
+        if not ranks or not time.spent:
+            raise
+        drawn = drawn[: len(ranks) - 1]
+    rank, generic = int(ranks[0]), int(max(ranks))
     image, p = dict[str, tuple[float, float]](), np.empty((0, 3))
     if frame is not None:
         seen = drawn if has_loops(system) else np.concatenate([drawn, random(system, rng, SEEN)])
@@ -133,7 +159,7 @@ def task_space(
         p = system.fk(seen, frame, form="position")
     if frame is not None and len(p):
         image = {axis: (float(p[:, i].min()), float(p[:, i].max())) for i, axis in enumerate("xyz"[: system.dim])}
-    return TaskSpace(system, name, m, n, rank, generic, at.copy(), image, len(drawn))
+    return TaskSpace(system, name, m, n, rank, generic, at.copy(), image, len(drawn), time.spent)
 
 
 def _wanted(system: System, tasks: Any, task: str | None) -> tuple[list[Constraint], str, FrameLike | None]:

@@ -19,7 +19,7 @@ from kempe.analysis.spaces.reach.reached_poses import UNKNOWN, reached
 from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods, interruptible, numbers
 from kempe.constraints.frame_targets import of_target
-from kempe.errors import InputError
+from kempe.errors import InputError, TimeLimitError
 from kempe.kinematics.common.result import Report
 from kempe.reals import is_sequence, is_whole
 from kempe.solvers.common.clock import LONG, partial
@@ -87,7 +87,10 @@ class CapabilityMap(Report):
         """Why directions that are drawn are not reached anywhere, where the frame has too few freedoms for them."""
         system, name, free = self.system, self.frame, self.rolls is None and self.system.dim == 3
         task = "position_axis" if free else "pose"
-        found = task_space(system, of_target(name, task, Z_AXIS, np.eye(4)))
+        try:
+            found = task_space(system, of_target(name, task, Z_AXIS, np.eye(4)))
+        except TimeLimitError:
+            return ""
         if found.generic_rank >= found.m:
             return ""
         what = "a position and a direction have" if free else "a pose has"

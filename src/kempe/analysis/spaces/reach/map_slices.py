@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 SLICE, LOOP_SLICE = 2048, 128
 """Poses that are tried at once, of a system with closed loops, where each takes longer: less than a second's work."""
+LONG = 16
+"""Velocity coordinates, twice which make these poses fewer, for the work grows with their square."""
 
 
 def sliced(
@@ -29,7 +31,8 @@ def sliced(
     that were not reached before the time limit or an interrupt are NaN; the first slice is always done.
     """
     clock, each = TimeLimit(spend.time_limit), Budget(starts=spend.starts, rng=spend.rng, threads=spend.threads)
-    at_once, broken = max(1, (LOOP_SLICE if has_loops(system) else SLICE) // poses), None
+    share, broken = max(1, system.nv // LONG) ** 2, None
+    at_once = max(1, (LOOP_SLICE if has_loops(system) else SLICE) // (poses * share))
     rows: list[list[Array]] = []
     try:
         for first in range(0, max(count, 1), at_once):

@@ -237,18 +237,19 @@ def singularities(
     found: Found = {}
     clock, done, broken = TimeLimit(spend.time_limit), 0, None
     try:
-        while done < len(questions.starts):
-            clock.check()
-            starts = dict.fromkeys(problems, questions.starts[done : done + AT_ONCE])
-            for key, row in _led(questions, problems, starts, task, limits):
-                found.setdefault(key, []).append(row)
-            done = min(done + AT_ONCE, len(questions.starts))
-            if spend.progress is not None:
-                spend.progress(done, len(questions.starts))
-        if loops and limits:
-            clock.check()
-            for key, row in _led(questions, problems, questions.nearly(problems), task, limits):
-                found.setdefault(key, []).append(row)
+        with clock:
+            while done < len(questions.starts):
+                clock.check()
+                starts = dict.fromkeys(problems, questions.starts[done : done + AT_ONCE])
+                for key, row in _led(questions, problems, starts, task, limits):
+                    found.setdefault(key, []).append(row)
+                done = min(done + AT_ONCE, len(questions.starts))
+                if spend.progress is not None:
+                    spend.progress(done, len(questions.starts))
+            if loops and limits:
+                clock.check()
+                for key, row in _led(questions, problems, questions.nearly(problems), task, limits):
+                    found.setdefault(key, []).append(row)
     except BROKEN_OFF as error:
         broken = Status.OUT_OF_TIME if isinstance(error, TimeUp) else Status.INTERRUPTED
     sets = [_set(system, key, rows, [problems[kind] for kind in key[0]]) for key, rows in found.items() if key[0]]

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.budget import Budget, Usual
+from kempe.budget import Budget, TimeUp, Usual
 from kempe.calls import explained
 from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
 from kempe.reals import is_whole, reals
@@ -24,6 +24,7 @@ from kempe.solvers.analytic.redundant.arm_angle import BRANCHES, ELBOW, Arm, Pos
 from kempe.solvers.analytic.redundant.sweep import Sweep
 from kempe.solvers.analytic.redundant.sweep_curves import ChainMotion, CurvePiece
 from kempe.solvers.analytic.redundant.sweep_net import arcs_through
+from kempe.solvers.common.clock import SHARE, SHORT, TimeLimit, time_limited, time_of
 from kempe.solvers.common.problem import Problem, Solver, choose, chosen_by
 from kempe.solvers.common.serial_chain import inside
 from kempe.solvers.common.targets import Z_AXIS, axis_for, refuse_position, targets_of, task_and_axis, task_of
@@ -37,10 +38,11 @@ ARM_ANGLE = "arm_angle"
 
 SAMPLES, MOST_SAMPLES = 256, 10_000_000
 """Values of a joint at which all solutions are requested, as starts of the curves between: usually, and at most."""
-USUAL = Usual("ik_sweep", points=SAMPLES)
+USUAL = Usual("ik_sweep", points=SAMPLES, time_limit=SHORT)
 
 
 @explained
+@time_limited(USUAL)
 def ik_sweep(
     system: System, target: ArrayLike, frame: FrameLike, parameter: str | tuple[str, ArrayLike] | None = None, *,
     n: int | None = None, task: str | tuple[str, ArrayLike] | None = None, start: Any = None,
@@ -53,11 +55,11 @@ def ik_sweep(
     its reference); by default that, and else the joint that `ik_all` holds. `target` and `task` are as in `ik_all`.
     Where there is more than one freedom to spare, joints are held: those `fixed`, by name, and others at `start` (nq,),
     which also chooses among turns of angles; without `start` where `ik_all` finds a solution inside the limits. `n`
-    asks for samples at so many values; the points of the `budget` (256) are the values of a joint at which curves are
-    looked for.
+    asks for samples at so many values. Of the `budget` are read: points (256), the values of a joint at which curves
+    are looked for, and time_limit (30 s): where it ends the work, `late` is true, and the branches are those found.
 
     Errors: `UnsupportedError` for chains without a freedom to spare, or without an arm angle where that is requested,
-    `InputError`, `UnknownNameError`.
+    `InputError`, `UnknownNameError`, `TimeLimitError` where no branch could be looked for by then.
 
     >>> import kempe
     >>> robot = kempe.load("iiwa14")
@@ -145,7 +147,7 @@ def _sweep_problem(problem: Problem) -> SweepProblem:
     (task, axis), given = problem.task, problem.options["given"]
     lines = chain_lines(problem.system, str(problem.frame), Z_AXIS)
     return SweepProblem(problem.system, str(problem.frame), lines, task, axis, problem.targets[0], given,
-                 problem.options["base"], dict(problem.known), problem.start is None)  # fmt: skip
+                 problem.options["base"], dict(problem.known), problem.start is None, time_of(USUAL))  # fmt: skip
 
 
 def _refuse_no_rotation(R: Array) -> None:
@@ -173,6 +175,7 @@ class SweepProblem:
     near: Array
     fixed: dict[str, Array]
     anywhere: bool
+    time: TimeLimit = field(compare=False)
 
     def locked(self, fixed: Mapping[str, Any]) -> tuple[int, ...]:
         """Joints that `ik_all` holds, with these `fixed`."""
@@ -189,13 +192,14 @@ class SweepProblem:
         q[at] = np.clip(q[at], *self.lines.limits)
         return q
 
-    def all_at(self, name: str, values: Array, fixed: Mapping[str, Any]) -> Any:
-        """`ik_all` with a joint held at values () or (m,)."""
+    def all_at(self, name: str, values: Array, fixed: Mapping[str, Any], time: TimeLimit | None = None) -> Any:
+        """`ik_all` with a joint held at values () or (m,), in the `time` that is left."""
+        budget = None if time is None or time.left is None else Budget(time_limit=SHARE * time.left)
         m = (len(values),) if values.ndim else ()
         target = np.broadcast_to(self.given, (*m, *self.given.shape))
         near = np.array(np.broadcast_to(self.near, (*m, self.system.nq)), order="C")
         return ik_all(self.system, target, self.frame, near, task=(self.task, self.axis),
-                      fixed={**fixed, name: values})  # fmt: skip
+                      fixed={**fixed, name: values}, budget=budget)  # fmt: skip
 
 
 def _sweep(over: SweepProblem, curves: ArmCurves | JointCurves, n: int | None) -> Sweep:
@@ -210,7 +214,13 @@ def _sweep(over: SweepProblem, curves: ArmCurves | JointCurves, n: int | None) -
     if n is None:
         return sweep
     values = np.linspace(*curves.domain, n)
-    q, mask, fits = sweep._sampled(values, True)
+    try:
+        q, mask, fits = sweep._sampled(values, True)
+    except TimeUp:
+        if not over.time.spent:
+            raise
+        curves.late = True
+        return sweep
     for name, x in (("values", values), ("q", q), ("mask", mask), ("inside", fits)):
         object.__setattr__(sweep, name, x)
     return sweep
@@ -219,7 +229,7 @@ def _sweep(over: SweepProblem, curves: ArmCurves | JointCurves, n: int | None) -
 class ArmCurves:
     """The eight branches of an arm over its arm angle."""
 
-    parameter, exact, circular = ARM_ANGLE, True, True
+    parameter, exact, circular, late = ARM_ANGLE, True, True, False
     domain = (-math.pi, math.pi)
 
     def __init__(self, over: SweepProblem, arm: Arm):
@@ -249,7 +259,8 @@ class JointCurves:
     exact, circular = False, False
 
     def __init__(self, motion: ChainMotion, arcs: list[CurvePiece], name: str, domain: tuple[float, float],
-                 fixed: dict[str, float], samples: int):  # fmt: skip
+                 fixed: dict[str, float], samples: int, late: bool):  # fmt: skip
+        self.late = late
         self.motion, self.arcs, self.lines, self.parameter = motion, arcs, motion.lines, name
         self.domain, self.held, self.base, self.unit = domain, fixed, motion.base, float(motion.unit[motion.p])
         self.labels = tuple(f"branch {k + 1}" for k in range(len(arcs)))
@@ -295,15 +306,18 @@ def _joint_curves(over: SweepProblem, parameter: str | None, samples: int) -> Jo
     shift = (domain[1] - domain[0]) * 0.381966 / samples  # arms tend to be singular at round values
     inner = np.linspace(domain[0], domain[1], samples)[:-1] + shift
     values = np.concatenate([[domain[0]], inner, [domain[1]]])
-    found = over.all_at(name, values, others)
+    over.time.put_in_order()  # `ik_all` has its share, and ends by itself
+    found = over.all_at(name, values, others, over.time)
+    missed = int(np.sum(found.late))
     free = tuple(j for j, n in enumerate(lines.names) if n not in others)
     base = over.near.copy()
     for other, value in others.items():
         base[lines.q_index[lines.names.index(other)]] = value
     motion = ChainMotion(over.system, over.frame, lines, over.task, over.axis, over.target, base, free, free.index(i))
     level, row = np.nonzero(found.mask & (found.multiplicity > 0))
-    arcs = arcs_through(motion, values / motion.unit[motion.p], motion.x(found.q[level, row]), level)
-    return JointCurves(motion, arcs, name, domain, others, samples)
+    arcs = arcs_through(motion, values / motion.unit[motion.p], motion.x(found.q[level, row]), level, over.time)
+    late = missed > 0 or over.time.spent
+    return JointCurves(motion, arcs, name, domain, others, len(values) - missed, late)
 
 
 def _article(task: str) -> str:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe.budget import look
 from kempe.calls import brief, explained_methods
 from kempe.constraints.frame_targets import AXIS_TASKS, of_target
 from kempe.errors import InputError
@@ -40,6 +41,12 @@ SAME = 1e-6
 TRIES, REFINED = 201, 4
 """Configurations of each interval that are compared, and how many of the best of these are refined."""
 
+LATE = "the time limit ended the search: there may be more"
+"""What is added where branches may be missing."""
+
+PIECE = 4096
+"""Samples between two looks at the clock."""
+
 TWO_PI = 2.0 * math.pi
 
 
@@ -52,6 +59,7 @@ class Curves(Protocol):
     lines: Lines
     exact: bool
     circular: bool
+    late: bool
     reason: str
 
     def intervals(self, limited: bool) -> list[list[tuple[float, float]]]:
@@ -196,7 +204,11 @@ class Sweep(Answer):
     def _sampled(self, values: Array, along: bool, branch: int | None = None) -> tuple[Array, np.ndarray, np.ndarray]:
         """Configurations (m, K, nq), which are there, which are inside the limits (m, K); of one branch K = 1."""
         lines = self.curves.lines
-        chain, mask = self.curves.rows(values, branch)
+        rows: list[tuple[Array, np.ndarray]] = []
+        for k in range(0, max(len(values), 1), PIECE):
+            look()
+            rows.append(self.curves.rows(values[k : k + PIECE], branch))
+        chain, mask = np.concatenate([x for x, _ in rows]), np.concatenate([x for _, x in rows])
         chain, fits = turned(lines, chain, mask, self.near[lines.q_index], along)
         q = np.full((*mask.shape, self.system.nq), np.nan)
         q[:] = self.near
@@ -270,10 +282,17 @@ class Sweep(Answer):
         return any(self.intervals)
 
     @property
+    def late(self) -> bool:
+        """Whether the time limit ended the search for branches, of which there may be more, or the sampling."""
+        return self.curves.late
+
+    @property
     def code(self) -> Status:
         """The outcome: that there is no solution is proven where the intervals are `exact`."""
         if self.success:
             return Status.SOLVED
+        if self.late and not self.exact:
+            return Status.OUT_OF_TIME
         return Status.NOT_FOUND if not self.exact else Status.OUTSIDE_LIMITS if any(self.spans) else Status.NONE_EXISTS
 
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
@@ -285,6 +304,10 @@ class Sweep(Answer):
 
     def _sentence(self, index: tuple[int, ...]) -> str:
         way = "in closed form" if self.exact else "ends to 1e-10, from solutions at sampled values"
+        late = "the time limit ended the sampling" if self.exact else LATE
+        return self._found(way) + (f"; {late}" if self.late else "")
+
+    def _found(self, way: str) -> str:
         if self:
             return f"{self.parameter} can be in {spelled(self.feasible)} ({way})"
         if any(self.spans):
@@ -327,6 +350,7 @@ def turned(lines: Lines, q: Array, mask: np.ndarray, near: Array, along: bool) -
     out, fits = np.empty_like(q), np.empty(mask.shape, dtype=bool)
     last = np.broadcast_to(near, q.shape[1:])
     for i in range(len(q)):
+        look()
         out[i], fits[i] = _turned(lines, q[i], last, period)
         last = np.where(mask[i][:, None], out[i], near)
     return out, fits & mask

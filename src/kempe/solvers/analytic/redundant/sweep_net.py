@@ -6,8 +6,10 @@ import math
 
 import numpy as np
 
+from kempe.budget import TimeUp, look
 from kempe.singular_values import svd
 from kempe.solvers.analytic.redundant.sweep_curves import LONGEST, ChainMotion, CurvePiece, follow, pieces
+from kempe.solvers.common.clock import TimeLimit
 from kempe.solvers.common.tracing import BEND
 from kempe.spatial import Array
 
@@ -72,6 +74,7 @@ class Net:
 
         Its pieces are kept in `up`, `head`, `foot` and `loose`.
         """
+        look()
         motion, i = self.motion, int(self.level[a])
         j = i + int(sense)
         between = (float(min(self.values[i], self.values[j])), float(max(self.values[i], self.values[j])))
@@ -142,7 +145,9 @@ class Net:
         return CurvePiece(self.motion, x[keep], t[keep])
 
 
-def arcs_through(motion: ChainMotion, values: Array, x: Array, level: np.ndarray) -> list[CurvePiece]:
+def arcs_through(
+    motion: ChainMotion, values: Array, x: Array, level: np.ndarray, time: TimeLimit
+) -> list[CurvePiece]:  # fmt: skip
     """The arcs of the curves through solutions x (M, nf), at rising values (m,); level (M,): at which.
 
     Solutions at the values are joined to curves; from those that find no partner curves are followed.
@@ -152,5 +157,9 @@ def arcs_through(motion: ChainMotion, values: Array, x: Array, level: np.ndarray
     better, good = motion.closed(x, np.repeat(np.eye(x.shape[1])[[motion.p]], len(x), axis=0))
     good &= np.abs(better - x).max(axis=-1, initial=0.0) < SAME
     net = Net(motion, values, np.where(good[:, None], better, x), level)
-    net.join()
+    try:
+        net.join()
+    except TimeUp:  # the arcs that were joined by now
+        if not time.spent:
+            raise
     return net.arcs()
