@@ -485,7 +485,7 @@ if "{size}" == "BLOCKS":
     closure_batch.equations(loops.ints, loops.floats, plan, loops.weights, pins, q, True, out, J)
 else:
     to, residual, info = np.empty((1, system.nq)), np.empty(1), np.empty((1, 3), dtype=np.int64)
-    loop_closing.assemble(loops.ints, loops.floats, plan, loops.weights, q, pins, 3, 50, 1e-9, 0, 0, 0, False,
+    loop_closing.assemble(loops.ints, loops.floats, plan, loops.weights, q, pins, 0, 3, 50, 1e-9, 0, 0, 0, False, 0,
                           to, residual, info)
 print("done")
 """
