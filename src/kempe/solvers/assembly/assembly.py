@@ -80,15 +80,21 @@ def assemble(
     if branch is None and prefer is None and limits is True and tolerance is None and budget is None:
         answer = bound(system, tuple(given))._usual(given, start)
         if answer is not None:
-            return answer if time is None else replace(answer, limit=time.limit)
+            return _within_limit(answer, time)
     options = NOTHING
     if signs:
         options = {"branch": branch}
     elif branch is not None and start is None:
         start = system.q(branch)
     problem = Problem(system, "one", given, start, prefer, limits, tolerance or TOLERANCE, budget, options)
-    answer = chosen(system, tuple(given), signs)[0].run(problem)
-    return answer if time is None else replace(answer, limit=time.limit)
+    return _within_limit(chosen(system, tuple(given), signs)[0].run(problem), time)
+
+
+def _within_limit(answer: Assembly, time: TimeLimit | None) -> Assembly:
+    """The answer, which names the time of the whole call where that may have ended it."""
+    if time is not None and answer.limit is not None:
+        answer.__dict__["limit"] = time.limit
+    return answer
 
 
 def _time(budget: Budget | None) -> TimeLimit:
