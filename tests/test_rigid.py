@@ -186,7 +186,7 @@ def test_what_is_further_off_is_refused(verb):
         if verb.endswith("of many"):
             assert np.isnan(ask(off)).all() or ask(off).size == 0
         else:
-            with pytest.raises(kempe.errors.KempeError, match="rotation|no pose"):
+            with pytest.raises(kempe.errors.KempeError, match="rotation|not a pose"):
                 ask(off)
 
 

@@ -190,6 +190,82 @@ def call_of(
     return Call(function, tuple(args), options, title)
 
 
+EXTREMES: tuple[Any, ...] = (
+    np.inf, -np.inf, np.nan, 1e300, -1e300, 1e308, 1e200, 1e155, 1e101, 1e99, 1e50, 1e15, -1e15, 1e-300, 5e-324,
+    10**15, 2**63, -(10**30), 10**400,
+)  # fmt: skip
+"""Numbers with which nothing overflows silently: each is refused, or has an answer."""
+NUMBERS = re.compile("Array|float|int|Number|Value|Point|Any|Direction|Matrix|Rotation|Mapping|object")
+NO_NUMBERS = {
+    "ax",
+    "budget",
+    "index",
+    "frame",
+    "other",
+    "progress",
+    "expression",
+    "function",
+    "derivative",
+    "symbols",
+    "client",
+    "where",
+}
+USUAL: dict[str, Any] = {
+    "R": np.eye(3), "X": np.eye(4), "p": np.zeros(3), "w": np.full(3, 0.3), "twist": np.full(6, 0.3), "angle": 0.3,
+    "rpy": np.full(3, 0.3), "quat_wxyz": np.array([1.0, 0.0, 0.0, 0.0]), "values": np.full(6, 0.3),
+    "particles": np.eye(3), "places": np.eye(3) + 0.1, "rows": [[0.3, 0.1, 0.2, 0.4]] * 2, "home": np.eye(4),
+    "screws": [[0, 0, 1, 0, 0, 0], [0, 0, 1, 0, -1, 0]], "points": [[0.0, 0, 0], [0.1, 0, 0], [0.2, 0.1, 0]],
+    "low": (-1.0, -1.0, -1.0), "high": (1.0, 1.0, 1.0), "target": (0.1, 0.2, 0.3), "direction": (0.0, 0.0, 1.0),
+    "normal": (0.0, 0.0, 1.0), "reference": (0.0, 0.0, 1.0), "dt": 0.01, "radius": 0.1, "duration": 0.5,
+    "u": [0.5], "matrix": [[1.0]], "of": ["A"], "sources": {"A": 2.0}, "ratio": 2.0, "limits": {"A": (-1.0, 1.0)},
+}  # fmt: skip
+"""Numbers that arguments of these names may be, where no system gives better ones."""
+
+
+def spoiled(right: Any, rng: np.random.Generator) -> Any:
+    """Numbers of which some, or the shape, are extreme."""
+    x = EXTREMES[rng.integers(len(EXTREMES))]
+    if isinstance(right, dict):
+        return dict.fromkeys(right or {"A": 0.0}, x)
+    try:
+        array = np.array(right, dtype=float)
+    except (TypeError, ValueError):
+        return x
+    if not array.ndim or not array.size:
+        return x
+    number = float(max(min(x, 10**308), -(10**308))) if isinstance(x, int) else x
+    with np.errstate(all="ignore"):
+        one = np.where(np.arange(array.size).reshape(array.shape) == rng.integers(array.size), number, array)
+        cases = [np.full(array.shape, number), one, array * number, np.full((*array.shape, 2), number), array[0]]
+    given = cases[rng.integers(len(cases))]
+    return given if rng.random() < 0.7 else given.tolist()
+
+
+def extreme_call_of(
+    title: str, function: Callable[..., Any], system: System | None, rng: np.random.Generator
+) -> Call | None:
+    """A call with right arguments, of which one that takes numbers is spoiled; None where none takes any."""
+    parameters = [p for p in signature_of(function) if p.name not in ("self", "where", "out", "time_limit")]
+    parameters = [p for p in parameters if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)]
+    able = [p.name for p in parameters if p.name not in NO_NUMBERS and NUMBERS.search(str(p.annotation))]
+    if not able:
+        return None
+    bad, options = str(rng.choice(able)), {}
+    for p in parameters:
+        right = USUAL.get(p.name, ...) if system is None else rightly(p.name, system, rng)
+        if p.name == "inputs" and system is not None and title.endswith("drive"):
+            right = {name: [0.5, 0.6] for name in system.coordinate_names[:1]}
+        right = USUAL.get(p.name, 0.3) if right is ... else right
+        if p.name == bad:
+            options[p.name] = spoiled(right, rng)
+        elif p.default is p.empty:
+            options[p.name] = right
+        elif p.name == "budget":
+            options[p.name] = kempe.Budget(time_limit=0.5)
+    args = [options.pop(p.name) for p in parameters if p.kind is p.POSITIONAL_ONLY and p.name in options]
+    return Call(function, tuple(args), options, title)
+
+
 def answers(system: System) -> Iterator[tuple[str, Any]]:
     """Answers of a system, of each kind that it has."""
     frame, q = system.frame_names[-1], system.mid
@@ -252,6 +328,7 @@ def changed_only_if_done(mechanism: Mechanism, name: str, args: tuple[Any, ...],
     return answer
 
 
+@functools.cache
 def functions() -> list[tuple[str, Callable[..., Any], System | None]]:
     """All that is called: methods of systems, mechanisms and answers, tasks, functions of modules."""
     systems_cache.update(systems())

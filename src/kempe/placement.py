@@ -14,7 +14,7 @@ from kempe import spatial
 from kempe.calls import explained
 from kempe.calls import numbers as numbers_of
 from kempe.errors import InputError
-from kempe.reals import is_array, is_real, is_sequence
+from kempe.reals import FARTHEST, is_array, is_real, is_sequence
 from kempe.rigid import arrays, sound
 from kempe.values import Expression, Value, evaluate, negate, value, values
 from kempe.words import counted
@@ -175,8 +175,9 @@ def axis_steps(axis: object) -> list[Step]:
 def placement_of_pose(X: object) -> Placement:
     """Placement of a pose given as a (4, 4) matrix. Errors: `InputError` where it is not a rigid motion."""
     X = numbers_of(X, "pose")
-    if X.shape != (4, 4) or not np.array_equal(X[3], [0.0, 0.0, 0.0, 1.0]):
-        raise InputError(f"a pose must be a (4, 4) matrix with last row 0 0 0 1, not an array of shape {X.shape}")
+    if X.shape != (4, 4):
+        raise InputError(f"the matrix of a pose has shape {X.shape}; it must be (4, 4)")
+    spatial._poses(X, "the matrix")
     return place(X[:3, 3]) if np.array_equal(X[:3, :3], np.eye(3)) else place(X[:3, 3], matrix=X[:3, :3])
 
 
@@ -187,6 +188,8 @@ def check_step(motion: str, numbers: tuple[Value, ...]) -> None:
     if len(numbers) != COUNTS[motion]:
         raise InputError(f"{motion} has {counted(len(numbers), 'number')}; it must have {COUNTS[motion]}")
     if motion in _SCALAR:
+        if is_real(numbers[0]) and not abs(numbers[0]) < FARTHEST:
+            raise InputError(f"{motion} is {numbers[0]!r}; its size must be below {FARTHEST:g}")
         return
     if any(isinstance(x, Expression) for x in numbers):
         if motion in ("align", "unalign", "matrix"):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from numbers import Rational, Real
 from typing import Any, TypeGuard, cast
 
@@ -14,6 +14,8 @@ from kempe.errors import InputError, shown
 
 PLAIN = frozenset({float, int, np.float64})
 """Numbers of which a sequence needs no closer look."""
+FARTHEST = 1e100
+"""Numbers of this size and larger are refused where searches begin: products of three of them must be floats."""
 LISTS = frozenset({list, tuple})
 DEEPEST = 64
 """Lists within lists that are read: as many as numpy has axes."""
@@ -54,6 +56,11 @@ def converted(given: Any, what: str, wanted: str) -> NDArray[np.float64]:
     except (TypeError, ValueError, RuntimeError, OverflowError):
         held = "ragged" if isinstance(given, (list, tuple)) else shown(given)
         raise InputError(f"{what} is {held}; it must be {wanted}") from None
+    if array.dtype == object and not is_array(given) and PLAIN.issuperset(map(type, array.flat)):
+        try:
+            array = array.astype(np.float64)  # whole numbers beyond those of numpy
+        except OverflowError:
+            raise InputError(f"{what} has a number that no float holds; it must be {wanted}") from None
     if array.dtype.kind not in "fiu":
         held = KINDS.get(array.dtype.kind, str(array.dtype))
         if given is None or not array.ndim:
@@ -61,6 +68,26 @@ def converted(given: Any, what: str, wanted: str) -> NDArray[np.float64]:
         raise InputError(f"{what} holds {held}; it must be {wanted}")
     with np.errstate(over="ignore"):
         return array.astype(np.float64, copy=False)
+
+
+def within_range(
+    x: NDArray[np.float64], what: str, names: Sequence[str] = (), below: float = FARTHEST
+) -> NDArray[np.float64]:
+    """The numbers `x`, which must be finite and of a size below a bound; `names` are those of the last axis.
+
+    Errors: `InputError`, with the first number that is not, and its place.
+    """
+    good = np.abs(x) < below
+    if good.all():
+        return x
+    place = [int(i) for i in np.argwhere(~good)[0]]
+    value = float(x[tuple(place)])
+    place = [i for k, i in enumerate(place) if x.shape[k] > 1 or k + 1 == x.ndim]
+    if names:
+        place[-1:] = [repr(names[place[-1]])]  # type: ignore[list-item]
+    at = f"[{', '.join(map(str, place))}]" if place else ""
+    allowed = f"its size must be below {below:g}" if np.isfinite(value) else "it must be finite"
+    raise InputError(f"{what}{at} is {value:g}; {allowed}")
 
 
 def median(values: Iterable[float]) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.errors import InputError, shown, warn
-from kempe.reals import DEEPEST, PLAIN, is_plain, reals
+from kempe.reals import DEEPEST, FARTHEST, PLAIN, is_plain, reals, within_range
 from kempe.singular_values import svd
 from kempe.spatial import Array
 from kempe.words import counted
@@ -80,6 +80,35 @@ def sound(X: Array, what: str, exact: float = EXACT) -> Array:
     some = "" if off.ndim == 0 else f" in {np.count_nonzero(rounded)} of {counted(off.size, 'case')}"
     warn(f"the rotation of {what} is off by {off[rounded].max():.1g} (R'R - 1){some}; the nearest rotation was taken")
     return out
+
+
+def why_not_a_pose(X: Array, exact: float = EXACT) -> str:
+    """What is wrong with a matrix (4, 4) as a pose that a search can begin with; '' where nothing is.
+
+    The last row must be 0 0 0 1, all numbers finite and below `reals.FARTHEST` in size, and R'R within `exact` of 1.
+    """
+    last = X[3].tolist()
+    if np.isfinite(last).all() and last != spatial.LAST_ROW:
+        return f"its last row is {last}; it must be 0 0 0 1"
+    try:
+        within_range(X, "its entry ")
+    except InputError as error:
+        return str(error)
+    off = float(rotation_error(X[:3, :3]))
+    if off <= exact:
+        return ""
+    wrong = f"R'R - 1 has an entry of {off:.1g}" if np.linalg.det(X[:3, :3]) > 0.0 else "det R is not positive"
+    return f"{wrong}, where R is its rotation; R must be orthonormal with determinant +1"
+
+
+def refuse_no_poses(X: Array, what: str, exact: float = EXACT) -> Array:
+    """Poses (..., 4, 4) that a search can begin with. Errors: `InputError` that says which one is none, and why."""
+    good = (X[..., 3, :] == spatial.LAST_ROW).all(axis=-1) & (np.abs(X) < FARTHEST).all(axis=(-1, -2))
+    good &= rotation_error(X[..., :3, :3]) <= exact
+    if not good.all():
+        at = [int(i) for i in np.argwhere(~good)[0]]
+        raise InputError(f"{what}{at or ''} is not a pose: {why_not_a_pose(X[tuple(at)], exact)}")
+    return X
 
 
 def _stretched(R: Array) -> Array:

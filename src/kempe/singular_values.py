@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kempe.budget import look
+from kempe.errors import InputError
 
 LARGE = 2000
 """Entries from which on a decomposition takes far longer than a look at the clock."""
@@ -26,7 +27,7 @@ def svd(A: Any, full_matrices: bool = True, compute_uv: bool = True) -> Any:
 
     Raises
     ------
-    numpy.linalg.LinAlgError
+    InputError
         For matrices with entries that are not finite.
     """
     if getattr(A, "size", 0) > LARGE:
@@ -37,7 +38,9 @@ def svd(A: Any, full_matrices: bool = True, compute_uv: bool = True) -> Any:
     except np.linalg.LinAlgError:
         matrices = np.asarray(A, dtype=np.float64)
         if not np.isfinite(matrices).all():
-            raise
+            raise InputError(
+                "a matrix has entries that are not finite: a number of the system or of the call is too large"
+            ) from None
     import scipy.linalg  # only here: it takes long
 
     library: Any = scipy.linalg

@@ -11,7 +11,7 @@ from typing import NamedTuple, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kempe.calls import numbers, together
+from kempe.calls import numbers, quiet, together
 from kempe.errors import InputError
 from kempe.singular_values import svd
 
@@ -23,16 +23,17 @@ SMALL_ANGLE = 1e-4
 """Below this angle, series replace quotients by the angle: their first dropped term is under 1e-17."""
 
 
+@quiet
 def unit(v: ArrayLike) -> Array:
     """Vectors (..., n) scaled to length one, however large or small; NaN for a vector that is zero or not finite."""
     v = numbers(v, "v")
     if v.ndim == 0:
         raise InputError("v is a single number; it must be a vector (..., n)")
-    with np.errstate(invalid="ignore", divide="ignore"):
-        scaled = v / np.max(np.abs(v), axis=-1, keepdims=True, initial=0.0)  # or squares would overflow or vanish
-        return scaled / np.sqrt(np.sum(scaled * scaled, axis=-1, keepdims=True))
+    scaled = v / np.max(np.abs(v), axis=-1, keepdims=True, initial=0.0)  # or squares would overflow or vanish
+    return scaled / np.sqrt(np.sum(scaled * scaled, axis=-1, keepdims=True))
 
 
+@quiet
 def skew(v: ArrayLike) -> Array:
     """Matrix (..., 3, 3) of the cross product with `v` (..., 3)."""
     v = numbers(v, "v", 3)
@@ -43,6 +44,7 @@ def skew(v: ArrayLike) -> Array:
     return out
 
 
+@quiet
 def pose(R: ArrayLike | None = None, p: ArrayLike | None = None) -> Array:
     """Pose (..., 4, 4) of a rotation (..., 3, 3) and a position (..., 3); what is not given is zero motion."""
     turn = np.eye(3) if R is None else numbers(R, "R", 3, 3)
@@ -70,12 +72,13 @@ def _poses(X: ArrayLike, what: str = "X") -> Array:
     bad = np.isnan(last).any(axis=-1)
     if not (right | bad).all():
         wrong = last[~(right | bad)][0].tolist()
-        raise InputError(f"{what} is no pose: its last row is {wrong}; it must be 0 0 0 1")
+        raise InputError(f"{what} is not a pose: its last row is {wrong}; it must be 0 0 0 1")
     out = given.copy()
     out[bad] = np.nan
     return out
 
 
+@quiet
 def inverse(X: ArrayLike) -> Array:
     """Inverse (..., 4, 4) of poses, by transposing the rotation."""
     given = _poses(X)
@@ -83,16 +86,19 @@ def inverse(X: ArrayLike) -> Array:
     return pose(R, -np.einsum("...ij,...j->...i", R, given[..., :3, 3]))
 
 
+@quiet
 def rot_x(angle: ArrayLike) -> Array:
     """Rotation (..., 3, 3) about x by `angle` (...)."""
     return _rot(angle, 0)
 
 
+@quiet
 def rot_y(angle: ArrayLike) -> Array:
     """Rotation (..., 3, 3) about y by `angle` (...)."""
     return _rot(angle, 1)
 
 
+@quiet
 def rot_z(angle: ArrayLike) -> Array:
     """Rotation (..., 3, 3) about z by `angle` (...)."""
     return _rot(angle, 2)
@@ -109,6 +115,7 @@ def _rot(angle: ArrayLike, axis: int) -> Array:
     return out
 
 
+@quiet
 def align_z(axis: ArrayLike) -> Array:
     """Smallest rotation (..., 3, 3) that takes z to the direction of `axis` (..., 3); for -z the half turn about x.
 
@@ -128,12 +135,14 @@ def align_z(axis: ArrayLike) -> Array:
     return out
 
 
+@quiet
 def rpy_to_matrix(rpy: ArrayLike) -> Array:
     """Rotation Rz(yaw) Ry(pitch) Rx(roll) of fixed-axis angles `rpy` (..., 3), as URDF writes them."""
     r, p, y = np.moveaxis(numbers(rpy, "rpy", 3), -1, 0)
     return rot_z(y) @ rot_y(p) @ rot_x(r)
 
 
+@quiet
 def matrix_to_rpy(R: ArrayLike) -> Array:
     """Fixed-axis angles (..., 3) roll, pitch, yaw of rotations; at pitch = +-90 degrees roll is chosen zero."""
     m = numbers(R, "R", 3, 3)
@@ -145,6 +154,7 @@ def matrix_to_rpy(R: ArrayLike) -> Array:
     return np.stack([roll, pitch, yaw], axis=-1)
 
 
+@quiet
 def quat_wxyz_to_matrix(quat_wxyz: ArrayLike) -> Array:
     """Rotation (..., 3, 3) of quaternions (..., 4), normalised first; a zero quaternion gives NaN."""
     q = unit(numbers(quat_wxyz, "quat_wxyz", 4))
@@ -153,6 +163,7 @@ def quat_wxyz_to_matrix(quat_wxyz: ArrayLike) -> Array:
     return np.eye(3) + 2.0 * (w * K + K @ K)
 
 
+@quiet
 def matrix_to_quat_wxyz(R: ArrayLike) -> Array:
     """Unit quaternion (..., 4) with w >= 0 of rotations (..., 3, 3), by the largest component (Shepperd, 1978)."""
     m = numbers(R, "R", 3, 3)
@@ -174,6 +185,7 @@ def matrix_to_quat_wxyz(R: ArrayLike) -> Array:
     return cast(Array, np.where(q[..., :1] < 0.0, -q, q))
 
 
+@quiet
 def quat_wxyz_multiply(a: ArrayLike, b: ArrayLike) -> Array:
     """Product (..., 4) of quaternions (w, x, y, z)."""
     a, b = numbers(a, "a", 4), numbers(b, "b", 4)
@@ -187,11 +199,13 @@ def quat_wxyz_multiply(a: ArrayLike, b: ArrayLike) -> Array:
     ], axis=-1)  # fmt: skip
 
 
+@quiet
 def quat_wxyz_conjugate(q: ArrayLike) -> Array:
     """Conjugate (..., 4): the inverse rotation of a unit quaternion."""
     return numbers(q, "q", 4) * np.array([1.0, -1.0, -1.0, -1.0])
 
 
+@quiet
 def quat_wxyz_exp(w: ArrayLike) -> Array:
     """Unit quaternion (..., 4) of the rotation vector `w` (..., 3)."""
     w = numbers(w, "w", 3)
@@ -199,28 +213,31 @@ def quat_wxyz_exp(w: ArrayLike) -> Array:
     return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * w], axis=-1)
 
 
+@quiet
 def quat_wxyz_log(q: ArrayLike) -> Array:
     """Rotation vector (..., 3), at most pi long, of unit quaternions (..., 4); q and -q give the same."""
     q = numbers(q, "q", 4)
     q = np.where(q[..., :1] < 0.0, -q, q)
     sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, q[..., :1])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        # asin(s)/s = 1 + s^2/6 + ...
-        factor = cast(Array, np.where(sine < SMALL_ANGLE, 2.0 + sine**2 / 3.0, angle / sine))
+    # asin(s)/s = 1 + s^2/6 + ...
+    factor = cast(Array, np.where(sine < SMALL_ANGLE, 2.0 + sine**2 / 3.0, angle / sine))
     return factor * q[..., 1:]
 
 
+@quiet
 def exp_so3(w: ArrayLike) -> Array:
     """Rotation (..., 3, 3) of rotation vectors (..., 3) (Rodrigues, 1840)."""
     return quat_wxyz_to_matrix(quat_wxyz_exp(w))
 
 
+@quiet
 def log_so3(R: ArrayLike) -> Array:
     """Rotation vector (..., 3), at most pi long, of rotations; accurate near 0 and near pi."""
     return quat_wxyz_log(matrix_to_quat_wxyz(R))
 
 
+@quiet
 def exp_se3(twist: ArrayLike) -> Array:
     """Pose (..., 4, 4) of the screw motion `twist` = [v; w] (..., 6) (Murray, Li, Sastry, 1994, eq. 2.36)."""
     twist = numbers(twist, "twist", 6)
@@ -231,6 +248,7 @@ def exp_se3(twist: ArrayLike) -> Array:
     return pose(exp_so3(w), np.einsum("...ij,...j->...i", V, v))
 
 
+@quiet
 def log_se3(X: ArrayLike) -> Array:
     """Twist [v; w] (..., 6) whose exponential is the pose; the rotation is at most a half turn."""
     given = _poses(X)
@@ -238,8 +256,7 @@ def log_se3(X: ArrayLike) -> Array:
     K = skew(w)
     a, b, _ = _series(np.linalg.norm(w, axis=-1))
     angle2 = np.sum(w * w, axis=-1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        k = cast(Array, np.where(angle2 < SMALL_ANGLE**2, 1.0 / 12.0 + angle2 / 720.0, (1.0 - 0.5 * a / b) / angle2))
+    k = cast(Array, np.where(angle2 < SMALL_ANGLE**2, 1.0 / 12.0 + angle2 / 720.0, (1.0 - 0.5 * a / b) / angle2))
     V_inverse = np.eye(3) - 0.5 * K + k[..., None, None] * (K @ K)
     return np.concatenate([np.einsum("...ij,...j->...i", V_inverse, given[..., :3, 3]), w], axis=-1)
 
@@ -248,13 +265,13 @@ def _series(angle: Array) -> tuple[Array, Array, Array]:
     """sin(t)/t, (1 - cos t)/t^2 and (t - sin t)/t^3, by series for small t."""
     t2 = angle * angle
     small = angle < 1e-2
-    with np.errstate(invalid="ignore", divide="ignore"):
-        a = np.sinc(angle / np.pi)
-        b = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
-        c = np.where(small, 1.0 / 6.0 - t2 / 120.0 + t2 * t2 / 5040.0, (1.0 - a) / t2)
+    a = np.sinc(angle / np.pi)
+    b = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
+    c = np.where(small, 1.0 / 6.0 - t2 / 120.0 + t2 * t2 / 5040.0, (1.0 - a) / t2)
     return a, b, c
 
 
+@quiet
 def adjoint(X: ArrayLike) -> Array:
     """Matrix (..., 6, 6) that takes twists [v; w] seen from B to twists seen from A, for X = X_AB."""
     given = _poses(X)
@@ -265,12 +282,14 @@ def adjoint(X: ArrayLike) -> Array:
     return out
 
 
+@quiet
 def pose_from_xyz_rpy(values: ArrayLike) -> Array:
     """Pose (..., 4, 4) of x, y, z, roll, pitch, yaw (..., 6): fixed axes x, y, z, as in URDF."""
     values = numbers(values, "values", 6)
     return pose(rpy_to_matrix(values[..., 3:]), values[..., :3])
 
 
+@quiet
 def xyz_rpy_from_pose(X: ArrayLike) -> Array:
     """x, y, z, roll, pitch, yaw (..., 6) of poses."""
     given = _poses(X)
@@ -288,6 +307,7 @@ class PoseFit(NamedTuple):
     """Distance (..., n) of each particle from where the pose puts it, in metres."""
 
 
+@quiet
 def fit_pose(particles: ArrayLike, places: ArrayLike) -> PoseFit:
     """The pose of a body from where its particles are, by least squares of distances (Arun, Huang, Blostein, 1987).
 

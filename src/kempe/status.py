@@ -26,7 +26,7 @@ class Status(IntEnum):
 
     SOLVED = 0, "what was requested is found"
     NOT_FOUND = 1, "not found; that is no proof that there is none"
-    BAD_INPUT = 2, "the input holds numbers that are not finite, or no pose"
+    BAD_INPUT = 2, "the input has numbers that are not finite or too large, or a matrix that is not a pose"
     OUT_OF_REACH = 3, "outside of what the lengths of the links reach", True
     OUT_OF_TIME = 4, "not found within the time limit"
     CONTRADICTORY = 5, "two things that are requested exclude each other", True

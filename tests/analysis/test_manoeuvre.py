@@ -298,7 +298,7 @@ def test_what_is_not_known_is_refused_with_the_reason(system, reason):
     ({"radius": -1.0}, "radius is -1.0"), ({"radius": math.nan}, "radius is nan"), ({"radius": "2"}, "radius is '2'"),
     ({"budget": kempe.Budget(points=1)}, "points is 1"), ({"budget": kempe.Budget(points=2.5)}, "points is 2.5"),
     ({"goal": [1, 2]}, "2 coordinates"),
-    ({"goal": [1, 2, math.nan]}, "NaN"), ({"start": [[0, 0, 0]]}, "shape"), ({"goal": {"pose.q": 1}}, "pose.q"),
+    ({"goal": [1, 2, math.nan]}, "be finite"), ({"start": [[0, 0, 0]]}, "shape"), ({"goal": {"pose.q": 1}}, "pose.q"),
 ])  # fmt: skip
 def test_bad_input_is_named(options, error):
     given = {"start": np.zeros(3), "goal": np.ones(3), **options}

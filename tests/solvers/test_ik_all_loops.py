@@ -59,7 +59,7 @@ def test_what_cannot_be_reached_is_empty():
     [
         (1.0, {"task": "orientation"}, UnsupportedError, "takes one pose or position there, not task 'orientation'"),
         (np.ones((2, 1, 1)), {}, UnsupportedError, "not more than one target"),
-        (np.nan, {}, InputError, "not finite"),
+        (np.nan, {}, InputError, "must be finite"),
         (1.0, {"limits": "turns"}, InputError, "for chains"),
         (1.0, {"fixed": {"nobody": 0.1}}, UnknownNameError, "nobody"),
     ],

@@ -110,7 +110,7 @@ def test_a_batch_says_that_matrices_are_no_rotations():
             ask(X[0], "tool")
         answer = ask(X, "tool")
         assert "must be orthonormal" in answer.status[0] and "must be orthonormal" in answer.status[1]
-        assert "not finite" in answer.status[2]
+        assert "must be finite" in answer.status[2]
 
 
 def test_wrist_in_line():

@@ -149,14 +149,14 @@ def test_wrong_input_blames_what_is_wrong():
             robot.ik(words, "tool", task=task)
     Y = X.copy()
     Y[0, 3] = 1e155
-    with pytest.raises(InputError, match="target has an entry of 1e"):
+    with pytest.raises(InputError, match=r"its entry \[0, 3\] is 1e\+155; its size must be below 1e\+100"):
         robot.ik(Y, "tool")
     for _ in range(2):
-        with pytest.raises(InputError, match="start has entries that are not finite"):
+        with pytest.raises(InputError, match=r"start\['q1'\] is (nan|inf); it must be finite"):
             robot.ik(X, "tool", np.full(6, np.inf))
     m = Mechanism("free")
     m.free("float", m.ground, m.body("hull"))
-    with pytest.raises(InputError, match="quaternion that is zero"):
+    with pytest.raises(InputError, match=r"the quaternion at start\[.float.qw.\] is zero"):
         m.build().ik(np.eye(4), "hull", start=np.zeros(7))
 
 
@@ -167,10 +167,10 @@ def test_a_path_names_the_target_that_is_no_pose_and_a_seed_that_is_none():
     robot = kempe.load("puma560")
     X = robot.fk(robot.random(0), "tool")
     P = np.tile(X, (3, 1, 1))
-    with pytest.raises(InputError, match="start has entries that are not finite"):
+    with pytest.raises(InputError, match=r"start\['q1'\] is (nan|inf); it must be finite"):
         robot.ik_path(P, "tool", np.full(6, np.nan))
     P[1] = X.T
-    with pytest.raises(InputError, match="target 1 "):
+    with pytest.raises(InputError, match=r"targets\[1\] is not a pose"):
         robot.ik_path(P, "tool")
 
 

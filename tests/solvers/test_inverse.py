@@ -222,7 +222,7 @@ def test_bad_single_arguments_raise():
     X = robot.fk(robot.neutral, "tool")
     bad = X.copy()
     bad[0, 0] = np.nan
-    with pytest.raises(InputError, match="not finite"):
+    with pytest.raises(InputError, match="must be finite"):
         robot.ik(bad, "tool")
     with pytest.raises(InputError, match="orthonormal"):
         robot.ik(np.diag([2.0, 1, 1, 1]), "tool")

@@ -407,8 +407,8 @@ def test_what_is_refused():
     for bad, match in (
         ((X,), "task of kempe.tasks"), (([],), "task of kempe.tasks"), ((tasks.Pose(HAND, X, weight=-1),), "weight"),
         ((tasks.Pose(HAND, X, priority=0.5),), "priority"),
-        ((tasks.Pose(HAND, 2 * X - np.diag([0, 0, 0, 1])),), "no pose"),
-        ((tasks.Pose(HAND, np.where(np.eye(4) > 0, np.nan, X)),), "not finite"),
+        ((tasks.Pose(HAND, 2 * X - np.diag([0, 0, 0, 1])),), "is not a pose"),
+        ((tasks.Pose(HAND, np.where(np.eye(4) > 0, np.nan, X)),), "it must be finite"),
         (([tasks.Pose(HAND, X[None].repeat(2, 0)), tasks.Position(HAND, np.zeros((3, 3)))],), "fit together"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=match):

@@ -14,7 +14,7 @@ from kempe.errors import InputError, UnknownNameError
 from kempe.model.kept import kept
 from kempe.model.tree.coordinates import distinct, returning
 from kempe.model.tree.structural_order import natural
-from kempe.reals import converted, is_plain, is_real, named, reals, rows_of
+from kempe.reals import converted, is_plain, is_real, named, reals, rows_of, within_range
 from kempe.spatial import Array
 from kempe.words import counted
 
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 
+MOST_WOUND = 1e8
+"""Largest angle in a motion, in radians: beyond it, floats are more than a hundred-millionth of a radian apart."""
 WANTED = "an array of real numbers or a dict by coordinate name"
 
 
@@ -176,6 +178,45 @@ def one(system: System, q: Any) -> Array:
     if array.ndim != 1:
         raise InputError(f"q has shape {array.shape}; it must be one configuration ({system.nq},)")
     return array
+
+
+def one_finite(system: System, q: Any, what: str = "q") -> Array:
+    """The argument as one configuration (nq,) of numbers that a search can begin with. Errors: `InputError`."""
+    array = as_q(system, q)
+    if array.shape != (system.nq,):
+        raise InputError(f"{what} has shape {array.shape}; it must be one configuration ({system.nq},)")
+    return refuse_far(system, array, what)
+
+
+def refuse_far(system: System, q: Array, what: str) -> Array:
+    """Configurations (..., nq) whose numbers a search can begin with.
+
+    Errors: `InputError` that names the first other one.
+    """
+    within_range(q, what, system.coordinate_names)
+    for i in system.structure.layout.quaternion_q:
+        if not np.all(np.any(q[..., i : i + 4], axis=-1)):
+            raise InputError(f"the quaternion at {what}[{system.coordinate_names[i]!r}] is zero; it has no rotation")
+    return q
+
+
+def refuse_wound(system: System, q: Array, what: str) -> Array:
+    """As `refuse_far`, for a configuration (nq,) in a motion: its angles must be below `MOST_WOUND`."""
+    refuse_far(system, q, what)
+    layout, turning = system.structure.layout, system.structure.coordinates.turning
+    for i, k in zip(layout.vector_q, layout.vector_v, strict=True):
+        if turning[k]:
+            refuse_wound_angle(float(q[i]), f"{what}[{system.coordinate_names[i]!r}]")
+    return q
+
+
+def refuse_wound_angle(angle: float, what: str) -> None:
+    """Refuse, with an `InputError`, an angle in a motion whose steps would be lost in its rounding."""
+    if not abs(angle) < MOST_WOUND:
+        raise InputError(
+            f"{what} is {angle:g} rad; angles of a motion must be below {MOST_WOUND:g} rad in size, for larger floats "
+            "are too far apart: subtract whole turns"
+        )
 
 
 def mid(system: System) -> Array:

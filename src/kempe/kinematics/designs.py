@@ -15,7 +15,7 @@ from kempe.kernels.compiled import table_sweep
 from kempe.kinematics.configuration import as_q
 from kempe.model.system import FrameLike, System
 from kempe.model.tree.primitive_table import lower
-from kempe.reals import reals
+from kempe.reals import reals, within_range
 from kempe.spatial import Array
 from kempe.values import Expression
 
@@ -28,8 +28,7 @@ def with_parameters(system: System, numbers: Mapping[str, Any]) -> System | Desi
         if name not in system.structure.parameters:
             raise UnknownNameError("parameter", name, system.structure.parameters, system.name)
         arrays[name] = reals(x, f"parameter {name!r}", "a number or an array of numbers")
-        if not np.all(np.isfinite(arrays[name])):
-            raise InputError(f"parameter {name!r} is not finite")
+        within_range(arrays[name], f"parameter {name!r}")
     try:
         shape = np.broadcast_shapes(*(x.shape for x in arrays.values()))
     except ValueError:

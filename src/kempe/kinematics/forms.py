@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe import spatial
-from kempe.calls import known
+from kempe.calls import known, quiet
 from kempe.errors import InputError, shown
 from kempe.kernels.compiled import chain
 from kempe.kinematics.common.parallel import over_chunks
@@ -63,6 +63,7 @@ def chain_table(system: System, frame: str) -> tuple[np.ndarray, Array]:
     return regauge(*system.structure.table.pack([frame], system.structure.table.path(frame)))
 
 
+@quiet
 def in_form(
     system: System, q: Any, frame: Any, out: Array | None, threads: int | None, form: str | None, dtype: Any,
     relative_to: Any = None,

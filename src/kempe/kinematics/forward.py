@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from types import MethodType
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -194,7 +195,7 @@ def _packed(system: System, frames: tuple[str, ...] | None) -> tuple[np.ndarray,
     return system.structure.table.pack(system.body_names if frames is None else frames)
 
 
-@explained
+@partial(explained, fast=True)
 def fk(
     system: System, q: Any, frame: FrameLike | list[Any] | tuple[Any, ...] | None = None, out: Array | None = None,
     threads: int | None = None, form: str | None = None, dtype: Any = None, relative_to: FrameLike | None = None,
@@ -237,7 +238,7 @@ def fk(
     return out
 
 
-@explained
+@partial(explained, fast=True)
 def jacobian(
     system: System, q: Any, frame: FrameLike, in_frame: str = "world_aligned", threads: int | None = None
 ) -> Array:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike
 
 from kempe.budget import Budget
-from kempe.calls import explained, with_options
+from kempe.calls import explained, quiet, with_options
 from kempe.model.compiled_system import FrameLike
 from kempe.model.plot_options import PlotOptions
 
@@ -69,6 +69,7 @@ class Pictured:
 
         return plot_tree(self, ax)
 
+    @quiet
     def _repr_html_(self: Any) -> str:
         """The system in a notebook: a picture, its freedoms, its tree."""
         from kempe.views.overviews import notebook_page

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from kempe.model.system import System
 
-FARTHEST = 1e50
+FARTHEST = 1e15
 """Coordinates up to which a configuration is drawn: squares of distances must stay finite."""
 MOST = 32
 """Configurations that one picture shows at most."""
@@ -130,6 +130,8 @@ def subject_of(
     """What one picture is of, with the first of several configurations in full."""
     q, names = several[0], names_of(system, options.frames)
     scene = look(system, q, drivers)
+    if not all(np.all(np.abs(scene.points(link)) < FARTHEST) for link in scene.links):
+        raise InputError(f"{system.name} has points that are not finite or beyond {FARTHEST:g} m: nothing is drawn")
     if way is not None and not names:
         names = list(getattr(path, "frames", ()) or (f for link in scene.links[1:] for f in link.frames))
     curves = {n: fk(system, way, n)[:, :3, 3] for n in names} if way is not None else {}

@@ -11,6 +11,7 @@ from kempe.analysis.first_order.rank import Rank, rank_at
 from kempe.budget import Budget
 from kempe.errors import InputError
 from kempe.kinematics.closure_rows import evaluate
+from kempe.kinematics.configuration import refuse_far
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.spatial import Array
 
@@ -42,9 +43,9 @@ class NearestClosed:
 
 def close(system: System, q: Array) -> NearestClosed:
     """The configuration (nq,) with its loops closed to machine precision, as near to `q` as may be."""
-    given = _residual(system, q)
+    given = _residual(system, refuse_far(system, q, "q"))
     if not np.isfinite(given):
-        raise InputError("q must be finite numbers, and its quaternions not zero")
+        raise InputError("q leads to residuals of the loops that are not finite: a coordinate is too large")
     if given <= EXACT:
         return NearestClosed(q, True, given, given)
     from kempe.solvers.assembly.assembler import of_equations

@@ -22,7 +22,7 @@ from kempe.analysis.manoeuvre.wheeled import Wheeled, wheeled
 from kempe.budget import Budget, Usual
 from kempe.calls import explained, listed
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
-from kempe.kinematics.configuration import as_q, has_loops
+from kempe.kinematics.configuration import as_q, has_loops, refuse_far
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.reals import is_real, is_whole, named
 from kempe.solvers.common.clock import SHORT, TimeLimit, TimeUp
@@ -109,8 +109,7 @@ def _one(system: System, q: Any, what: str) -> Array:
     array = as_q(system, q) if given is None or not has_loops(system) else system.q(given)
     if array.shape != (system.nq,):
         raise InputError(f"{what} has shape {array.shape}; it must be one configuration ({system.nq},)")
-    if not np.isfinite(array).all():
-        raise InputError(f"{what} holds a NaN or an infinity")
+    refuse_far(system, array, what)
     rows = one_sided_rows(system)
     if (over := rows.beyond(array)).any():
         k = int(np.argmax(over))

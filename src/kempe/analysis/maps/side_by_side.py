@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from typing import Any, Protocol, TypeVar
 
+from kempe.calls import quiet
 from kempe.errors import InputError, shown
 from kempe.kinematics.common.parallel import Stopped, processors, stopped_by
 from kempe.reals import is_whole
@@ -73,7 +74,7 @@ class ThreadWorkers:
 
     def submit(self, work: Callable[..., Any], *args: Any) -> Future[Any]:
         """The future of a call."""
-        return self.pool.submit(stopped_by(self.sign, work) if self.stops else work, *args)
+        return self.pool.submit(quiet(stopped_by(self.sign, work) if self.stops else work), *args)
 
     def stop(self) -> None:
         """Tell what is begun to stop, where it may."""

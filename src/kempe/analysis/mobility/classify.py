@@ -24,7 +24,7 @@ from kempe.calls import explained, explained_methods, generator
 from kempe.description.parts import ReadOnlyDict
 from kempe.errors import InputError, shown
 from kempe.kinematics.common.result import Worded
-from kempe.kinematics.configuration import one
+from kempe.kinematics.configuration import one_finite
 from kempe.kinematics.velocity.velocity import tangent_rows
 from kempe.reals import is_real
 from kempe.solvers.assembly.ideal import tolerant
@@ -157,9 +157,7 @@ def classify(
     time_of(USUAL).put_in_order()  # there is nothing to do afterwards
     if not is_real(t):
         raise InputError(f"t is {shown(t)}; it must be one number")
-    given = None if q is None else one(system, q)
-    if given is not None and not np.all(np.isfinite(given)):
-        raise InputError("q must be finite numbers")
+    given = None if q is None else one_finite(system, q)
     at = find_closed(system) if given is None else close(system, given)
     if not at.closed:
         raise InputError(f"the mechanism cannot be closed here (residual {at.residual:.2g}): {at.why}")

@@ -7,7 +7,7 @@ the inputs ask for more than the mechanism can do the curve turns back: a toggle
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
@@ -35,9 +35,9 @@ from kempe.calls import explained, explained_methods, flag, interruptible, until
 from kempe.constraints.tape import TIME
 from kempe.errors import InputError
 from kempe.kinematics.common.tabular import write_table
-from kempe.kinematics.configuration import as_q, home_of
+from kempe.kinematics.configuration import as_q, home_of, refuse_wound_angle
 from kempe.model.clocked import clocked, timed
-from kempe.reals import is_mapping, reals
+from kempe.reals import is_mapping, reals, within_range
 from kempe.solvers.assembly.ideal import tolerant
 from kempe.solvers.common.clock import BROKEN_OFF, LONG, TimeLimit, TimeUp, time_limited, time_of
 from kempe.solvers.common.slip import rolls
@@ -208,7 +208,9 @@ def drive(
     index = [angle_or_slide(system, n) for n in names]
     if hold and set(hold) & set(names):
         raise InputError(f"{sorted(set(hold) & set(names))} are both driven and held; a coordinate is one of them")
-    clock, samples = _samples(inputs, times)
+    turning = system.structure.coordinates.turning
+    angles = {n for n, i in zip(names, index, strict=True) if turning[i]}
+    clock, samples = _samples(inputs, times, angles)
     longest, time = longest_step(spend.step), time_of(USUAL, budget)
     time.put_in_order()  # there is nothing to do afterwards
     if rolls(system):
@@ -270,7 +272,7 @@ def _rolled(
 
 
 def _samples(
-    inputs: Mapping[str, Any], times: ArrayLike | None
+    inputs: Mapping[str, Any], times: ArrayLike | None, angles: Set[str] = frozenset()
 ) -> tuple[Array, Callable[[int, int], list[Array]]]:  # fmt: skip
     """The times (n,), and a function (k, parts) that gives the inputs on the way from sample k - 1 to sample k."""
     if not inputs:
@@ -295,16 +297,21 @@ def _samples(
         raise InputError(f"times must grow from sample to sample: {clock[k + 1]:g} at sample {k + 1} comes after "
                          f"{clock[k]:g}")  # fmt: skip
     full = {n: np.broadcast_to(a, clock.shape) for n, a in arrays.items()}
-    if not all(np.isfinite(a).all() for a in (clock, *full.values())):
-        raise InputError("times or inputs hold a NaN or an infinity")
+    for name, a in {"times": clock, **{f"input {n!r}": a for n, a in full.items()}}.items():
+        within_range(a, name)
+    for n in angles & full.keys():
+        refuse_wound_angle(float(np.abs(full[n]).max()), f"input {n!r}")
 
     def value(name: str, before: int, k: int, f: float) -> float:
         if name in functions:
             t = (1.0 - f) * clock[before] + f * clock[k]
             found = _numbers(inputs[name](t), f"input {name!r} at time {t:g}")
-            if found.size != 1 or not np.isfinite(found).all():
-                raise InputError(f"input {name!r} at time {t:g} is {found!r}; it must be one finite number")
-            return float(found.item())
+            if found.size != 1:
+                raise InputError(f"input {name!r} at time {t:g} has shape {found.shape}; it must be one number")
+            number = float(within_range(found, f"input {name!r} at time {t:g}").item())
+            if name in angles:
+                refuse_wound_angle(number, f"input {name!r} at time {t:g}")
+            return number
         return float((1.0 - f) * full[name][before] + f * full[name][k])
 
     def at(k: int, parts: int) -> list[Array]:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from kempe.budget import checks, look, watched_by
+from kempe.calls import quiet
 from kempe.errors import InputError
 from kempe.reals import is_whole
 
@@ -81,6 +82,7 @@ def over_chunks(
         look()
         return work(i, min(i + chunk, count))
 
+    @quiet
     def take_chunks() -> int:
         try:
             return sum(map(take, starts))

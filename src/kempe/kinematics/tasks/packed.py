@@ -10,7 +10,6 @@ import numpy as np
 
 from kempe.calls import explained
 from kempe.constraints.base import Constraint
-from kempe.constraints.reading import LARGEST
 from kempe.errors import InputError
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.one_sided import one_sided_rows
@@ -20,7 +19,8 @@ from kempe.model.closures.packed_loops import PackedLoops, Tie, pack
 from kempe.model.tree.coordinates import distinct
 from kempe.model.tree.own_tree import own_tree
 from kempe.model.tree.primitive_table import Table
-from kempe.rigid import EXACT, rotation_error
+from kempe.reals import within_range
+from kempe.rigid import refuse_no_poses
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -33,11 +33,10 @@ ROUNDING = 1e-9
 def refuse(goals: Goals, what: str) -> None:
     """Say what is wrong with goals that a kernel refused. Errors: `InputError`."""
     for pose, number in goals:
-        if pose is not None and np.isfinite(pose).all():
-            if not np.all(rotation_error(pose[..., :3, :3]) <= EXACT):
-                raise InputError(f"the goal of {what} is no pose: its rotation must be orthonormal with determinant +1")
-        if any(x is not None and not np.all(np.abs(x) < LARGEST) for x in (pose, number)):
-            raise InputError(f"the goal of {what} has entries that are not finite, or too large")
+        if pose is not None:
+            refuse_no_poses(pose, f"the goal of {what}")
+        if number is not None:
+            within_range(number, f"the goal of {what}")
 
 
 def lead_of(goals: Sequence[Goals]) -> tuple[int, ...]:

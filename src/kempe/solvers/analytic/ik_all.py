@@ -13,13 +13,13 @@ from numpy.typing import ArrayLike
 from kempe.budget import Budget, Usual, look
 from kempe.calls import explained
 from kempe.errors import InputError
-from kempe.kernels.base.search_layout import LARGEST
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.compiled import maker
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.kinematics.common.parallel import over_chunks
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.kept import kept
+from kempe.reals import FARTHEST
 from kempe.rigid import sound
 from kempe.solvers.analytic.answers.solutions import Solutions
 from kempe.solvers.analytic.obeying import obeying
@@ -35,6 +35,7 @@ from kempe.solvers.common.targets import (
     frame_of,
     given_target,
     in_plane,
+    not_a_pose,
     points_along,
     refuse_position,
     targets_of,
@@ -107,8 +108,8 @@ def ik_all(
     targets, lead, is_position = targets_of(system, target, said, direction)
     task = task_of(said, is_position, bool(system.structure.table.at[name][2]))
     refuse_position(task, is_position, system.dim)
-    if lead == () and not np.isfinite(targets).all():
-        raise InputError("target has entries that are not finite")
+    if lead == () and not np.all(np.abs(targets) < FARTHEST):
+        raise InputError(not_a_pose(targets[0]))
     known = held_by(fixed)
     problem = Problem(system, "all", known, start, None, limits, tolerance, budget, frame=name, task=(task, direction),
                       targets=targets, lead=lead)  # fmt: skip
@@ -150,9 +151,7 @@ def _of_chain(problem: Problem) -> Solutions:
     if not single and (answer._counts[:, 0] < 0).any() and (mended := sound(targets, "target")) is not targets:
         answer = solve(replace(question, targets=mended), plan, near, values, threads)
     if single and answer._counts[0, 0] < 0:
-        if np.abs(targets).max() >= LARGEST:
-            raise InputError(f"target has an entry of {np.abs(targets).max():.3g}; allowed are below {LARGEST:g}")
-        raise InputError("target is not a pose: its rotation part must be orthonormal with determinant +1")
+        raise InputError(not_a_pose(targets[0]))
     if problem.limits:
         answer = answer.chosen(problem.limits == "turns", inside_only=True)
     return obeying(answer)
@@ -226,7 +225,7 @@ class BoundIkAll:
             used = self.kernel(self.ints, self.floats, X[None], self.near, self.near, 1, rows, self.left)
         except TypeError:  # not float64
             return None
-        if used >= 0:
+        if used >= 0 or (used == -1 and not np.all(np.abs(X) < FARTHEST)):
             return None
         return Solutions((self, X), self.plan, self.base, rows, self.counts, None, -1 - used)
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.budget import Budget, TimeUp, Usual, checks, look
-from kempe.calls import explained, flag, listed
+from kempe.calls import explained, flag, listed, quiet
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.base.search_layout import BAD_INPUT, LARGEST, LATE, NOT_FOUND, SOLVED, UNFINISHED
 from kempe.kernels.compiled import closure_batch
@@ -20,12 +20,13 @@ from kempe.kernels.compiled import loop_closing as kernel
 from kempe.kernels.constraints.loop_layout import velocity_lists
 from kempe.kinematics.closure_rows import freedoms_left
 from kempe.kinematics.common.parallel import over_chunks
-from kempe.kinematics.configuration import as_start, circles, home_of
+from kempe.kinematics.configuration import as_start, circles, home_of, refuse_far
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.closures.packed_loops import PackedLoops, loops_of, must_be_explicit
 from kempe.model.kept import kept
 from kempe.model.tree.own_tree import own_tree
-from kempe.reals import reals
+from kempe.reals import is_real, reals, within_range
+from kempe.rigid import refuse_no_poses
 from kempe.solvers.assembly.assembled import Assembly
 from kempe.solvers.assembly.ideal import ideal_of
 from kempe.solvers.common.arguments import deadline, place_of, seed_number, start_count, with_places
@@ -51,6 +52,7 @@ HOPS = 4
 """How far from an open place, counted in loops that share coordinates, a start is changed at most."""
 TOLERANCE = 1e-10
 """Largest norm of the closure equations of a success, in radians and characteristic lengths; 1e-15 is usual."""
+NOT_FINITE = "known values and start lead to numbers that are not finite"
 LOOSEST = 1e-3
 """The largest tolerance that can be requested: above it, an open loop would be called closed."""
 NEAREST_STEPS = 50
@@ -381,8 +383,9 @@ class Assembler:
         given = given if named else self._by_name(values)
         return self._solve(Problem(self.system, "one", given, start, prefer, limits, tolerance, budget))
 
-    __call__ = explained(_ask)
+    __call__ = explained(_ask, fast=True)
 
+    @quiet
     def _solve(self, problem: Problem) -> Assembly:
         """The answer for a problem with these names known."""
         limits: Any
@@ -413,10 +416,23 @@ class Assembler:
             base, pins, tries, steps, number, threads, limits, tolerance, follow,
             self._loops(turned, steps > 0) if turned or steps else None, limit,
         )  # fmt: skip
+        if not lead and int(info[0, 0]) == BAD_INPUT:
+            self._refuse(given, start)
         answer = self._answer(base, lead, q, residual, info, limits)
         if lead or answer.code is Status.OUT_OF_TIME:
             answer.__dict__["limit"] = limit
         return chosen_by(answer, CONTINUED) if along else answer
+
+    def _refuse(self, given: Mapping[str, Any], start: Any) -> None:
+        """Raise an `InputError` that names the number with which nothing can be computed."""
+        for name in self.coordinates:
+            within_range(reals(given[name], ""), f"the known value of {name!r}")
+        for frame, whole in zip(self.frames, self._turned(given), strict=True):
+            place, what = place_of(self.system, frame, given[frame], whole), f"the place of frame {frame!r}"
+            _ = refuse_no_poses(place, what) if whole else within_range(place, what)
+        if start is not None:
+            refuse_far(self.system, as_start(self.system, start), "start")
+        raise InputError(NOT_FINITE)
 
     def _answer(
         self, base: Array, lead: tuple[int, ...], q: Array, residual: Array, info: np.ndarray, limits: bool
@@ -424,7 +440,8 @@ class Assembler:
         if not lead:
             code, steps, starts = info.tolist()[0]
             if code == BAD_INPUT:
-                raise InputError("known values, places or start are not finite, or a quaternion is zero")
+                refuse_far(self.system, base[0], "start")
+                raise InputError(NOT_FINITE)
             if self.limited and limits:  # in Python: for a few numbers an array costs as much as the assembly
                 known = base[0, self.places].tolist()
                 if any(x < low or x > high for x, (low, high) in zip(known, self.bounds, strict=True)):
@@ -462,6 +479,8 @@ class Assembler:
             number, 0, False, 0, q, residual, info,
         ):  # fmt: skip
             q, residual, info = self.run(base, self.no_pins, limit=None if checks() else SHORT)
+        if info[0, 0] == BAD_INPUT:
+            return None
         answer = self._answer(base, (), q, residual, info, True)
         if answer.code is Status.OUT_OF_TIME:
             answer.__dict__["limit"] = SHORT
@@ -478,6 +497,8 @@ class Assembler:
         for name, place in self.named_places:
             x = given.get(name)
             if x.__class__ not in PLAIN_NUMBERS or not isfinite(row[place]):  # a start is read whole
+                return None
+            if x.__class__ is int and not is_real(x):
                 return None
             row[place] = x
         return base

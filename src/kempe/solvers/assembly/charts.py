@@ -25,7 +25,7 @@ from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.closure_rows import RANK_TOLERANCE, evaluate, scales
 from kempe.kinematics.common.gauss_newton import gauss_newton
 from kempe.kinematics.common.result import Report
-from kempe.kinematics.configuration import as_q
+from kempe.kinematics.configuration import as_q, one_finite
 from kempe.reals import plain
 from kempe.singular_values import svd
 from kempe.solvers.assembly.assembled import Assembly
@@ -321,9 +321,7 @@ def tangent_space(system: System, q: Any, dim: int | None = None) -> tuple[Array
     Slides are measured in characteristic lengths: velocities in units are ``scale * N``. Errors: `InputError` if q
     is not closed.
     """
-    q = as_q(system, q)
-    if q.ndim != 1:
-        raise InputError(f"q has shape {q.shape}; needed is one configuration ({system.nq},)")
+    q = one_finite(system, q)
     error, J = evaluate(system, q, True, True)
     if not np.linalg.norm(error) <= 10.0 * TOLERANCE:
         raise InputError(f"q is not closed: the loops' equations are off by {np.linalg.norm(error):.3g}; use assemble")

@@ -50,7 +50,7 @@ def _sentence(answer: Assembly, index: tuple[int, ...]) -> str:
     )
     q = answer.q[index]
     if code == Status.BAD_INPUT:
-        return "known values, places or start are not finite"
+        return "known values, places or start have numbers that are not finite or too large"
     if code == Status.SOLVED:
         return wording.closed(residual, steps, starts, _left(bound, q))
     if code == Status.OUTSIDE_LIMITS:

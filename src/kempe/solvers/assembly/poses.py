@@ -19,11 +19,11 @@ from kempe.errors import InputError
 from kempe.joints import JointType, P, Q
 from kempe.kinematics.closure_errors import coordinate_value
 from kempe.kinematics.closure_rows import evaluate, full, row_names
-from kempe.kinematics.configuration import as_start
+from kempe.kinematics.configuration import as_start, refuse_far
 from kempe.kinematics.maximal import as_poses, coordinates_of_pose, maximal, maximal_q
 from kempe.model.closures.implicit_form import flat_frame, implicit_form, screw, slides_along_z
 from kempe.placement import Placement, place
-from kempe.rigid import rotation_error
+from kempe.rigid import refuse_no_poses
 from kempe.solvers.assembly.assembler import LOOSEST, TOLERANCE, assembler
 from kempe.spatial import Array
 
@@ -54,8 +54,8 @@ def from_maximal(system: System, poses: ArrayLike, start: Any = None, tolerance:
     """
     poses, tolerance = as_poses(system, poses), READ if tolerance is None else tolerance
     start = None if start is None else as_start(system, start)
-    if start is not None and not np.isfinite(start).all():
-        raise InputError("start has entries that are not finite")
+    if start is not None:
+        refuse_far(system, start, "start")
     _refuse_no_poses(system, poses, tolerance)
     lead = together({"poses": poses.shape[:-3], "start": () if start is None else start.shape[:-1]})
     joints = system.mechanism.joints
@@ -268,15 +268,11 @@ def _within(off: Array, turns: bool) -> Array:
 
 def _refuse_no_poses(system: System, poses: Array, tolerance: float) -> None:
     R, p = poses[..., :3, :3], poses[..., :3, 3]
-    off = rotation_error(R)
     tilt = np.hypot(R[..., 2, 0], R[..., 2, 1]) + (R[..., 2, 2] < 0.0)
     bodies = system.mechanism.bodies
     for i, body in enumerate(system.body_names[1:]):
         subject = f"pose of body {body!r}"
-        if not np.isfinite(poses[..., i, :, :]).all():
-            raise InputError(f"{subject} is not finite")
-        if np.any(off[..., i] > tolerance):
-            raise InputError(f"{subject}: its rotation is none (orthonormal, determinant +1)")
+        refuse_no_poses(poses[..., i, :, :], subject, tolerance)
         if bodies[body].particle and np.any(np.abs(R[..., i, :, :] - np.eye(3)) > tolerance):
             raise InputError(f"{subject}: a particle has no orientation; its rotation must be the identity")
         if system.dim == 2 and np.any(np.maximum(np.abs(p[..., i, 2]), tilt[..., i]) > tolerance):

@@ -12,7 +12,7 @@ import numpy as np
 from kempe.constraints.reading import poses_of, refuse_rotations
 from kempe.errors import InputError, shown
 from kempe.reals import is_whole, reals
-from kempe.rigid import EXACT, arrays, rotation_error
+from kempe.rigid import EXACT, arrays, refuse_no_poses, rotation_error
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -80,8 +80,8 @@ def place_of(system: System, frame: str, place: Any, whole: bool) -> Array:
     what = f"the place of frame {frame!r}"
     if whole:
         X = poses_of(place, 3, what)
-        if np.any(rotation_error(X[..., :3, :3]) > EXACT):
-            raise InputError(f"{what} is no pose: rotation with determinant +1, last row 0 0 0 1")
+        for bad in X[~(rotation_error(X[..., :3, :3]) <= EXACT) & np.isfinite(X).all(axis=(-1, -2))][:1]:
+            refuse_no_poses(bad, what)
         return poses_of(X, system.dim, what)
     x = reals(place, what, "numbers")
     refuse_rotations(x, what)

@@ -11,10 +11,9 @@ from kempe.calls import numbers
 from kempe.constraints.frame_targets import AXIS_TASKS
 from kempe.constraints.reading import refuse_rotations
 from kempe.errors import InputError
-from kempe.kernels.base.search_layout import LARGEST
 from kempe.placement import direction
 from kempe.reals import is_sequence, reals
-from kempe.rigid import EXACT, arrays, rotation_error, sound
+from kempe.rigid import arrays, refuse_no_poses, sound, why_not_a_pose
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -212,8 +211,8 @@ def parse_targets(
         if bad.any():
             out = out.copy()
             out[bad, :3] = math.nan
-            if not lead and np.isfinite(array).all():
-                raise InputError(f"target is not a pose: its last row is {array[3].tolist()}; it must be 0 0 0 1")
+            if not lead:
+                refuse_no_poses(array, "target")
         return np.require(out, requirements=["C", "A"]), lead, False
     if array.ndim and (array.shape[-1] == 3 or (planar and array.shape[-1] == 2)):
         lead = array.shape[:-1]
@@ -244,16 +243,6 @@ def not_a_pose(target: Array, other: str = "target") -> str:
 
     If the target itself is a pose, the message names `other`, the argument that was wrong instead.
     """
-    R, last = target[:3, :3], target[3].tolist()
-    if np.isfinite(last).all() and last != [0.0, 0.0, 0.0, 1.0]:
-        return f"target is not a pose: its last row is {last}; it must be 0 0 0 1"
-    if not np.isfinite(target).all():
-        return "target has entries that are not finite"
-    largest = np.abs(target).max()
-    if largest >= LARGEST:
-        return f"target has an entry of {largest:.3g}; allowed are numbers below {LARGEST:g}"
-    off = float(rotation_error(R))
-    if off > EXACT:
-        text = "target is not a pose: its rotation part must be orthonormal with determinant +1"
-        return f"{text}; R'R differs from 1 by {off:.1g}" if np.linalg.det(R) > 0.0 else text
+    if why := why_not_a_pose(target):
+        return f"target is not a pose: {why}"
     return f"{other} has entries that are not finite or too large, or a quaternion that is zero"

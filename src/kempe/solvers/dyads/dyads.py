@@ -15,7 +15,7 @@ from kempe.calls import brief, explained, explained_methods, listed
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.kinematics.common.parallel import over_chunks
 from kempe.kinematics.common.result import Report
-from kempe.kinematics.configuration import as_q, as_start
+from kempe.kinematics.configuration import as_q, as_start, refuse_far
 from kempe.kinematics.forward import fk
 from kempe.model.kept import kept
 from kempe.reals import reals
@@ -119,7 +119,7 @@ class DyadAnswer(Answer):
     def _sentence(self, index: tuple[int, ...]) -> str:
         code, gap, free = (np.asarray(x)[index].item() for x in (self.code, self.gap, self.undetermined))
         if code == Status.BAD_INPUT:
-            return "known values are not finite"
+            return "known values are not finite or too large"
         if code != Status.SOLVED:
             text = f"open by {gap:.6g} m on this branch; q is where it nearly touches"
             return text + (f"; {counted(free, 'part')} left undetermined, which may close elsewhere" if free else "")
@@ -196,8 +196,7 @@ class Plan(Report):
             targets = np.zeros((1, nq))
         else:
             targets = _rows(as_start(self.system, start), lead, "near")
-            if not np.isfinite(targets).all():
-                raise InputError("start has entries that are not finite")
+            refuse_far(self.system, targets, "start")
         signs = self.sign_rows(branch, targets if branch is None and start is not None else None, lead)
         q, status = self._run(given, signs, targets, threads)
         gap = status[:, 0]
@@ -216,8 +215,7 @@ class Plan(Report):
         signs = self.branches()
         k, nq = len(signs), self.system.nq
         targets = np.zeros((1, nq)) if start is None else _rows(as_start(self.system, start), (), "near")
-        if not np.isfinite(targets).all():
-            raise InputError("start has entries that are not finite")
+        refuse_far(self.system, targets, "start")
         many = np.repeat(given, k, axis=0)
         q, status = self._run(many, np.tile(signs, (len(given), 1)), targets)
         mask = (status[:, 0] <= self.tolerance) & np.isfinite(many).all(axis=-1)

@@ -12,10 +12,11 @@ from kempe.budget import Budget, TimeUp, Usual
 from kempe.calls import brief, explained, explained_methods, flag, generator, interruptible
 from kempe.errors import InputError
 from kempe.kinematics.common.result import Cells
-from kempe.kinematics.configuration import as_start, home_of
+from kempe.kinematics.configuration import as_start, home_of, refuse_far
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.kept import kept
 from kempe.model.tree.own_tree import own_tree
+from kempe.reals import within_range
 from kempe.solvers.assembly.assembler import of_equations
 from kempe.solvers.assembly.assembly import assemble
 from kempe.solvers.assembly.ideal import tolerant
@@ -157,8 +158,8 @@ def assembly_modes(
     if not isinstance(given, Mapping):
         raise InputError(f"known is {type(given).__name__}; it must be a dict of values by coordinate or frame name")
     base = None if start is None else as_start(system, start)
-    if base is not None and (base.ndim != 1 or not np.isfinite(base).all()):
-        raise InputError(f"start must be one configuration ({system.nq},) of finite numbers")
+    if base is not None and refuse_far(system, base, "start").ndim != 1:
+        raise InputError(f"start has shape {base.shape}; it must be one configuration ({system.nq},)")
     spend = USUAL.of(budget)
     generator(spend.rng)
     start_count(spend.starts)
@@ -196,8 +197,9 @@ def by_dyads(question: Problem) -> Modes:
     system = question.system
     values = source_values(system, question.known)
     for name, x in values.items():
-        if x.ndim or not np.isfinite(x):
-            raise InputError(f"known coordinate {name!r} must be one finite number")
+        if x.ndim:
+            raise InputError(f"the known value of {name!r} has shape {x.shape}; it must be one number")
+        within_range(x, f"the known value of {name!r}")
     plan: Any = closed_form(system, tuple(values))
     signs = plan.branches()
     numbers = np.array([[float(x) for x in values.values()]] * len(signs)).reshape(len(signs), len(values))

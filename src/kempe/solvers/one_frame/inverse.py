@@ -14,7 +14,7 @@ from kempe.calls import explained, flag, together
 from kempe.constraints.frame_targets import of_target
 from kempe.errors import InputError
 from kempe.kernels.base.search_layout import ANSWER, LARGEST, LINEAR, SOLVED, STATUS
-from kempe.kinematics.configuration import as_start
+from kempe.kinematics.configuration import as_start, refuse_far
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.kept import kept
 from kempe.rigid import sound
@@ -257,6 +257,7 @@ def _judged(
         look_closer(question, code)
         full[code == Status.BAD_INPUT] = math.nan
     if not lead and code[0] == Status.BAD_INPUT:
+        refuse_far(system, base, "start")
         raise InputError(not_a_pose(targets[0], "start"))
     return _answer(question, full, code, residual, info, lead)
 
@@ -302,7 +303,7 @@ def seeds_of(system: System, chain: Chain, start: Any, lead: tuple[int, ...]) ->
     base = as_start(system, start)
     base = np.array(base.reshape(math.prod(base.shape[:-1]), system.nq))
     if not lead and not np.all(np.abs(base) < LARGEST):
-        raise InputError(not_a_pose(np.eye(4), "start"))
+        refuse_far(system, base, "start")
     seeds = np.ascontiguousarray(base[:, None, chain.q_index])  # the kernel brings them inside, circles by turns
     return inside(system, base), seeds
 

@@ -15,9 +15,10 @@ from kempe.constraints.base import Constraint
 from kempe.constraints.frame_targets import of_target
 from kempe.errors import InputError, UnsupportedError
 from kempe.kernels.base.search_layout import SOLVED
+from kempe.kinematics.configuration import refuse_far
 from kempe.kinematics.tasks.packed import refuse
 from kempe.reals import reals
-from kempe.rigid import arrays, sound
+from kempe.rigid import arrays, refuse_no_poses, sound
 from kempe.singular_values import svd
 from kempe.solvers.assembly.assembly import assemble
 from kempe.solvers.common import wording
@@ -149,8 +150,7 @@ def by_steps(problem: Problem) -> IkPath:
     system, start, options, spend = problem.system, problem.start, problem.options, USUAL.of(problem.budget)
     tolerance, restart = TOLERANCE if problem.tolerance is None else problem.tolerance, options["restart"]
     demands, first = pose_problem(system, problem.wanted, start, tolerance, spend.starts, spend.rng)
-    if not np.isfinite(first).all():
-        raise InputError("start has entries that are not finite")
+    refuse_far(system, first, "start")
     if len(demands.lead) != 1 or not demands.lead[0] or len(first) > 1:
         raise InputError(f"targets have the leading shape {demands.lead}, the start {first.shape}; needed are (n,) "
                          f"targets and one start ({system.nq},)")  # fmt: skip
@@ -183,8 +183,7 @@ def by_steps(problem: Problem) -> IkPath:
 def _held(system: System, targets: Any, frame: FrameLike) -> Constraint:
     poses, lead, is_position = parse_targets(system, arrays(targets, "targets"))
     poses = sound(poses, "targets")
-    for i in np.flatnonzero(~np.isfinite(poses).all(axis=(1, 2)))[:1]:
-        raise InputError(f"target {i} is not finite, or no pose, whose last row must be 0 0 0 1")
+    refuse_no_poses(poses, "targets")
     poses = poses.reshape(*lead, 4, 4)
     name = system.structure.frame_name(frame)
     is_position = is_position or bool(system.structure.table.at[name][2])

@@ -41,7 +41,7 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
     number, steps, starts = (int(np.asarray(x)[index]) for x in figures)
     code = Status(number)
     if code is Status.BAD_INPUT:
-        return "goals or seed are not finite, or no poses"
+        return "goals or start have numbers that are not finite or too large, or a goal is not a pose"
     row = int(np.ravel_multi_index(index, np.shape(answer.code))) if index else 0
     problem, q = answer.problem.of(row), answer.q[index]
     misses = {t.label: answer.errors[t.label][index] for t in problem.tasks}

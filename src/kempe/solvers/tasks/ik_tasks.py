@@ -16,7 +16,7 @@ from kempe.errors import InputError, shown
 from kempe.kernels.base import search_layout as S
 from kempe.kernels.compiled import task_search as kernel
 from kempe.kinematics.common.parallel import over_chunks
-from kempe.kinematics.configuration import as_start, home_of
+from kempe.kinematics.configuration import as_start, home_of, refuse_far
 from kempe.kinematics.tasks.packed import Packed, lead_of, refuse
 from kempe.kinematics.tasks.task import Goals, Task
 from kempe.kinematics.tasks.task_classes import task_of
@@ -255,7 +255,8 @@ def reach(problem: Problem) -> Reached:
     if not demands.lead and answer.code == Status.BAD_INPUT:
         for each, goals in zip(demands.tasks, demands.goals, strict=True):
             refuse(goals, each.label)
-        raise InputError("the start has entries that are not finite or too large, or a quaternion that is zero")
+        refuse_far(system, base, "start")
+        raise InputError("the goals and the start lead to numbers that are not finite")
     return answer
 
 

@@ -67,6 +67,10 @@ def circle(centre: Array, radius: float) -> Path:
     return Path(np.asarray(centre) + radius * np.asarray(unit.vertices), unit.codes)
 
 
+MOST_STROKES = 1000
+"""Strokes of one line of the ground at most."""
+
+
 def polygon(points: Array) -> Path:
     """Outline of a polygon with the corners (n, 2)."""
     return Path(np.concatenate([points, points[:1]]), [Path.MOVETO, *[Path.LINETO] * (len(points) - 1), Path.CLOSEPOLY])
@@ -82,7 +86,7 @@ def hatched(a: Array, b: Array, down: Array, r: float) -> Path:
     """The line from a to b with the strokes of the ground on its side `down` (unit vector)."""
     length = float(np.linalg.norm(b - a))
     along = (b - a) / max(length, 1e-300)
-    count = max(2, round(length / (HATCH * r)))
+    count = max(2, min(round(length / (HATCH * r)), MOST_STROKES))
     foot = a + along * (np.arange(count) + 0.75)[:, None] * (length / count)
     slant = (down - along) * (HATCH * 0.85 * r)
     return strokes([(a, b), *[(p, p + slant) for p in foot]])

@@ -17,7 +17,7 @@ from kempe.analysis.spaces.curves.swept import sweep_of
 from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods, generator, interruptible
 from kempe.errors import InputError
-from kempe.kinematics.configuration import as_q, has_loops
+from kempe.kinematics.configuration import has_loops, one_finite
 from kempe.kinematics.measure import judge
 from kempe.reals import is_real
 from kempe.solvers.common.answer import Configurations
@@ -114,9 +114,7 @@ def path(system: System, q0: Any, q1: Any, *, budget: Budget | None = None) -> C
 
 
 def _end(system: System, q: Any, name: str) -> Array:
-    q = as_q(system, q)
-    if q.shape != (system.nq,) or not np.isfinite(q).all():
-        raise InputError(f"{name} has shape {q.shape}; it must be one configuration ({system.nq},) of finite numbers")
+    q = one_finite(system, q, name)
     judged = judge(system, q)
     if not judged:
         raise InputError(f"{name} is not closed, {judged}; assemble closes it")

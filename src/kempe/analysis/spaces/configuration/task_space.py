@@ -15,7 +15,7 @@ from kempe.constraints import KINDS
 from kempe.constraints.base import Constraint
 from kempe.errors import InputError, shown
 from kempe.kinematics.common.result import Cells, Report
-from kempe.kinematics.configuration import as_q, has_loops, random
+from kempe.kinematics.configuration import has_loops, one_finite, random
 from kempe.kinematics.tasks.packed import count, jacobian, units
 from kempe.solvers.common.arguments import start_count
 from kempe.solvers.common.clock import SHORT, time_limited, time_of
@@ -133,9 +133,7 @@ def task_space(
     wanted, name, frame = _wanted(system, tasks, task)
     rng = generator(spend.rng)
     drawn = _drawn(system, start_count(spend.starts) or 1, rng)
-    at = drawn[0] if q is None else as_q(system, q)
-    if at.shape != (system.nq,) or not np.isfinite(at).all():
-        raise InputError(f"q has shape {at.shape}; it must be one configuration ({system.nq},) of finite numbers")
+    at = drawn[0] if q is None else one_finite(system, q)
     every, m = np.concatenate([at[None], drawn]), sum(count(system, t) for t in wanted)
     metres = np.array([unit == "m" for t in wanted for unit in units(system, t)])
     time, ranks, n = time_of(USUAL), list[int](), 0

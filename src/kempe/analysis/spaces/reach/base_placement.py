@@ -137,8 +137,8 @@ def place_base(
     """
     spend, name = USUAL.of(budget), system.structure.frame_name(frame)
     X = numbers(targets, "targets")
-    if X.ndim != 3 or X.shape[1:] != (4, 4) or not len(X) or not np.isfinite(X).all():
-        raise InputError(f"targets have shape {X.shape}; they must be finite poses (n, 4, 4), at least one")
+    if X.ndim != 3 or X.shape[1:] != (4, 4) or not len(X):
+        raise InputError(f"targets have shape {X.shape}; they must be poses (n, 4, 4), at least one")
     X = checked_poses(X)
     axes, fixed = _axes(system, box, cells)
     shape = tuple(len(v) for v in axes.values())

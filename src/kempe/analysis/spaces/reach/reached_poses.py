@@ -14,10 +14,11 @@ from kempe.calls import brief, explained, explained_methods, interruptible, numb
 from kempe.errors import InputError
 from kempe.kinematics.closure_rows import characteristic_length
 from kempe.kinematics.common.result import Report
-from kempe.rigid import EXACT, rotation_error, sound
+from kempe.reals import within_range
+from kempe.rigid import refuse_no_poses, sound
 from kempe.solvers.analytic.ik_analytic import plan_of
 from kempe.solvers.common.clock import LONG, partial
-from kempe.solvers.common.targets import LARGEST, axis_for, not_a_pose, task_and_axis, task_of, twist_rows
+from kempe.solvers.common.targets import axis_for, task_and_axis, task_of, twist_rows
 from kempe.spatial import Array
 from kempe.status import Status, named
 from kempe.words import counted
@@ -55,17 +56,9 @@ def checked_poses(X: Array) -> Array:
 
     Errors: `InputError` that says which one has entries that are not finite, or is no pose.
     """
-    if not np.isfinite(X).all():
-        bad = int(np.argwhere(~np.isfinite(X))[0, 0])
-        raise InputError(f"pose {bad} has entries that are not finite")
     if X.ndim == 3 and X.shape[1:] == (4, 4):
-        X = sound(X, "targets")
-        wrong = (X[:, 3] != [0.0, 0.0, 0.0, 1.0]).any(axis=1) | (rotation_error(X[:, :3, :3]) > EXACT)
-        wrong |= np.abs(X).max(axis=(1, 2), initial=0.0) >= LARGEST
-        if wrong.any():
-            bad = int(np.argmax(wrong))
-            raise InputError(f"pose {bad}: {not_a_pose(X[bad])}")
-    return X
+        return refuse_no_poses(sound(X, "targets"), "targets")
+    return within_range(X, "targets")
 
 
 def manipulability(system: System, frame: str, q: Array, task: str) -> Array:

@@ -18,7 +18,7 @@ from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods, flag, generator, interruptible, known, until_interrupt
 from kempe.errors import InputError, Interrupted
 from kempe.kinematics.common.result import Report
-from kempe.kinematics.configuration import as_q, by_short_turns, circles, has_loops
+from kempe.kinematics.configuration import by_short_turns, circles, has_loops, one_finite
 from kempe.solvers.common.arguments import start_count
 from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp, partial
 from kempe.spatial import Array
@@ -95,11 +95,7 @@ class Singularities(Report):
 
         It is a local minimum of the distance, found from several points of each set. Errors: `InputError`.
         """
-        q = as_q(self.system, q)
-        if q.ndim != 1 or not np.isfinite(q).all():
-            raise InputError(
-                f"q has shape {q.shape}; it must be one configuration ({self.system.nq},) of finite numbers"
-            )
+        q = one_finite(self.system, q)
         found = [self._nearest(s, q) for s in self.sets]
         if not found:
             none = np.zeros((0, 6))

@@ -12,7 +12,7 @@ import numpy as np
 
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics.configuration import as_start
-from kempe.reals import reals
+from kempe.reals import reals, within_range
 from kempe.solvers.common.clock import TimeLimit
 from kempe.spatial import Array
 
@@ -108,6 +108,5 @@ def near_of(system: System, near: Any, lead: tuple[int, ...] | None) -> Array | 
     if q.ndim > 1 and q.shape[:-1] != (lead or ()):
         each = f" or {(*lead, system.nq)}" if lead else ""
         raise InputError(f"start has shape {q.shape}; it must be ({system.nq},){each}")
-    if not np.all(np.abs(q) < FARTHEST):
-        raise InputError(f"start has entries that are not finite, or beyond {FARTHEST:g}: turns are not counted there")
+    within_range(q, "start", system.coordinate_names, FARTHEST)
     return q.reshape(math.prod(q.shape[:-1]), system.nq)

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kempe import spatial
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.calls import explained
 from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
-from kempe.reals import is_whole, reals
-from kempe.rigid import EXACT, arrays, rotation_error
+from kempe.reals import FARTHEST, is_whole, reals
+from kempe.rigid import arrays, refuse_no_poses
 from kempe.solvers.analytic.ik_all import chain_lines, ik_all, plan_for
 from kempe.solvers.analytic.plans.chain_lines import Lines
 from kempe.solvers.analytic.plans.choice import domains
@@ -27,7 +28,15 @@ from kempe.solvers.analytic.redundant.sweep_net import arcs_through
 from kempe.solvers.common.clock import SHARE, SHORT, TimeLimit, time_limited, time_of
 from kempe.solvers.common.problem import Problem, Solver, choose, chosen_by
 from kempe.solvers.common.serial_chain import inside
-from kempe.solvers.common.targets import Z_AXIS, axis_for, refuse_position, targets_of, task_and_axis, task_of
+from kempe.solvers.common.targets import (
+    Z_AXIS,
+    axis_for,
+    not_a_pose,
+    refuse_position,
+    targets_of,
+    task_and_axis,
+    task_of,
+)
 from kempe.spatial import Array
 from kempe.words import counted
 
@@ -79,8 +88,10 @@ def ik_sweep(
     _count(USUAL.of(budget).points)
     direction = axis_for(axis, said)
     targets, lead, is_position = targets_of(system, arrays(target, "target"), said, direction)
-    if lead != () or not np.isfinite(targets).all():
-        raise InputError("a sweep needs one target, of finite numbers")
+    if lead != ():
+        raise InputError(f"target has the leading shape {lead}; a sweep has one target")
+    if not np.all(np.abs(targets) < FARTHEST):
+        raise InputError(not_a_pose(targets[0]))
     task = task_of(said, is_position, bool(system.structure.table.at[name][2]))
     refuse_position(task, is_position, system.dim)
     given_near = near_of(system, start, None)
@@ -151,8 +162,7 @@ def _sweep_problem(problem: Problem) -> SweepProblem:
 
 
 def _refuse_no_rotation(R: Array) -> None:
-    if rotation_error(R) > EXACT:
-        raise InputError("target is not a pose: its rotation part must be orthonormal with determinant +1")
+    refuse_no_poses(spatial.pose(R), "target")
 
 
 def _count(n: object) -> int:
