@@ -257,7 +257,10 @@ def test_the_page_names_every_key():
     assert all(f"{key} = " in page for key in ("of", "sources", "rows", "convention"))
 
 
-@pytest.mark.parametrize("text", ["[a{}]", "a{} = 1", "[[a{}]]", "'a'{} = 1", '[ "a" {} ]'])
+@pytest.mark.parametrize("text", [
+    "[a{}]", "a{} = 1", "[[a{}]]", "'a'{} = 1", '[ "a" {} ]', "x = {{a{} = 1}}", "x = {{b = 2, a{} = 1}}",
+    'x = [{{"a"{} = 1}}]', "x = {{y = 'z', 'a'{} = 1}}", "x = {{a{}",
+])  # fmt: skip
 def test_long_dotted_keys_are_refused_before_they_take_long(text, monkeypatch):
     """The time of `tomllib` grows as the square of their names: it does not get them."""
     from kempe.description.toml import toml_fast
@@ -266,6 +269,17 @@ def test_long_dotted_keys_are_refused_before_they_take_long(text, monkeypatch):
     for names in (65, 100_000):
         with pytest.raises(DescriptionError, match="<text>:2: .*a dotted key of more than 64 names"):
             read_toml("# a comment\n" + text.format(". b" * names) + "\n")
+
+
+@pytest.mark.parametrize("text", [
+    'name = "{{{}"', "name = '{{{}'", 'name = """\n{{{}\n"""\nb = 1', "name = '''\n, {}\n'''", "b = 1 # {{{}",
+    'a = ["\\", {}"]', 'a = [1, # , {}\n 2]',
+])  # fmt: skip
+def test_strings_and_comments_may_look_like_long_keys(text):
+    from kempe.description.toml import toml_fast
+
+    whole = text.format(".".join("a" * 100)) + "\n"
+    assert toml_fast.loads(whole)[0] == toml_fast.tomllib.loads(whole)
 
 
 def test_places_of_deep_keys_are_those_of_what_encloses_them():

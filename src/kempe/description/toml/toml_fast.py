@@ -27,8 +27,12 @@ _LINE = re.compile(
 MOST_NAMES = 64
 """Names of a dotted key: the time of `tomllib` grows as their square."""
 _LONG_KEY = re.compile(
-    rf"""^[ \t]*+(?:\[\[?[ \t]*+)?(?:(?:[A-Za-z0-9_-]++|"[^"\n]*"|'[^'\n]*')[ \t]*+\.[ \t]*+){{{MOST_NAMES}}}""",
+    r"""(?:^[ \t]*+(?:\[\[?[ \t]*+)?|[{,][ \t]*+)"""  # a line, a table, or an inline table begins, or goes on
+    rf"""(?:(?:[A-Za-z0-9_-]++|"[^"\n]*"|'[^'\n]*')[ \t]*+\.[ \t]*+){{{MOST_NAMES}}}""",
     re.MULTILINE,
+)
+_STRING_OR_COMMENT = re.compile(
+    r'''"""(?:[^\\]|\\.)*?"""|''' r"'''.*?'''" r"""|"(?:[^"\\\n]|\\.)*"|'[^'\n]*'|\#[^\n]*""", re.DOTALL
 )
 _FLOAT = re.compile(r"[-+]?(?:0|[1-9][0-9]*)(?:\.[0-9]+(?:[eE][-+]?[0-9]+)?|[eE][-+]?[0-9]+)")
 _BRACKET = re.compile(r"^[ \t]*\[", re.MULTILINE)
@@ -44,13 +48,18 @@ def loads(text: str) -> tuple[dict[str, Any], dict[Path, int] | None]:
 
     Errors: those of `tomllib`.
     """
-    if found := _LONG_KEY.search(text):
+    if _LONG_KEY.search(text) and (found := _LONG_KEY.search(_STRING_OR_COMMENT.sub(_hollow, text))):
         line = text.count("\n", 0, found.start()) + 1
         raise ValueError(f"a dotted key of more than {MOST_NAMES} names (at line {line}, column 1)")
     if text.count("\n[") >= MANY:
         with contextlib.suppress(_Other, ValueError, RecursionError):
             return _loads(text)
     return tomllib.loads(text), None
+
+
+def _hollow(found: re.Match[str]) -> str:
+    """What stands for a string or a comment where only keys are looked for: as many lines."""
+    return f'"{chr(10) * found[0].count(chr(10))}"' if found[0][0] != "#" else ""
 
 
 def _loads(text: str) -> tuple[dict[str, Any], dict[Path, int]]:
