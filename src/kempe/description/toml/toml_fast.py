@@ -49,7 +49,7 @@ def loads(text: str) -> tuple[dict[str, Any], dict[Path, int] | None]:
     Errors: those of `tomllib`.
     """
     if _LONG_KEY.search(text) and (found := _LONG_KEY.search(_STRING_OR_COMMENT.sub(_hollow, text))):
-        line = text.count("\n", 0, found.start()) + 1
+        line = found.string.count("\n", 0, found.start()) + 1
         raise ValueError(f"a dotted key of more than {MOST_NAMES} names (at line {line}, column 1)")
     if text.count("\n[") >= MANY:
         with contextlib.suppress(_Other, ValueError, RecursionError):
