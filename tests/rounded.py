@@ -9,7 +9,7 @@ import numpy as np
 
 import kempe
 from kempe import Mechanism, System
-from kempe.placement import Placement, place
+from kempe.placement import Placement, place, placement_of_pose
 from kempe.spatial import rot_x, rot_y, rot_z, xyz_rpy_from_pose
 
 
@@ -24,8 +24,15 @@ def rounded(system: System, digits: int, rng: np.random.Generator) -> System:
             at[body][: m.dim, 3] = rng.uniform(-0.3, 0.3, m.dim)
 
     def new(X: Placement, body: str) -> Placement:
-        x = np.round(xyz_rpy_from_pose(np.linalg.inv(at[body]) @ X.evaluate(m.parameters)), digits).tolist()
-        return place(tuple(x[:2]), angle=x[5]) if m.dim == 2 else place(tuple(x[:3]), rpy=tuple(x[3:]))
+        old, inverse = X.evaluate(m.parameters), np.linalg.inv(at[body])
+        x = np.round(xyz_rpy_from_pose(inverse @ old), digits).tolist()
+        if m.dim == 3:
+            return place(tuple(x[:3]), rpy=tuple(x[3:]))
+        if old[2, 2] > 0.5:
+            return place(tuple(x[:2]), angle=x[5])
+        turn, rest = float(np.round(xyz_rpy_from_pose(inverse)[5], digits)), np.eye(4)
+        rest[:3, :3] = old[:3, :3]  # the axis of a slide is in the plane: only what turns it there is rounded
+        return place(tuple(x[:2]), angle=turn) @ placement_of_pose(rest)
 
     for name, j in m.joints.items():
         m.joints[name] = replace(j, X_PF=new(j.X_PF, j.parent), X_CM=new(j.X_CM, j.child))

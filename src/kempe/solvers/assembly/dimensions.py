@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -19,19 +19,26 @@ from kempe.model.tree.characteristic_length import as_large_as, characteristic_l
 from kempe.model.tree.own_tree import own_tree
 from kempe.placement import Placement, place
 from kempe.singular_values import svd
+from kempe.solvers.assembly.relations import Place
 from kempe.solvers.common.clock import TimeLimit
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
 
+Steps = tuple[tuple[str, tuple[float]], ...]
+"""Slides and turns by numbers, one after the other."""
 STRIDE, FAR, NEAR = 0.4, 20, 10
 """Length of the steps along a motion, and how many each way: of one freedom, a whole turn; of several, in each of some
 directions."""
+STRIDES = (STRIDE, 0.25 * STRIDE)
+"""The lengths that are tried, one after the other."""
 MANY = 6
 """Directions of a motion with several freedoms at most."""
 ENOUGH = 6
 """Configurations at which a motion must be followed at least, for it to be one."""
+GROWN = 10.0
+"""Ratio of what is open from which on configurations are of another motion."""
 REGULAR = 1e-2
 """Smallest singular value, relative to the largest, of configurations at which dimensions are fitted."""
 ADDED = "change "
@@ -51,6 +58,8 @@ PATIENCE, HOPEFUL = 6, 1e-5
 """Steps in which a fit must gain, and what may stay open for another damping to be tried."""
 AT_FIRST = 14
 """Configurations at most that dimensions are fitted to at first."""
+MUCH = 3.0
+"""Ratio of changes from which on those that make more configurations close are for another motion."""
 TRIES = 3
 """Fits, each with configurations between those of the one before."""
 EXACT = 2e-14
@@ -81,6 +90,8 @@ class Dimensions:
         of = (x for motions in self.places.values() for x in motions)
         self.unit = np.array([self.length if len(x) == 1 else 1.0 for x in of])
         self.size = len(self.unit)
+        each = 3 * (m.dim - 1)
+        self.part = {place: slice(each * k, each * (k + 1)) for k, place in enumerate(self.places)}
 
     def body(self, table: str, name: str, side: str) -> str:
         """The body that a placement is on."""
@@ -94,14 +105,15 @@ class Dimensions:
         normal = X[:3, :3].T @ plane_normal(bodies.at[self.body(table, name, side)], bodies)
         return IN_PLANE[int(np.argmax(np.abs(normal)))]
 
-    def steps(self, p: Array) -> dict[tuple[str, str, str], tuple[tuple[str, tuple[float]], ...]]:
+    def steps(self, p: Array) -> dict[Place, Steps]:
         """The steps that follow each placement that changes, in metres and radians."""
-        each = (p * self.unit).reshape(len(self.places), 3 * (self.mechanism.dim - 1))
-        return {
-            place: tuple((motion, (float(x),)) for motion, x in zip(motions, d, strict=True) if x)
-            for (place, motions), d in zip(self.places.items(), each, strict=True)
-            if d.any()
-        }
+        return {place: found for place in self.places if (found := self.steps_of(place, p))}
+
+    def steps_of(self, place: Place, p: Array) -> Steps:
+        """The steps that follow one placement, in metres and radians."""
+        part = self.part[place]
+        changes = (p[part] * self.unit[part]).tolist()
+        return tuple((motion, (x,)) for motion, x in zip(self.places[place], changes, strict=True) if x)
 
     def changed(self, p: Array, system: System | None = None) -> System:
         """The system, or `system`, with its dimensions changed by p (size,); its spanning tree is kept."""
@@ -216,29 +228,95 @@ class Valley:
         return [x for x in found if np.isfinite(x).all() and self.regular(x)]
 
     def walk(self, q: Array, most: float, rng: np.random.Generator) -> Array:
-        """Regular configurations (N, nq) along the valley on both sides of q, where at most `most` stays open."""
+        """Regular configurations (N, nq) along the valley on both sides of q, where at most `most` stays open.
+
+        The first are those that the fewest steps lead to. Where long steps lead to few, as the valley bends much, they
+        are shorter. Where much more is open than on the way to the `ENOUGH` that are closest to closed, the steps went
+        over to another valley: a way ends there.
+        """
         freedoms = self.system.nv - self.rank
-        found = [q] if self.regular(q) else []
         null_space = self.at(q)[3][self.rank :]
         ways = null_space if freedoms == 1 else rng.normal(size=(min(2 * freedoms, MANY), freedoms)) @ null_space
-        for way in (sign * w / np.linalg.norm(w) for w in ways for sign in (1.0, -1.0)):
-            x = q
-            for _ in range(FAR if freedoms == 1 else NEAR):
-                before, heading = x, way
-                x, way = self.ahead(x, way, STRIDE)
-                moved = float(np.linalg.norm(self.system.structure.layout.difference(before, x) / self.scale))
-                if not self.residual(x) <= most or not 0.5 * STRIDE < moved < 2.0 * STRIDE or way @ heading < 0.5:
-                    break
-                if self.regular(x):
-                    found.append(x)
-        return np.array(found).reshape(len(found), self.system.nq)
+        ways = [sign * w / np.linalg.norm(w) for w in ways for sign in (1.0, -1.0)]
+        found: list[tuple[int, float, Array]] = []
+        for length in STRIDES:
+            found = [(0, float(self.residual(q)), q)] if self.regular(q) else []
+            for way in ways:
+                found += self._one_way(q, way, length, most, FAR if freedoms == 1 else NEAR)
+            if len(found) >= ENOUGH:
+                break
+        found.sort(key=lambda x: x[0])
+        if len(found) > ENOUGH:
+            most = max(GROWN * sorted(left for _, left, _ in found)[ENOUGH - 1], EXACT)
+        near = [x for _, left, x in found if left <= most]
+        return np.array(near).reshape(len(near), self.system.nq)
+
+    def _one_way(self, q: Array, way: Array, length: float, most: float, steps: int) -> list[tuple[int, float, Array]]:
+        """For each regular configuration ahead: steps to it, what stays open at most on the way, and it."""
+        found: list[tuple[int, float, Array]] = []
+        left = float(self.residual(q))
+        for k in range(steps):
+            before, heading = q, way
+            q, way = self.ahead(q, way, length)
+            moved = float(np.linalg.norm(self.system.structure.layout.difference(before, q) / self.scale))
+            left = max(left, float(self.residual(q)))
+            if not left <= most or not 0.5 * length < moved < 2.0 * length or way @ heading < 0.5:
+                break
+            if self.regular(q):
+                found.append((k + 1, left, q))
+        return found
+
+
+class Fit(NamedTuple):
+    """Changes `p` (size,) with which configurations `q` (N, nq) close, and what stays open at most, `left`.
+
+    Where they do not all close with small changes, `closed` is false, and `p` and `q` are where the fit ended.
+    """
+
+    closed: bool
+    p: Array
+    q: Array
+    left: float
+
+
+def fitted_all_along(
+    shape: Dimensions, rank: int, q: Array, most: float, time: TimeLimit,
+    also: Callable[[Array], tuple[Array, Array]] | None = None, tries: int = len(DAMPING),
+) -> Fit:  # fmt: skip
+    """As `fitted`, of configurations q (N, nq) that begin with the nearest ones.
+
+    What closes along a part of a motion closes all along, so that a fit to the nearest is enough, unless it leaves
+    dimensions undetermined. Far ones may lie on another motion, which crosses the first where the mechanism is flat:
+    then the changes with which that one closes, too, are much larger, if there are any. Where the nearest are on both
+    sides of a crossing, those of one side are enough, too.
+    """
+    near = fitted(shape, rank, q[:AT_FIRST], most, time, also, tries)
+    for part in _sides(shape, rank, q) if tries > 1 else ():
+        if near.closed:
+            break
+        near = fitted(shape, rank, part, most, time, also, tries)
+    if not near.closed or len(q) <= AT_FIRST or moves_all_along(Valley(shape.changed(near.p), rank), q):
+        return near
+    far = fitted(shape, rank, q, most, time, also, tries)
+    return far if far.closed and np.abs(far.p).max() <= MUCH * np.abs(near.p).max() else near
+
+
+def _sides(shape: Dimensions, rank: int, q: Array) -> list[Array]:
+    """Of configurations q (N, nq) along a motion of one freedom those on each side of the first, as many as needed."""
+    valley = Valley(shape.system, rank)
+    if rank != shape.system.nv - 1 or len(q) < ENOUGH:
+        return []
+    along = (
+        shape.system.structure.layout.difference(np.tile(q[0], (len(q), 1)), q) / valley.scale @ valley.at(q[0])[3][-1]
+    )
+    return [side for sign in (1.0, -1.0) if len(side := q[sign * along >= 0.0][:AT_FIRST]) >= ENOUGH]
 
 
 def fitted(
     shape: Dimensions, rank: int, q: Array, most: float, time: TimeLimit,
     also: Callable[[Array], tuple[Array, Array]] | None = None, tries: int = len(DAMPING),
-) -> tuple[Array, Array] | None:  # fmt: skip
-    """The changes (size,) nearest to none with which all configurations q (N, nq) close, and these then; else None.
+) -> Fit:  # fmt: skip
+    """The changes nearest to none with which all configurations q (N, nq) close, and these then.
 
     `most` is the largest change, in metres and radians. What is fitted must close at configurations in between, too;
     where they do not they are fitted as well. `also` gives values that must vanish, and their derivatives;
@@ -252,18 +330,18 @@ def fitted(
             *found, left = _fit(shape, rank, p, q, most, time, damped, also)
             if not CLOSED < left < HOPEFUL:
                 break
-        if left > CLOSED or np.abs(found[0] * shape.unit).max(initial=0.0) > most:
-            return None
         p, q = found
+        if left > CLOSED or np.abs(p * shape.unit).max(initial=0.0) > most:
+            break
         valley = Valley(shape.changed(p), rank)
         every = valley.converge_all(every)
         if not moves(valley, q) or not np.isfinite(every).all():
-            return None
+            break
         between = valley.between(q)
         if valley.residual(np.array([*every, *between])).max() <= CLOSED and moves(valley, every):
-            return p, every
+            return Fit(True, p, every, left)
         q = np.array([*every, *between])
-    return None
+    return Fit(False, p, q, left)
 
 
 def _fit(

@@ -31,7 +31,15 @@ from kempe.model.kept import keep, kept
 from kempe.model.tree.characteristic_length import as_large_as, characteristic_length, origin_of
 from kempe.model.tree.own_tree import own_tree
 from kempe.reals import is_real
-from kempe.solvers.assembly.dimensions import ENOUGH, Dimensions, Valley, fitted, moves_all_along
+from kempe.solvers.assembly.dimensions import (
+    DAMPING,
+    ENOUGH,
+    Dimensions,
+    Fit,
+    Valley,
+    fitted_all_along,
+    moves_all_along,
+)
 from kempe.solvers.assembly.relations import Place, Relations, snapped
 from kempe.solvers.common.clock import ENDLESS, LONG, TIME_LIMIT, TimeLimit, time_limited
 from kempe.solvers.common.slip import rolls
@@ -68,10 +76,16 @@ FEW = 3
 BESIDE, ASIDE = 2, 0.2
 """Configurations beside home where it is looked, too, as home may be singular, and how far away, in radians and
 characteristic lengths."""
+WAYS = 16
+"""Directions in which it is looked beside a singular home."""
+CLOSE = 0.02
+"""Places where the same rank would lead to the same motion, in radians and characteristic lengths."""
 HELD = "held"
 """Name of the joint that holds a part of a mechanism in the ground."""
 NEARLY = 4.0
 """Relations that hold within this multiple of the changes that make it close are meant to hold."""
+NEARLY_CLOSED = 1e-3
+"""What a fit may leave open for relations to be of help."""
 GAP = 3.0
 """Ratio of singular values from which they may part what moves from what is held."""
 
@@ -424,15 +438,14 @@ def _starts(system: System, home: Array, scaled: float) -> list[tuple[int, Array
     valley, limit = Valley(system, 0), OPEN * scaled
     exact = EXACT + 4.0 * np.finfo(float).eps * float(np.linalg.norm(origin_of(system))) / characteristic_length(system)
     out: list[tuple[int, Array]] = []
-    rng, looked, regular = np.random.default_rng(0), 0, 0
+    rng, looked, regular, held = np.random.default_rng(0), 0, 0, system.nv
     for k in range(BESIDE + 1):
         start = home
         if k:
             start = system.structure.layout.integrate(home, valley.scale * rng.normal(size=system.nv) * ASIDE)
         q = bare(system)(start=start, budget=Budget(starts=FEW)).q
         f, _, s, _ = valley.at(q)
-        left, rows = float(np.linalg.norm(f)), len(s)
-        s = np.append(s, np.zeros(max(system.nv - rows, 0)))[: system.nv] / max(float(s[0]), 1e-300)
+        left, s = float(np.linalg.norm(f)), _relative(s, system.nv)
         if not left <= limit:
             if not k:
                 return []
@@ -446,13 +459,71 @@ def _starts(system: System, home: Array, scaled: float) -> list[tuple[int, Array
                 return []
             continue
         if left > exact or np.any((s > exact) & (s < limit)):
-            floor = max(0.1 * min(left, scaled), EXACT)
-            ratio = np.append(np.maximum(s, floor), floor)
-            top = system.nv + (left > exact)  # what closes and has no freedom is as it is
-            near = valley.residual(start) <= limit
-            out += [(r, start if near else q) for r in range(1, top)
-                    if ratio[r - 1] >= GAP * ratio[r] and (r == system.nv or s[r] < limit)]  # fmt: skip
-    return [] if regular == looked - 1 > 0 else out
+            least, top = max(0.1 * min(left, scaled), EXACT), system.nv + (left > exact)
+            for at in _where(valley, start, q, limit):
+                here = _relative(valley.at(at)[2], system.nv)
+                held = min(held, int(np.sum(here >= limit)))
+                out += [(r, at) for r in _ranks(here, top, limit, least)]
+    if held < system.nv - 1:
+        out += _beside(valley, home, held, limit, rng)
+    return [] if regular == looked - 1 > 0 else _apart(system, out, valley.scale)
+
+
+def _beside(
+    valley: Valley, home: Array, held: int, limit: float, rng: np.random.Generator
+) -> list[tuple[int, Array]]:  # fmt: skip
+    """Ranks of at least `held`, and where to look for a motion, beside a home that is singular.
+
+    Each motion leaves along some direction that nothing holds at home. Of those that are tried the ones come first on
+    which least stays open.
+    """
+    system = valley.system
+    null_space = valley.at(home)[3][held:]
+    ways = rng.normal(size=(WAYS, len(null_space))) @ null_space
+    ways *= 2.0 * ASIDE / np.linalg.norm(ways, axis=1, keepdims=True)
+    starts = system.structure.layout.integrate(np.tile(home, (WAYS, 1)), valley.scale * ways)
+    out: list[tuple[int, Array]] = []
+    for r in range(max(held, 1), system.nv):
+        found = Valley(system, r).converge_all(starts)
+        found = found[np.isfinite(found).all(axis=1)]
+        left = valley.residual(found)
+        for i in np.argsort(left)[:FEW]:
+            here = _relative(valley.at(found[i])[2], system.nv)
+            out += [(r, found[i])] if left[i] <= limit and r in _ranks(here, r + 1, limit, EXACT) else []
+    return out
+
+
+def _apart(system: System, starts: Sequence[tuple[int, Array]], scale: Array) -> list[tuple[int, Array]]:
+    """The ranks and places without those that are close to one before them."""
+    out: list[tuple[int, Array]] = []
+    for r, q in starts:
+        off = (system.structure.layout.difference(x, q) / scale for same, x in out if same == r)
+        if all(np.abs(x).max() > CLOSE for x in off):
+            out.append((r, q))
+    return out
+
+
+def _relative(s: Array, n: int) -> Array:
+    """Singular values (n,) of equations of n unknowns as parts of the largest; missing ones are zero."""
+    return np.append(s, np.zeros(max(n - len(s), 0)))[:n] / max(float(s[0]), 1e-300)
+
+
+def _where(valley: Valley, start: Array, q: Array, limit: float) -> list[Array]:
+    """Where to read a rank: at the start, if little is open there, and where the given numbers close best, `q`.
+
+    The loops of rounded numbers may close exactly far away only, where the mechanism is flat and other ranks are near.
+    """
+    layout = valley.system.structure.layout
+    if valley.residual(start) > limit:
+        return [q]
+    far = np.abs(layout.difference(start, q) / valley.scale).max() > ASIDE
+    return [start, q] if far else [start]
+
+
+def _ranks(s: Array, top: int, limit: float, least: float) -> list[int]:
+    """Ranks below `top` at which relative singular values (n,) may part what moves from what is held."""
+    ratio = np.append(np.maximum(s, least), least)
+    return [r for r in range(1, top) if ratio[r - 1] >= GAP * ratio[r] and (r == len(s) or s[r] < limit)]
 
 
 def _with_rank(
@@ -473,25 +544,24 @@ def _with_rank(
     nice = snapped(system, min(most, NEARLY * off))
     if nice is not None and moves_all_along(Valley(nice, rank), points):
         return _Found(nice, tuple(shape.places), points, freedoms)
-    found = _best(shape, rank, points, most, time) if thorough else fitted(shape, rank, points, most, time, tries=1)
-    if found is None:
-        return None
-    return _Found(shape.changed(found[0], system), tuple(shape.places), found[1], freedoms)
+    found = fitted_all_along(shape, rank, points, most, time, tries=len(DAMPING) if thorough else 1)
+    if thorough:
+        found = _best(found, shape, rank, points, most, time)
+    return _Found(shape.changed(found.p, system), tuple(shape.places), found.q, freedoms) if found.closed else None
 
 
-def _best(shape: Dimensions, rank: int, q: Array, most: float, time: TimeLimit) -> tuple[Array, Array] | None:
-    """The changes that make it close, and configurations: those that obey relations which nearly hold, if they do."""
-    found = fitted(shape, rank, q, most, time)
+def _best(found: Fit, shape: Dimensions, rank: int, q: Array, most: float, time: TimeLimit) -> Fit:
+    """Of what was found, and what obeys relations that nearly hold, the latter if it closes with small changes."""
     off = float(Valley(shape.system, rank).residual(q).max())
-    size = off if found is None else float(np.abs(found[0]).max())
-    if size <= EXACT or off <= EXACT:
+    size = float(np.abs(found.p).max()) if found.closed else off
+    if size <= EXACT or off <= EXACT or not found.closed and found.left > NEARLY_CLOSED:
         return found
     relations = Relations(shape, NEARLY * size)
     if not relations.rows:
         return found
-    largest = most if found is None else min(most, NEARLY * size * shape.unit.max())
-    nicer = fitted(shape, rank, q, largest, time, relations)
-    return found if nicer is None else nicer
+    largest = min(most, NEARLY * size * shape.unit.max()) if found.closed else most
+    nicer = fitted_all_along(shape, rank, q, largest, time, relations)
+    return nicer if nicer.closed else found
 
 
 def _changes(system: System, changed: Sequence[_Found], home: Array, most: float) -> Idealised:

@@ -102,20 +102,20 @@ class Relations:
         values = [np.atleast_1d(row(at)) for row, at in zip(self.rows, read, strict=True)]
         ends = np.cumsum([0, *map(len, values)])
         out = np.zeros((ends[-1], self.shape.size))
-        of = [place for place, motions in self.shape.places.items() for _ in motions]
-        for k, place in enumerate(of):
-            e = np.zeros(self.shape.size)
-            e[k] = DIFFERENCE
+        for place in self.shape.places:
             users = [i for i, at in enumerate(read) if place in at.used]
-            if not users:
-                continue
-            above, below = (
-                poses | {place: self.given[place] @ _pose(self.shape.steps(p + s * e).get(place, ()))}
-                for s in (1.0, -1.0)
-            )
-            for i in users:
-                out[ends[i] : ends[i + 1], k] = (self.rows[i](above) - self.rows[i](below)) / (2.0 * DIFFERENCE)
+            part = self.shape.part[place]
+            for k in range(part.start, part.stop) if users else ():
+                above, below = (self._beside(poses, place, p, k, s * DIFFERENCE) for s in (1.0, -1.0))
+                for i in users:
+                    out[ends[i] : ends[i + 1], k] = (self.rows[i](above) - self.rows[i](below)) / (2.0 * DIFFERENCE)
         return np.concatenate(values), out
+
+    def _beside(self, poses: dict[Place, Array], place: Place, p: Array, k: int, by: float) -> dict[Place, Array]:
+        """The poses where change k, which is one of this place, is larger by a number."""
+        changed = p.copy()
+        changed[k] += by
+        return poses | {place: self.given[place] @ _pose(self.shape.steps_of(place, changed))}
 
 
 class _Read(dict[Place, Array]):
