@@ -101,7 +101,11 @@ def start_of(system: System, start: Any, hold: Mapping[str, float]) -> Array:
 
 
 def begin(system: System, start: Any, hold: Mapping[str, float]) -> tuple[Closure, Array | None]:
-    """The equations with the held coordinates, and the closed configuration (nq,) near `start`, or None."""
+    """The equations with the held coordinates, and the closed configuration (nq,) near `start`, or None.
+
+    What `assemble` calls closed is closed here, too: loops whose numbers contradict each other by a little more than
+    rounding are followed within the tolerance of `assemble`.
+    """
     held = [angle_or_slide(system, n) for n in hold]
     near = start_of(system, start, hold)
     equations = Closure(system, held, near)
@@ -109,13 +113,16 @@ def begin(system: System, start: Any, hold: Mapping[str, float]) -> tuple[Closur
     fixed = Closure(system, held + [angle_or_slide(system, n) for n in known], near)
     q = None if known else close(fixed, near)  # what is known may be far: then on the branch that `assemble` finds
     if q is None:
-        from kempe.solvers.assembly.assembler import of_equations
+        from kempe.solvers.assembly.assembler import TOLERANCE, of_equations
         from kempe.solvers.assembly.assembly import assemble
 
         answer = assemble(system, known={**hold, **known}, start=near)
         if not answer.success:  # what is one-sided is then reported
             answer = of_equations(system, {**hold, **known})({**hold, **known}, near)
         q = close(fixed, answer.q) if answer.success else None
+        if q is None and answer.success:
+            equations.closed = fixed.closed = TOLERANCE
+            q = close(fixed, answer.q)
     if start is None and q is not None and one_sided_rows(system).beyond(q, declared=True).any():
         q = _within(system, hold, fixed, near, q)
     return equations, q

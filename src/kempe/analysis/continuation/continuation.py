@@ -47,7 +47,8 @@ class Further(Protocol):
 class Closure(Curve):
     """The closure equations of a system, some of its coordinates held at the values of a configuration.
 
-    `unit` (nv,) are the velocity coordinates of one unit of the numbers used here. `held` are indices of velocity
+    `unit` (nv,) are the velocity coordinates of one unit of the numbers used here; `closed` is the residual below which
+    the equations hold, up to what rounding adds. `held` are indices of velocity
     coordinates that belong to angles and slides. Work with them ends by `TimeUp` when the `budget` is spent.
     """
 
@@ -72,6 +73,7 @@ class Closure(Curve):
             for tie in closure_rows.full(self.tree, False).ties for row in tie.rows
         ])  # fmt: skip
         self.targets = np.zeros(0) if at is None else at[self.place[self._held]]
+        self.closed = CLOSED
         self.budget = TimeLimit(None)
         self.more: tuple[Further, ...] = ()
         self._count()
@@ -145,7 +147,7 @@ class Closure(Curve):
 
     def tolerance(self, x: Array) -> float:
         """Residual below which the equations hold at `x`: angles of many turns are known less well."""
-        return CLOSED * (1.0 + 0.01 * float(np.abs(x).max(initial=0.0))) + self.rounding
+        return self.closed * (1.0 + 0.01 * float(np.abs(x).max(initial=0.0))) + self.rounding
 
     def move(self, x: Array, y: Array) -> Array:
         """The point reached from `x` by the tangent vector `y` (n,)."""

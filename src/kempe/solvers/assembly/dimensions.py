@@ -19,7 +19,7 @@ from kempe.model.tree.characteristic_length import as_large_as, characteristic_l
 from kempe.model.tree.own_tree import own_tree
 from kempe.placement import Placement, place
 from kempe.singular_values import svd
-from kempe.solvers.assembly.relations import Place
+from kempe.solvers.assembly.relations import Place, Relations
 from kempe.solvers.common.clock import TimeLimit
 from kempe.spatial import Array
 
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 Steps = tuple[tuple[str, tuple[float]], ...]
 """Slides and turns by numbers, one after the other."""
+Equations = Callable[..., tuple[Array, Array]]
+"""Values (..., m) and derivatives (..., m, n) of equations at configurations (..., nq), the latter if requested."""
 STRIDE, FAR, NEAR = 0.4, 20, 10
 """Length of the steps along a motion, and how many each way: of one freedom, a whole turn; of several, in each of some
 directions."""
@@ -91,6 +93,7 @@ class Dimensions:
         self.unit = np.array([self.length if len(x) == 1 else 1.0 for x in of])
         self.size = len(self.unit)
         each = 3 * (m.dim - 1)
+        self._last: tuple[Array, System] | None = None
         self.part = {place: slice(each * k, each * (k + 1)) for k, place in enumerate(self.places)}
 
     def body(self, table: str, name: str, side: str) -> str:
@@ -117,12 +120,18 @@ class Dimensions:
 
     def changed(self, p: Array, system: System | None = None) -> System:
         """The system, or `system`, with its dimensions changed by p (size,); its spanning tree is kept."""
-        system = system or self.system
-        m = system.mechanism
+        own = system is None or system is self.system
+        if own and self._last is not None and np.array_equal(self._last[0], p):
+            return self._last[1]
+        given = self.system if system is None else system
+        m = given.mechanism
         for (table, name, side), more in self.steps(p).items():
             parts = getattr(m, table)
             parts[name] = replace(parts[name], **{side: Placement(getattr(parts[name], side).steps + more)})
-        return as_large_as(type(system)(m, system.structure.topology), self.system)
+        found = as_large_as(type(given)(m, given.structure.topology), self.system)
+        if own:
+            self._last = p.copy(), found
+        return found
 
     @cached_property
     def _freed(self) -> tuple[PackedLoops, System, np.ndarray, np.ndarray, np.ndarray]:
@@ -150,6 +159,20 @@ class Dimensions:
         order = np.array([rows[row] for row in _numbered(full(self.system, True).names)], dtype=int)
         return loops, system, own, np.array([first[name] for name in added], dtype=int).reshape(-1, 2).T, order
 
+    def equations(self, p: Array) -> Equations:
+        """The loop equations at the changes p, as a function of configurations q (N, nq), without another system."""
+        loops, system, own, (iq, _), order = self._freed
+        names = system.structure.velocity_names
+        columns = np.array([names.index(name) for name in self.system.structure.velocity_names], dtype=int)
+
+        def at(q: Array, with_jacobian: bool = True) -> tuple[Array, Array]:
+            x = np.empty((*q.shape[:-1], system.nq))
+            x[..., own], x[..., iq] = q, p * self.unit
+            f, J = evaluate(system, x, with_jacobian, loops=loops)
+            return f[..., order], J[..., order, :][..., columns] if with_jacobian else J
+
+        return at
+
     def derivative(self, p: Array, q: Array) -> Array:
         """Derivatives (N, m, size) of the m loop equations, at configurations q (N, nq), with respect to p (size,)."""
         loops, system, own, (iq, iv), order = self._freed
@@ -168,15 +191,32 @@ def _numbered(names: Iterable[tuple[str, str]]) -> list[tuple[str, str, int]]:
     return out
 
 
-class Valley:
-    """Where the loop equations of a system are nearest to zero, if only their `rank` strongest combinations count."""
+class Step(NamedTuple):
+    """Where a step along a valley leads, the direction (n,) in which it goes on, and what stays open there.
 
-    def __init__(self, system: System, rank: int):
-        self.system, self.rank, self.scale = own_tree(system), rank, scales(own_tree(system))
+    `regular` tells whether the combinations of equations that count are independent there.
+    """
+
+    q: Array
+    way: Array
+    left: float
+    regular: bool
+
+
+class Valley:
+    """Where the loop equations of a system are nearest to zero, if only their `rank` strongest combinations count.
+
+    `equations` are those of other dimensions, by default of the system's.
+    """
+
+    def __init__(self, system: System, rank: int, equations: Equations | None = None):
+        tree = self.system = own_tree(system)
+        self.rank, self.scale = rank, scales(tree)
+        self.equations: Equations = equations or (lambda q, with_jacobian=True: evaluate(tree, q, with_jacobian, True))
 
     def at(self, q: Array) -> tuple[Array, Array, Array, Array]:
         """Residual (m,), left vectors (m, m), singular values (rank + 1 or rank,), right vectors (n, n) at q (nq,)."""
-        f, J = evaluate(self.system, q, True, True)
+        f, J = self.equations(q)
         U, s, Vt = svd(J)
         return f, U, s, Vt
 
@@ -188,7 +228,7 @@ class Valley:
             U, s, Vt = svd(J)
             return -Vt[:r].T @ ((U[:, :r].T @ f) / np.maximum(s[:r], 1e-300))
 
-        return gauss_newton(lambda q: evaluate(system, q, True, True), q, rounds, step=step, last=1e-13, longest=0.3,
+        return gauss_newton(lambda q: self.equations(q), q, rounds, step=step, last=1e-13, longest=0.3,
                             move=lambda q, y: system.structure.layout.integrate(q, self.scale * y)).x  # fmt: skip
 
     def converge_all(self, q: Array, rounds: int = 12) -> Array:
@@ -200,30 +240,31 @@ class Valley:
             part = (np.swapaxes(U[..., :r], -1, -2) @ f[..., None])[..., 0] / np.maximum(s[..., :r], 1e-300)
             return -(np.swapaxes(Vt[..., :r, :], -1, -2) @ part[..., None])[..., 0]
 
-        return gauss_newton_of_many(lambda q, _: evaluate(system, q, True, True), q, rounds, step=step, longest=0.3,
+        return gauss_newton_of_many(lambda q, _: self.equations(q), q, rounds, step=step, longest=0.3,
                                     move=lambda q, y: system.structure.layout.integrate(q, self.scale * y))  # fmt: skip
 
     def residual(self, q: Array) -> Array:
         """Norms (...) of the residual at configurations (..., nq)."""
-        return np.linalg.norm(evaluate(self.system, q, False, True)[0], axis=-1)
+        return np.linalg.norm(self.equations(q, False)[0], axis=-1)
 
     def regular(self, q: Array) -> bool:
         """Whether the combinations that count are independent at q (nq,)."""
         s = self.at(q)[2]
         return self.rank == 0 or bool(s[self.rank - 1] > REGULAR * s[0])
 
-    def ahead(self, q: Array, direction: Array, length: float) -> tuple[Array, Array]:
-        """The configuration one step ahead along the valley, and the direction (n,) in which it goes on."""
-        there = self.converge(self.system.structure.layout.integrate(q, self.scale * direction * length))
-        null_space = self.at(there)[3][self.rank :]
-        onward = null_space.T @ (null_space @ direction)
-        return there, onward / max(float(np.linalg.norm(onward)), 1e-300)
+    def ahead(self, q: Array, direction: Array, length: float) -> Step:
+        """One step ahead along the valley from q in a direction (n,)."""
+        r, there = self.rank, self.converge(self.system.structure.layout.integrate(q, self.scale * direction * length))
+        f, _, s, Vt = self.at(there)
+        onward = Vt[r:].T @ (Vt[r:] @ direction)
+        onward = onward / max(float(np.linalg.norm(onward)), 1e-300)
+        return Step(there, onward, float(np.linalg.norm(f)), r == 0 or bool(s[r - 1] > REGULAR * s[0]))
 
     def between(self, q: Array) -> list[Array]:
         """Regular configurations some way along the valley from q (N, nq)."""
         if self.rank == self.system.nv:
             return []
-        ways = svd(evaluate(self.system, q, True, True)[1])[2][:, -1]
+        ways = svd(self.equations(q)[1])[2][:, -1]
         found = self.converge_all(self.system.structure.layout.integrate(q, 0.37 * STRIDE * self.scale * ways))
         return [x for x in found if np.isfinite(x).all() and self.regular(x)]
 
@@ -256,13 +297,13 @@ class Valley:
         found: list[tuple[int, float, Array]] = []
         left = float(self.residual(q))
         for k in range(steps):
-            before, heading = q, way
-            q, way = self.ahead(q, way, length)
-            moved = float(np.linalg.norm(self.system.structure.layout.difference(before, q) / self.scale))
-            left = max(left, float(self.residual(q)))
-            if not left <= most or not 0.5 * length < moved < 2.0 * length or way @ heading < 0.5:
+            ahead = self.ahead(q, way, length)
+            moved = float(np.linalg.norm(self.system.structure.layout.difference(q, ahead.q) / self.scale))
+            left = max(left, ahead.left)
+            if not left <= most or not 0.5 * length < moved < 2.0 * length or ahead.way @ way < 0.5:
                 break
-            if self.regular(q):
+            q, way = ahead.q, ahead.way
+            if ahead.regular:
                 found.append((k + 1, left, q))
         return found
 
@@ -281,7 +322,7 @@ class Fit(NamedTuple):
 
 def fitted_all_along(
     shape: Dimensions, rank: int, q: Array, most: float, time: TimeLimit,
-    also: Callable[[Array], tuple[Array, Array]] | None = None, tries: int = len(DAMPING),
+    also: Relations | None = None, tries: int = len(DAMPING),
 ) -> Fit:  # fmt: skip
     """As `fitted`, of configurations q (N, nq) that begin with the nearest ones.
 
@@ -290,12 +331,13 @@ def fitted_all_along(
     then the changes with which that one closes, too, are much larger, if there are any. Where the nearest are on both
     sides of a crossing, those of one side are enough, too.
     """
-    near = fitted(shape, rank, q[:AT_FIRST], most, time, also, tries)
+    first = q[:AT_FIRST] if rank == shape.system.nv - 1 else q
+    near = fitted(shape, rank, first, most, time, also, tries)
     for part in _sides(shape, rank, q) if tries > 1 else ():
         if near.closed:
             break
         near = fitted(shape, rank, part, most, time, also, tries)
-    if not near.closed or len(q) <= AT_FIRST or moves_all_along(Valley(shape.changed(near.p), rank), q):
+    if not near.closed or len(q) <= len(first) or moves_all_along(Valley(shape.changed(near.p), rank), q):
         return near
     far = fitted(shape, rank, q, most, time, also, tries)
     return far if far.closed and np.abs(far.p).max() <= MUCH * np.abs(near.p).max() else near
@@ -314,23 +356,26 @@ def _sides(shape: Dimensions, rank: int, q: Array) -> list[Array]:
 
 def fitted(
     shape: Dimensions, rank: int, q: Array, most: float, time: TimeLimit,
-    also: Callable[[Array], tuple[Array, Array]] | None = None, tries: int = len(DAMPING),
+    also: Relations | None = None, tries: int = len(DAMPING),
 ) -> Fit:  # fmt: skip
     """The changes nearest to none with which all configurations q (N, nq) close, and these then.
 
     `most` is the largest change, in metres and radians. What is fitted must close at configurations in between, too;
-    where they do not they are fitted as well. `also` gives values that must vanish, and their derivatives;
+    where they do not they are fitted as well. `also` are relations that must hold;
     `tries` are the dampings that are tried.
     """
     p, every = np.zeros(shape.size), q
     q = q[:: -(-len(q) // AT_FIRST)]
-    found, left = [p, q], np.inf
+    end: tuple[Array, Array, float] = p, q, np.inf
+    left = np.inf
     for _ in range(TRIES):
         for damped in DAMPING[:tries]:
-            *found, left = _fit(shape, rank, p, q, most, time, damped, also)
-            if not CLOSED < left < HOPEFUL:
+            end = _fit(shape, rank, p, q, most, time, damped, also)
+            if not CLOSED < end[2] < HOPEFUL:
                 break
-        p, q = found
+        if CLOSED < end[2] < LITTLE:  # the last digits, without damping
+            end = _fit(shape, rank, end[0], end[1], most, time, 0.0, also)
+        p, q, left = end
         if left > CLOSED or np.abs(p * shape.unit).max(initial=0.0) > most:
             break
         valley = Valley(shape.changed(p), rank)
@@ -346,19 +391,20 @@ def fitted(
 
 def _fit(
     shape: Dimensions, rank: int, p: Array, q: Array, most: float, time: TimeLimit, damped: float,
-    also: Callable[[Array], tuple[Array, Array]] | None,
+    also: Relations | None,
 ) -> tuple[Array, Array, float]:  # fmt: skip
     """Changes from p on with which configurations q close, by Levenberg's method, these, and what stays open.
 
     It acts on those combinations of equations that the configurations cannot answer for.
     """
+    H = np.zeros((0, shape.size))
     P, at, before, left = np.zeros((0, 0, 0)), np.full(shape.size, np.inf), [np.inf] * PATIENCE, np.inf
     for k in range(ROUNDS):
         time.check()
-        valley = Valley(shape.changed(p), rank)
+        valley = Valley(shape.system, rank, shape.equations(p))
         q = valley.converge_all(q, 4)
-        F, J = evaluate(valley.system, q, True, True)
-        h, H = also(p) if also is not None else (np.zeros(0), np.zeros((0, shape.size)))
+        F, J = valley.equations(q)
+        h = also.values(p) if also is not None else np.zeros(0)
         left = float(max(np.linalg.norm(F, axis=-1).max(), np.abs(h).max(initial=0.0)))
         if not left < 0.9 * before[-PATIENCE] or (left <= EXACT and before[-1] <= EXACT):  # one more for the last digit
             return p, q, left
@@ -367,13 +413,14 @@ def _fit(
         before.append(left)
         if np.abs(p - at).max() > 1e-6:
             P, at = shape.derivative(p, q), p
+            H = also.derivative(p) if also is not None else H
         U = svd(J)[0][:, :, rank:]
         G = np.concatenate([*(np.swapaxes(U, -1, -2) @ P), H])
         g = np.concatenate([*(np.swapaxes(U, -1, -2) @ F[..., None])[..., 0], h])
         if not U.size:  # no equation too many
             return p, q, np.inf
         L, s, Rt = svd(G, full_matrices=False)
-        least = LEAST if left < LITTLE and k < SOON else LATE
+        least = LEAST if damped and left < LITTLE and k < SOON else LATE
         damping = max(least, damped * left) * max(float(s[0]), 1e-300)
         p = p - Rt.T @ (s * (L.T @ g) / (s * s + damping * damping))
     return p, q, left
@@ -381,7 +428,7 @@ def _fit(
 
 def moves(valley: Valley, q: Array) -> bool:
     """Whether the equations have no more than their rank at all configurations q (N, nq)."""
-    s = svd(evaluate(valley.system, q, True, True)[1], compute_uv=False)
+    s = svd(valley.equations(q)[1], compute_uv=False)
     few = valley.rank < valley.system.nv and s.shape[-1] > valley.rank
     return not (few and np.any(s[:, valley.rank] > ZERO * s[:, 0]))
 
