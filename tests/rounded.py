@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -91,3 +93,113 @@ def exact(name: str) -> System:
 
 
 NAMES = (*SHIPPED, *BUILT)
+
+
+# ---- families of the literature with random dimensions
+
+
+def in_place(name: str, joints: Iterable[tuple[str, str, Any, Any]], dim: int = 3) -> System:
+    """Hinges (a, b, point, axis) in the axes of the ground, closed at zero angles; `None` for a body is the ground."""
+    m = Mechanism(name, dim=dim)
+    joints = list(joints)
+    for body in dict.fromkeys(b for j in joints for b in j[:2] if b):
+        m.body(body)
+    for i, (a, b, p, z) in enumerate(joints):
+        p = tuple(map(float, p))[:dim]
+        more = {"axis": z, "child_axis": z} if dim == 3 else {}
+        m.revolute(f"q{i}", a or m.ground, b or m.ground, at=p, child_at=p, **more)
+    m.posture("closed", {f"q{i}": 0.0 for i in range(len(joints))})
+    return m.build()
+
+
+def ring(name: str, points: np.ndarray, axes: np.ndarray) -> System:
+    """One loop of hinges."""
+    bodies = ["", *(f"b{i}" for i in range(1, len(points))), ""]
+    return in_place(name, [(bodies[i], bodies[i + 1], p, z) for i, (p, z) in enumerate(zip(points, axes, strict=True))])
+
+
+def shipped(name: str, ranges: dict[str, tuple[float, float]], rng: np.random.Generator) -> System | None:
+    """A mechanism of the library with other dimensions, closed where it moves; None where none was found."""
+    m = kempe.load(name).mechanism
+    m.parameters |= {k: float(rng.uniform(*ends)) for k, ends in ranges.items()}
+    system = m.build()
+    for _ in range(10):
+        answer = system.assemble(start=rng.uniform(-2.5, 2.5, system.nq))
+        report = system.mobility(answer.q) if answer else None
+        if report is not None and report.dof == 1 and not report.singular:
+            m.postures["closed"] = dict(zip(system.coordinate_names, answer.q.tolist(), strict=True))
+            return m.build()
+    return None
+
+
+def random_bennett(rng: np.random.Generator) -> tuple[System | None, int]:
+    return shipped("bennett", {"a": (0.1, 0.5), "alpha": (0.4, 1.4), "beta": (0.4, 1.4)}, rng), 1
+
+
+def random_goldberg(rng: np.random.Generator) -> tuple[System | None, int]:
+    angles = {k: (0.4, 1.2) for k in ("alpha", "beta", "gamma")}
+    return shipped("goldberg_5r", {"a": (0.15, 0.4), **angles}, rng), 1
+
+
+def random_line_symmetric(rng: np.random.Generator) -> tuple[System | None, int]:
+    turns = {k: (0.5, 1.4) for k in ("alpha", "beta", "gamma")}
+    return shipped("bricard_line_symmetric", {**{k: (0.2, 0.5) for k in "abc"}, **turns, "r": (-0.2, 0.2)}, rng), 1
+
+
+def random_trihedral(rng: np.random.Generator) -> tuple[System | None, int]:
+    return shipped("bricard_trihedral", {f"a{i}": (0.3, 0.4) if i % 2 else (0.2, 0.3) for i in range(1, 6)}, rng), 1
+
+
+def random_spherical(rng: np.random.Generator) -> tuple[System | None, int]:
+    n, axes = int(rng.integers(4, 7)), rng.normal(size=(6, 3))
+    axes = (axes / np.linalg.norm(axes, axis=1, keepdims=True))[:n]
+    return ring("spherical", rng.uniform(-0.5, 0.5, 3) + rng.uniform(0.2, 0.5, (n, 1)) * axes, axes), n - 3
+
+
+def random_planar(rng: np.random.Generator) -> tuple[System | None, int]:
+    n = int(rng.integers(4, 7))
+    return ring("parallel", rng.uniform(-0.5, 0.5, (n, 3)), np.tile(rng.normal(size=3), (n, 1))), n - 3
+
+
+def random_sarrus(rng: np.random.Generator) -> tuple[System | None, int]:
+    axes = np.repeat(rng.normal(size=(2, 3)), 3, axis=0)
+    return ring("sarrus", rng.uniform(-0.5, 0.5, (6, 3)), axes), 1
+
+
+def random_triples(rng: np.random.Generator) -> tuple[System | None, int]:
+    return ring("triples", np.repeat(rng.uniform(-0.6, 0.6, (2, 3)), 3, axis=0), rng.normal(size=(6, 3))), 1
+
+
+def random_cranks(rng: np.random.Generator) -> tuple[System | None, int]:
+    n, dim, t = int(rng.integers(3, 7)), int(rng.integers(2, 4)), rng.uniform(0.0, 2.0 * math.pi)
+    arm = rng.uniform(0.2, 0.5) * np.array([math.cos(t), math.sin(t), 0.0])
+    joints: list[Any] = []
+    for i, p in enumerate(rng.uniform(-0.5, 0.5, (n, 3))):
+        joints += [("", f"crank{i}", p, (0, 0, 1)), (f"crank{i}", "coupler", p + arm, (0, 0, 1))]
+    return in_place("cranks", joints, dim), 1
+
+
+def random_ring_of_scissors(rng: np.random.Generator) -> tuple[System | None, int]:
+    """Hoberman's ring: pairs of equal angulated bars whose ends run on lines through the center."""
+    n, inner, outer = int(rng.integers(4, 7)), rng.uniform(0.2, 0.3), rng.uniform(0.5, 0.6)
+    half = math.pi / n
+    bars = [["" if not i else f"a{i}" for i in range(n)], [f"b{i}" for i in range(n)]]
+
+    def at(radius: float, turn: float) -> tuple[float, float, float]:
+        return radius * math.cos(turn), radius * math.sin(turn), 0.0
+
+    joints: list[Any] = []
+    for i in range(n):
+        a, b, turn, following = bars[0][i], bars[1][i], 2.0 * half * i, (i + 1) % n
+        joints.append((a, b, at((inner + outer) / 2.0 / math.cos(half), turn), (0, 0, 1)))
+        joints.append((a, bars[1][following], at(outer, turn + half), (0, 0, 1)))
+        joints.append((b, bars[0][following], at(inner, turn + half), (0, 0, 1)))
+    return in_place("ring", joints, 2), 1
+
+
+FAMILIES = {
+    "bennett": random_bennett, "goldberg": random_goldberg, "line_symmetric": random_line_symmetric,
+    "trihedral": random_trihedral, "spherical": random_spherical, "planar": random_planar, "sarrus": random_sarrus,
+    "triples": random_triples, "cranks": random_cranks, "ring_of_scissors": random_ring_of_scissors,
+}  # fmt: skip
+"""Overconstrained mechanisms with random dimensions, and their freedoms."""

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hunts import some
-from rounded import NAMES, exact, perturbed, rounded, spherical_triples
+from rounded import FAMILIES, NAMES, exact, in_place, perturbed, rounded, spherical_triples
 
 import kempe
 from kempe import Mechanism, System
@@ -211,6 +211,67 @@ def test_hunt_all_verbs_agree_about_mechanisms_rounded_or_perturbed(name, hunt):
             digits = int(rng.integers(3, 15))
             given, off = rounded(system, digits, rng), 10.0**-digits
         all_agree(tolerates(given, "measured") if off > 1e-7 else given)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("family", FAMILIES)
+def test_hunt_families_of_the_literature_move_when_rounded(family, hunt):
+    """With random dimensions, at 3 to 6 decimals, and the frames of bodies anywhere."""
+    rng, count = hunt.rng(), 0
+    for _ in range(hunt.cases(50)):
+        system, freedoms = FAMILIES[family](rng)
+        if system is None:
+            continue
+        count += 1
+        digits = int(rng.integers(3, 7))
+        found: Any = rounded(system, digits, rng).idealised()
+        assert found is not None and found.freedoms == freedoms and found.tolerance < 10.0 * 10.0**-digits
+    assert count > 0.3 * hunt.cases(50)
+
+
+@pytest.mark.parametrize(("seed", "digits"), [(5, 3), (6, 4)])
+def test_a_mechanism_that_closes_exactly_only_where_it_is_flat_moves(seed, digits):
+    """Far from home the given numbers close, and nothing moves there: the rank is read at home."""
+    given = rounded(exact("double_parallelogram"), digits, np.random.default_rng(seed))
+    found: Any = given.idealised()
+    assert found is not None and found.freedoms == 1 and found.tolerance < 3.0 * 10.0**-digits
+    assert given.mobility(tolerance="measured").dof == 1
+
+
+@pytest.mark.parametrize(("seed", "digits"), [(1, 5), (5, 5), (15, 3)])
+def test_a_mechanism_drawn_flat_moves_when_rounded(seed, digits):
+    """Motions cross at home, where the given numbers close, or nearly, so that it seems to be rigid."""
+    m, rng = exact("double_parallelogram").mechanism, np.random.default_rng([1, seed, 7])
+    m.postures = {}
+    assert int(rng.integers(3, 7)) == digits
+    given = rounded(m.build(), digits, rng)
+    found: Any = given.idealised()
+    assert found is not None and found.freedoms == 1 and found.tolerance < 3.0 * 10.0**-digits
+
+
+def test_hunt_mechanisms_drawn_flat_move_when_rounded(hunt):
+    rng, m = hunt.rng(), exact("double_parallelogram").mechanism
+    m.postures = {}
+    for _ in range(hunt.cases(20)):
+        digits = int(rng.integers(3, 7))
+        found: Any = rounded(m.build(), digits, rng).idealised()
+        assert found is not None and found.freedoms == 1 and found.tolerance < 3.0 * 10.0**-digits
+
+
+@pytest.mark.parametrize("off", [1e-13, 1e-12])
+def test_what_assemble_calls_closed_is_traced_and_driven_where_no_ideal_is_searched(off, hunt):
+    """Of more coordinates than the search takes, off by more than rounding and less than `assemble` tolerates."""
+    rng, joints = hunt.rng(), []
+    for i, p in enumerate(rng.uniform(-1.0, 1.0, (31, 2))):
+        joints += [("", f"crank{i}", p, None), (f"crank{i}", "coupler", p + [0.25, 0.31], None)]
+    given = perturbed(in_place("cranks", joints, 2), off, rng)
+    answer = given.assemble()
+    assert given.nv > ideal.MOST and answer and answer.within is None and answer.residual > 1e-13
+    assert given.mobility(answer.q, local=False).closed
+    path = given.trace("q0", start=answer.q, budget=kempe.Budget(points=5))
+    assert len(path) > 3 and "do not close" not in path.status
+    assert np.abs(given.loops.closure_error(path.q)).max() < 1e-9
+    assert given.drive({"q0": answer.q[0] + np.linspace(0.0, 0.1, 3)}, start=answer.q).success
 
 
 @pytest.mark.parametrize("off", [1e-13, 1e-12, 1e-11])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -212,7 +212,7 @@ class Valley:
     def __init__(self, system: System, rank: int, equations: Equations | None = None):
         tree = self.system = own_tree(system)
         self.rank, self.scale = rank, scales(tree)
-        self.equations: Equations = equations or (lambda q, with_jacobian=True: evaluate(tree, q, with_jacobian, True))
+        self.equations: Equations = equations or partial(evaluate, tree, scaled=True)
 
     def at(self, q: Array) -> tuple[Array, Array, Array, Array]:
         """Residual (m,), left vectors (m, m), singular values (rank + 1 or rank,), right vectors (n, n) at q (nq,)."""

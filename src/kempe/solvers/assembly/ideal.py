@@ -288,9 +288,9 @@ def said(found: Idealised | None) -> str:
 
 
 def _searched(system: System, most: float, thorough: bool = True, time: TimeLimit = ENDLESS) -> Idealised | None:
-    if system._ideal is not None or not (system.structure.closures or system.mechanism.constraints):
+    if system._ideal is not None or not (system.structure.closures or system._mechanism.constraints):
         return None
-    if not system.nv or timed(system) or rolls(system):
+    if not system.nv or timed(system) or rolls(system) or _closes_anyway(system, most):
         return None
     tree = own_tree(system)
     parts = [(part, index) for part, index in _parts(tree) if not _closes_anyway(part, most)]
@@ -320,7 +320,7 @@ def _parts(system: System) -> list[tuple[System, np.ndarray]]:
     Loops that share no joint close by themselves: to change one does not change what another needs. Where equations of
     coordinates tie several of them the whole is one part.
     """
-    m = system.mechanism
+    m = system._mechanism
     edges = [("joints", j.name, j.parent, j.child) for j in m.joints.values()]
     edges += [("constraints", c.name, c.parent, c.child) for c in m.constraints.values() if c.parent]
     blocks = _blocks([(a, b) for *_, a, b in edges])
@@ -417,7 +417,7 @@ def _closes_anyway(system: System, most: float) -> bool:
 
     Its equations depend on each other only where all hinges are on one line, which they are not all along a motion.
     """
-    m = system.mechanism
+    m = system._mechanism
     if system.dim != 2 or len(system.structure.closures) != 1 or m.constraints or m.couplings:
         return False
     joints = [j for name, j in m.joints.items() if name != HELD]
@@ -484,12 +484,16 @@ def _beside(
     starts = system.structure.layout.integrate(np.tile(home, (WAYS, 1)), valley.scale * ways)
     out: list[tuple[int, Array]] = []
     for r in range(max(held, 1), system.nv):
-        found = Valley(system, r).converge_all(starts)
+        along = Valley(system, r)
+        found = along.converge_all(starts)
         found = found[np.isfinite(found).all(axis=1)]
         left = valley.residual(found)
-        for i in np.argsort(left)[:FEW]:
-            here = _relative(valley.at(found[i])[2], system.nv)
-            out += [(r, found[i])] if left[i] <= limit and r in _ranks(here, r + 1, limit, EXACT) else []
+        fit = [
+            i
+            for i in np.argsort(left)
+            if left[i] <= limit and r in _ranks(_relative(along.at(found[i])[2], system.nv), r + 1, limit, EXACT)
+        ]
+        out += [(r, found[i]) for i in fit if along.regular(found[i])][:FEW]
     return out
 
 
@@ -560,7 +564,7 @@ def _best(found: Fit, shape: Dimensions, rank: int, q: Array, most: float, time:
     if not relations.rows:
         return found
     largest = min(most, NEARLY * size * shape.unit.max()) if found.closed else most
-    nicer = fitted_all_along(shape, rank, q, largest, time, relations)
+    nicer = fitted_all_along(shape, rank, q, largest, time, relations, 1 if found.closed else len(DAMPING))
     return nicer if nicer.closed else found
 
 

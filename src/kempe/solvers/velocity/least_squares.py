@@ -70,8 +70,8 @@ def damped(
         H = A.T @ A + (Vt[:k].T * hard**2) @ Vt[:k] + weak**2 * np.eye(n)
         return least_in_box(H, H @ x, low, high)[0]
     kept = hard > 0.0
-    rows: Array = np.concatenate([A, hard[kept, None] * Vt[:k][kept], weak * np.eye(n)])
-    still: Array = np.zeros(n)
+    rows = np.concatenate([A, hard[kept, None] * Vt[:k][kept], weak * np.eye(n)])
+    still = np.zeros(len(Vt))
     return bounded(rows, rows @ x, low, high, still, G)
 
 
