@@ -464,15 +464,16 @@ def _starts(system: System, home: Array, scaled: float) -> list[tuple[int, Array
                 here = _relative(valley.at(at)[2], system.nv)
                 held = min(held, int(np.sum(here >= limit)))
                 out += [(r, at) for r in _ranks(here, top, limit, least)]
-    if held < system.nv - 1:
-        out += _beside(valley, home, held, limit, rng)
+    top = min(system.nv, len(full(system, True).names))  # of this rank no equation is too many, or nothing moves
+    if held < top - 1:
+        out += _beside(valley, home, held, top, limit, rng)
     return [] if regular == looked - 1 > 0 else _apart(system, out, valley.scale)
 
 
 def _beside(
-    valley: Valley, home: Array, held: int, limit: float, rng: np.random.Generator
+    valley: Valley, home: Array, held: int, top: int, limit: float, rng: np.random.Generator
 ) -> list[tuple[int, Array]]:  # fmt: skip
-    """Ranks of at least `held`, and where to look for a motion, beside a home that is singular.
+    """Ranks from `held` to below `top`, and where to look for a motion, beside a home that is singular.
 
     Each motion leaves along some direction that nothing holds at home. Of those that are tried the ones come first on
     which least stays open.
@@ -483,7 +484,7 @@ def _beside(
     ways *= 2.0 * ASIDE / np.linalg.norm(ways, axis=1, keepdims=True)
     starts = system.structure.layout.integrate(np.tile(home, (WAYS, 1)), valley.scale * ways)
     out: list[tuple[int, Array]] = []
-    for r in range(max(held, 1), system.nv):
+    for r in range(max(held, 1), top):
         along = Valley(system, r)
         found = along.converge_all(starts)
         found = found[np.isfinite(found).all(axis=1)]
