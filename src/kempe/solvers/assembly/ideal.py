@@ -427,6 +427,8 @@ def _closes_anyway(system: System, most: float) -> bool:
     for j in joints:
         for body, X in ((j.parent, j.X_PF), (j.child, j.X_CM)):
             ends.setdefault(body, []).append(X.evaluate(m.parameters)[:2, 3])
+    if any(len(points) != 2 for points in ends.values()):  # more than the loop
+        return False
     lengths = [float(np.linalg.norm(a - b)) for a, b in ends.values()]
     return min(lengths) > OPEN * most and system.nv == len(joints)
 
