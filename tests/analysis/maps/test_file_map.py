@@ -235,7 +235,7 @@ def test_a_folder_of_parquet_files_has_any_name(tmp_path, q):
     (tmp_path / "one.parquet").rename(folder / "2026" / "one.parquet")
     assert kempe.map_file(PUMA, "fk", folder, tmp_path / "o.zarr", "tool").rows == len(q)
     (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match="cannot be read as Zarr"):
+    with pytest.raises(InputError, match="cannot be read as Zarr, and holds no .parquet files$"):
         kempe.map_file(PUMA, "fk", tmp_path / "empty", tmp_path / "o2.zarr", "tool")
 
 

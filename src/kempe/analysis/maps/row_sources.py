@@ -96,9 +96,12 @@ def open_rows(path: str | Path, columns: Sequence[str] | None = None) -> RowSour
 
 
 def _of_folder(path: Path) -> Callable[[Path, Sequence[str] | None], RowSource]:
-    """Who reads a folder: it is Zarr, or else it holds .parquet files."""
-    is_zarr = any((path / name).exists() for name in ("zarr.json", ".zgroup", ".zarray", ".zmetadata"))
-    return _parquet if not is_zarr and any(path.rglob("*.parquet")) else _zarr
+    """Who reads a folder: it is Zarr, or else it holds .parquet files. Errors: `InputError`."""
+    if any((path / name).exists() for name in ("zarr.json", ".zgroup", ".zarray", ".zmetadata")):
+        return _zarr
+    if any(path.rglob("*.parquet")):
+        return _parquet
+    raise InputError(f"{path}: this folder cannot be read as Zarr, and holds no .parquet files")
 
 
 def _chosen(path: Path, has: Sequence[str], columns: Sequence[str] | None) -> tuple[str, ...]:
