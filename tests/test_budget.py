@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import ctypes
+import functools
 import importlib
 import inspect
 import math
+import operator
 import pickle
 import pkgutil
 import re
+import signal
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -418,3 +423,40 @@ def test_interrupts_are_pickled_with_their_answer():
         LINKAGE.trace("A", budget=Budget(progress=Ends()))
     again = pickle.loads(pickle.dumps(stop.value))
     assert np.array_equal(again.answer.q, stop.value.answer.q)
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_an_interrupt_before_the_first_line_of_a_function_of_a_kernel_is_kept(times, monkeypatch):
+    """While a kernel works Ctrl-C waits; Python raises it where the kernel calls back, outside the function's lines.
+
+    `map` and `operator.call` call C functions one after the other, with no line of Python between them.
+    """
+    lost: list[Any] = []
+    monkeypatch.setattr(sys, "unraisablehook", lost.append)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        out = (ctypes.c_double * 1)()
+        number = ctypes.POINTER(ctypes.c_double)
+        kernel = ctypes.CFUNCTYPE(None, number, number, number, ctypes.c_int64)(clock.clock().address)
+        called = functools.partial(kernel, out, out, out, 0)
+        list(map(operator.call, [ctypes.pythonapi.PyErr_SetInterrupt, called] * times))
+        with pytest.raises(KeyboardInterrupt):
+            clock.clock().taken()
+        assert clock.clock().taken() is None and not lost
+        called()
+        assert out[0] == 0.0
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_other_exceptions_that_python_cannot_raise_go_where_they_went(monkeypatch):
+    lost: list[Any] = []
+    monkeypatch.setattr(sys, "unraisablehook", lost.append)
+    assert clock.clock().address
+
+    class Ends:
+        def __del__(self):
+            raise KeyboardInterrupt
+
+    Ends()
+    assert [x.exc_type for x in lost] == [KeyboardInterrupt]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ctypes
+import sys
+import weakref
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +23,62 @@ WEIGHTS = ((1, 45.0 / 60.0), (2, -9.0 / 60.0), (3, 1.0 / 60.0))
 """Central differences of six points: their error is of the sixth order of the step (Fornberg, 1988)."""
 
 
+_NUMBERS = ctypes.POINTER(ctypes.c_double)
+_KIND = ctypes.CFUNCTYPE(None, _NUMBERS, _NUMBERS, _NUMBERS, ctypes.c_int64)
+
+
+class KernelFunction:
+    """A Python function of three arrays and a flag at an `address` that kernels can call.
+
+    No exception passes through a kernel: what the function raises is given to `keep`. So is Ctrl-C that comes while
+    the kernel works: Python raises it before the first line of the function, and ctypes passes it on to
+    `sys.unraisablehook`.
+    """
+
+    def __init__(self, work: Callable[[Any, Any, Any, int], None], keep: Callable[[BaseException], object]):
+        self.work, self.keep, self._called = work, keep, _KIND(self._call)
+        self._address = int(ctypes.cast(self._called, ctypes.c_void_p).value or 0)
+        _all.add(self)
+
+    @property
+    def address(self) -> int:
+        """The address, as kernels take it."""
+        if sys.unraisablehook is not _keep_interrupt:
+            _others[:] = [sys.unraisablehook]
+            sys.unraisablehook = _keep_interrupt
+        return self._address
+
+    def _call(self, q: Any, out: Any, columns: Any, flag: int) -> None:
+        with self:
+            self.work(q, out, columns, flag)
+
+    def __enter__(self) -> None: ...
+
+    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> bool:
+        if error is not None:
+            self.keep(error)
+        return True
+
+
+_all = weakref.WeakSet[KernelFunction]()
+_others: list[Callable[[sys.UnraisableHookArgs], object]] = []
+
+
+def _keep_interrupt(lost: sys.UnraisableHookArgs) -> None:
+    """The hook for exceptions that Python cannot raise: an interrupt of a `KernelFunction` is kept."""
+    if isinstance(lost.exc_value, KeyboardInterrupt):
+        for function in _all:
+            call = function._call
+            if lost.object == call or repr(call) in (lost.err_msg or ""):  # from Python 3.13 on it is in the text
+                function.keep(lost.exc_value)
+                return
+    other = _others.pop() if _others else sys.__unraisablehook__  # none where the other hook calls this one
+    try:
+        other(lost)
+    finally:
+        _others[:] = [other]
+
+
 class Callback:
     """A function of q (nq,) that gives values (rows,) and derivatives (rows, n), as kernels call it.
 
@@ -33,8 +91,6 @@ class Callback:
         self, system: System, rows: int, function: Callable[[Array], tuple[Any, Array]],
         support: Sequence[int] | None = None, alone: Callable[[Array], Any] | None = None,
     ):  # fmt: skip
-        number = ctypes.POINTER(ctypes.c_double)
-        kind = ctypes.CFUNCTYPE(None, number, number, number, ctypes.c_int64)
         self.rows, self.error, self.scale = rows, None, np.ones(system.nv)
         self.support = tuple(range(system.nv)) if support is None else tuple(support)
         nq, own, shape = system.nq, list(self.support), (len(self.support), rows)
@@ -44,25 +100,21 @@ class Callback:
             out[:] = np.nan  # what stays where it raises
             if self.error is not None:  # the kernel goes on, and ends sooner
                 return
-            with self:
-                look()
-                x = np.ctypeslib.as_array(q, (nq,)).copy()
-                if alone is not None and not flag:
-                    out[:] = alone(x)
-                    return
-                found, J = function(x)
-                if shape[0]:
-                    np.ctypeslib.as_array(columns, shape)[:] = (J * self.scale[own]).T
-                out[:] = found
+            look()
+            x = np.ctypeslib.as_array(q, (nq,)).copy()
+            if alone is not None and not flag:
+                out[:] = alone(x)
+                return
+            found, J = function(x)
+            if shape[0]:
+                np.ctypeslib.as_array(columns, shape)[:] = (J * self.scale[own]).T
+            out[:] = found
 
-        self._kept = kind(work)
-        self.address = int(ctypes.cast(self._kept, ctypes.c_void_p).value or 0)
+        self._called = KernelFunction(work, self._keep)
+        self.address = self._called.address
 
-    def __enter__(self) -> None: ...
-
-    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> bool:
+    def _keep(self, error: BaseException) -> None:
         self.error = self.error or error
-        return True
 
     @classmethod
     def of_call(cls, system: System, call: Call, rows: Sequence[int], numbers: Mapping[str, float]) -> Callback:

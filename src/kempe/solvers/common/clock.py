@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import functools
 import threading
 import time
@@ -12,6 +11,7 @@ from typing import Any, TypeVar
 
 from kempe.budget import Budget, TimeUp, Usual, checks, look, watched_by
 from kempe.errors import TimeLimitError
+from kempe.model.closures.callback import KernelFunction
 from kempe.solvers.common.arguments import deadline
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -148,33 +148,28 @@ def partial(interrupted: bool, late: bool) -> str:
     return f" ({why}: this is the part that was done)" if interrupted or late else ""
 
 
-_NUMBER = ctypes.POINTER(ctypes.c_double)
-_KIND = ctypes.CFUNCTYPE(None, _NUMBER, _NUMBER, _NUMBER, ctypes.c_int64)
-
-
 class Clock:
     """The function `look` as kernels call it: it writes 1 where the work must end.
 
-    No exception passes through a kernel: what `look` raises, and Ctrl-C while it runs, is kept for the thread until it
-    is `taken` after the kernel.
+    What it raises is kept for the thread until it is `taken` after the kernel.
     """
 
     def __init__(self):
         def work(_q: Any, out: Any, _columns: Any, _flag: int) -> None:
             out[0] = 1.0  # what stays where it raises, and until the error is taken
             if getattr(self._thread, "error", None) is None:
-                with self:
-                    look()
-                    out[0] = 0.0
+                look()
+                out[0] = 0.0
 
-        self._thread, self._work = threading.local(), _KIND(work)
-        self.address = int(ctypes.cast(self._work, ctypes.c_void_p).value or 0)
+        self._thread, self._called = threading.local(), KernelFunction(work, self._keep)
 
-    def __enter__(self) -> None: ...
+    @property
+    def address(self) -> int:
+        """The address at which kernels call it."""
+        return self._called.address
 
-    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> bool:
+    def _keep(self, error: BaseException) -> None:
         self._thread.error = error
-        return True
 
     def taken(self) -> TimeUp | None:
         """The `TimeUp` of a look of a kernel since the last call; other errors are raised."""
