@@ -177,6 +177,9 @@ for _new, _text in TABLE["modules"].items():
             SPLIT.update({(_old, name): _new for name in _names.split(",")})
         else:
             REST[_old] = _new
+PLACELESS = [k for k, m in OLD.items() if k not in {*REST, *TABLE["deleted"]} and m.text.count("\n") > 1]
+for _old in PLACELESS:  # what is new since stays where it is
+    REST[_old], PARTS[_old] = _old, [_old]
 SPLIT_MODULES = {old for old, _ in SPLIT}
 for (_old, _name), _new in list(SPLIT.items()):  # what one statement defines goes together
     if _old in OLD and _name in OLD[_old].defines:
@@ -188,7 +191,7 @@ LEVEL = {name: i for i, line in enumerate(TABLE["order"]) for name in line.split
 
 def checked_table() -> list[str]:
     """What is wrong with the table: modules without a place, and names that are nowhere."""
-    wrong = [f"no place: {k}" for k, m in OLD.items() if k not in REST and k not in DELETED and m.text.count("\n") > 1]
+    wrong = [f"no place: {k}" for k in PLACELESS]
     wrong += [f"a new name that means another module now: {n}" for n in PARTS if n in OLD and REST.get(n, n) != n]
     wrong += [f"no such module: {p}" for text in TABLE["modules"].values() for p in text.split()
               if p.partition(":")[0] not in OLD]  # fmt: skip
@@ -269,7 +272,7 @@ def place(module: str, name: str | None, kind: str, of: str) -> tuple[str | None
 
 def below_system(key: str) -> bool:
     """Whether a new module stands below `System`."""
-    return LEVEL.get(key.split(".")[0], 99) < LEVEL["system"]
+    return key in TABLE["typed"] or LEVEL.get(key.split(".")[0], 99) < LEVEL["system"]
 
 
 def users(old: Old, bound: Bound) -> set[str]:
@@ -354,7 +357,7 @@ def arrows() -> list[Arrow]:
                 for name in names_in(old, i) & set(old.defines):
                     line = old.units[i][0].lineno
                     found.append(Arrow(unit_home(old, i), home(key, name) or "", name, "split", f"{where}:{line}"))
-        if below_system(REST[key]) and not REST[key].startswith("views"):
+        if below_system(REST[key]):
             for node, i in calls(old):
                 module, name = origin(*METHODS[node.attr])
                 to = home(module, name) or "(deleted)"
@@ -462,6 +465,11 @@ def collisions() -> list[str]:
                         bound[b.name].add(f"import {to}:{name}")
                     elif name is not None and b.name != name and b.of != name:
                         bound[b.name].add(f"import {to}:{name}")
+        for key in dict.fromkeys(parts):  # a part that uses a builtin which another one defines anew
+            old = OLD[key]
+            own = {*old.defines, *TOP_BINDINGS[key]}
+            used = set().union(*(names_in(old, i) for i in range(len(old.units)) if unit_home(old, i) == new)) - own
+            found += [f"collision in {new}: {n}: builtin in {key}" for n in used & set(bound) & set(dir(builtins))]
         found += [f"collision in {new}: {n}: {', '.join(sorted(x))}" for n, x in sorted(bound.items()) if len(x) > 1]
     return found
 
@@ -812,11 +820,6 @@ def merged(new: str, notes: list[str]) -> str:
             if isinstance(first, (ast.Assign, ast.AnnAssign)) and text in seen:
                 continue
             seen.add(text)
-            gap = (
-                "\n"
-                if not comments.strip() and comments.count("\n") < 2
-                else "\n" + comments.strip(" ").lstrip("\n").rstrip(" ")
-            )
             blank = "\n" * max(min(comments.split("#")[0].count("\n") - 1, 2), 0)
             note = comments[comments.index("#") :] if "#" in comments else ""
             pieces.append(f"{blank}{note}{text}\n" if note or blank else f"{text}\n")
