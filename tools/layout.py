@@ -443,6 +443,15 @@ def check() -> None:
     print(f"     calls of methods of System {len(calls_left)}; modules in circles now {sum(map(len, whole))}")
     for line in collisions():
         print(line)
+    notes: list[str] = []
+    for key in DELETED & set(OLD):
+        REST[key], PARTS[key] = key, [key]
+    for new in PARTS:
+        try:
+            merged(new, notes)
+        except AssertionError as error:
+            print(error)
+    print("\n".join(note for note in notes if note.startswith("shadowed")))
 
 
 # ---------------------------------------------------------------------------------------------- names that collide
@@ -470,7 +479,10 @@ def collisions() -> list[str]:
             own = {*old.defines, *TOP_BINDINGS[key]}
             used = set().union(*(names_in(old, i) for i in range(len(old.units)) if unit_home(old, i) == new)) - own
             found += [f"collision in {new}: {n}: builtin in {key}" for n in used & set(bound) & set(dir(builtins))]
-        found += [f"collision in {new}: {n}: {', '.join(sorted(x))}" for n, x in sorted(bound.items()) if len(x) > 1]
+        for name, what in sorted(bound.items()):  # imports get other names by themselves
+            own = sorted(w for w in what if not w.startswith("import "))
+            if len({unit_text(k, OLD[k].defines[n]) for k, n in (w.split(":") for w in own)}) > 1:
+                found.append(f"collision in {new}: {name}: {', '.join(own)}")
     return found
 
 
@@ -520,7 +532,7 @@ class Rewriter:
 
     def identifier(self, b: Bound, to: str | None, name: str | None) -> str:
         """What the import will bind: the name as it is, unless another part of the module has that for something."""
-        plain = name if b.of == b.name and name else b.name
+        plain = name if b.of == b.name and name and origin(b.module, b.of) in RENAMES else b.name
         if b.of is None and b.name == stem(b.module) and to is not None:
             plain = stem(to) if stem(to) not in self.old.defines and stem(to) not in self.taken() else b.name
         if b.name == dotted(b.module):
@@ -625,6 +637,8 @@ class Rewriter:
                 groups.setdefault(node.module or "", []).append(text)  # type: ignore[attr-defined]
         for b, to, name, ident in rows:
             if to == self.new and self.new is not None:
+                if b.kind == "lazy" and self.assigned(node, b.name):
+                    self.notes.append(f"shadowed: {self.old.path.relative_to(ROOT)}:{b.line}: {b.name} is assigned, too")
                 continue
             if to is None:
                 to = f"deleted.{b.module}"
@@ -651,6 +665,13 @@ class Rewriter:
         elif ast.unparse(node).replace("\n", "") != "\n".join(lines):
             self.edits.put(start, end, f"\n{indent}".join(lines))
 
+    def assigned(self, node: ast.stmt, name: str) -> bool:
+        """Whether the function that imports a name also assigns it."""
+        around = [f for f in ast.walk(self.old.tree) if isinstance(f, FUNCTIONS[:2]) and any(n is node for n in ast.walk(f))]
+        inner = around[-1] if around else None
+        stores = ast.walk(inner) if inner is not None else ()
+        return any(isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store) and n.id == name for n in stores)
+
     def alone(self, node: ast.stmt) -> bool:
         """Whether a statement is the only one of its block."""
         return any(
@@ -667,6 +688,7 @@ class Rewriter:
                 at = self.old.text.index(name, self.old.at(s.lineno, s.col_offset))
                 self.edits.put(at, at + len(name), self.names[name])  # type: ignore[arg-type]
             for node, hidden in references(s):
+                self.hidden = hidden
                 if node.id not in hidden:
                     self.name(node, self.names.get(node.id), attributes.get(id(node)))
                 elif row := next((r for r in lazy if r[0].name == node.id), None):
@@ -677,11 +699,17 @@ class Rewriter:
                     else:
                         self.name(node, new if inner else ident, None)
 
+    def shadow(self, node: ast.Name, new: str) -> None:
+        """Note where a new name would be that of a local variable."""
+        if new in self.hidden:
+            self.notes.append(f"shadowed: {self.old.path.relative_to(ROOT)}:{node.lineno}: {node.id} would be {new}")
+
     def name(self, node: ast.Name, new: str | tuple[str, str] | None, attribute: ast.Attribute | None) -> None:
         """Replace one name, and where it is a module the attribute that is taken of it."""
         start, end = self.old.span(node)
         if isinstance(new, str):
             if new != node.id:
+                self.shadow(node, new)
                 self.edits.put(start, end, new)
         elif new is not None:
             module, ident = new
@@ -699,6 +727,7 @@ class Rewriter:
                 there, now = REST.get(module), attribute.attr
             first, last = self.old.span(attribute)
             if there == self.new and self.new is not None:
+                self.shadow(node, now or "")
                 self.edits.put(first, last, now or "")
             elif there == REST.get(module) and ident:
                 self.edits.put(first, last, f"{ident}.{now}")
@@ -878,6 +907,8 @@ def ticked_name(m: re.Match[str]) -> str:
             and (k == len(parts) or name in OLD[keys[0]].defines)
         ):
             full = new_name(keys[0], name)
+            if full == ".".join([keys[0], *parts[k : k + 1]]):
+                return m[0]
             if k == 1:
                 full = ".".join(full.split(".")[-2:])
             return f"`{m[1]}{'.'.join([full, *parts[k + 1 :]])}{m[3] or ''}`"
