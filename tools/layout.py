@@ -869,7 +869,7 @@ def merged(new: str, notes: list[str]) -> str:
 
 
 NAMES = sorted((k for k in REST if k != "__root__" and not k.endswith("__init__")), key=len, reverse=True)
-FULL = re.compile(r"(?<![\w.])kempe\.((?:\w+\.)*\w+)")
+FULL = re.compile(r"(?<![\w.])kempe\.((?:\w+\.)*\w+)(?::([A-Za-z_]\w*))?")
 SHORT = re.compile(r"(?<![\w./])(" + "|".join(re.escape(n) for n in NAMES if "." in n) + r")(?:\.(\w+))?(?![\w/])")
 TICKED = re.compile(r"`(~?)([A-Za-z_]\w*(?:\.\w+)+)(\(\))?`")
 FILES = re.compile(r"(?<![\w/])((?:src/)?(?:kempe/)?)((?:\w+/)*\w+)\.py\b")
@@ -884,7 +884,12 @@ def new_name(key: str, name: str | None) -> str:
 
 
 def full_name(m: re.Match[str]) -> str:
-    """A name that begins with the package."""
+    """A name that begins with the package, also as `module:name`."""
+    if m[2] and m[1] in REST and m[2] in OLD[m[1]].defines:
+        module, _, name = new_name(m[1], m[2]).rpartition(".")
+        return f"kempe.{module}:{name}"
+    if m[2]:
+        return FULL.sub(full_name, f"kempe.{m[1]}") + f":{m[2]}"
     parts = m[1].split(".")
     for k in range(len(parts), 0, -1):
         key = ".".join(parts[:k])
