@@ -316,7 +316,7 @@ class Arrow(NamedTuple):
 def facade() -> dict[str, tuple[str, str | None]]:
     """For each method of `System` that calls another module: the old module and the name that it imports last."""
     found: dict[str, tuple[str, str | None]] = {}
-    for key, old in sorted(OLD.items(), key=lambda x: x[0] not in ("model.system", "system")):
+    for _, old in sorted(OLD.items(), key=lambda x: x[0] not in ("model.system", "system")):
         for c in (c for c in old.tree.body if isinstance(c, ast.ClassDef) and c.name in FACADE):
             for f in (f for f in c.body if isinstance(f, ast.FunctionDef) and f.name[0] != "_"):
                 inner = [b for n in ast.walk(f) if isinstance(n, ast.ImportFrom) for b in imported(n, "lazy", 0)]
@@ -496,6 +496,7 @@ class Edits:
         self.text, self.made = text, dict[tuple[int, int], str]()
 
     def put(self, start: int, end: int, new: str) -> None:
+        """Replace the text from `start` to `end`."""
         self.made[start, end] = new
 
     def within(self, start: int, end: int) -> str:
@@ -528,6 +529,7 @@ class Rewriter:
         return self.new is None or self.old.key not in REST or unit_home(self.old, i) == self.new
 
     def target(self, b: Bound) -> tuple[str | None, str | None]:
+        """The new module of what an import binds, and its new name there."""
         return place(b.module, b.of, b.kind, self.new or "cli")
 
     def identifier(self, b: Bound, to: str | None, name: str | None) -> str:
@@ -598,6 +600,7 @@ class Rewriter:
         return self._used
 
     def at_top(self, node: ast.stmt) -> bool:
+        """Whether an import stands among the imports of the module."""
         return any(_is_import(u[0]) and any(n is node for n in ast.walk(u[0])) for u in self.old.units)
 
     def foreign(self, node: ast.stmt, ours: bool = True) -> None:
@@ -638,7 +641,8 @@ class Rewriter:
         for b, to, name, ident in rows:
             if to == self.new and self.new is not None:
                 if b.kind == "lazy" and self.assigned(node, b.name):
-                    self.notes.append(f"shadowed: {self.old.path.relative_to(ROOT)}:{b.line}: {b.name} is assigned, too")
+                    place_of = f"{self.old.path.relative_to(ROOT)}:{b.line}"
+                    self.notes.append(f"shadowed: {place_of}: {b.name} is assigned, too")
                 continue
             if to is None:
                 to = f"deleted.{b.module}"
@@ -667,7 +671,8 @@ class Rewriter:
 
     def assigned(self, node: ast.stmt, name: str) -> bool:
         """Whether the function that imports a name also assigns it."""
-        around = [f for f in ast.walk(self.old.tree) if isinstance(f, FUNCTIONS[:2]) and any(n is node for n in ast.walk(f))]
+        functions = [f for f in ast.walk(self.old.tree) if isinstance(f, FUNCTIONS[:2])]
+        around = [f for f in functions if any(n is node for n in ast.walk(f))]
         inner = around[-1] if around else None
         stores = ast.walk(inner) if inner is not None else ()
         return any(isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store) and n.id == name for n in stores)
