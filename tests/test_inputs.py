@@ -222,7 +222,7 @@ def robots() -> dict[str, kempe.System]:
 QS = ("q", "q0", "q1")
 PLACES = [(n, p) for n, f in OF_SYSTEMS.items() for p in QS if takes(f, p) and n not in NOT_REQUIRED]
 ARM_ONLY = {"self_motion", "arm_angle"}
-LOOP_ONLY = {"mechanical_advantage", "transmission_angle", "dead_points", "independent", "loop_jacobian"}
+LOOP_ONLY = {"mechanical_advantage", "transmission_angle", "dead_points", "independent"}
 ONE_Q = {
     "relative_motion",
     "mobility",
@@ -234,6 +234,7 @@ ONE_Q = {
     "one_sided",
     "path",
     "task_space",
+    "parametrizations",
 }
 """Verbs that take one configuration."""
 
@@ -367,7 +368,7 @@ def wrong_ones(verb: str, place: str, good: Any) -> dict[str, Any]:
     cases = {kind: dict.fromkeys(good, bad) for kind, bad in wrong(np.array(next(iter(good.values())))).items()}
     if verb == "with_limits":
         del cases["None inside"]  # no limit
-    return {} if (verb, place) == ("ik_plan", "fixed") else cases  # of what is held only the names count
+    return {} if verb in ("plan", "ik_plan") and place == "fixed" else cases  # of what is held only the names count
 
 
 def numeric(name: str, function: Callable[..., Any], system: kempe.System) -> list[str]:
@@ -400,7 +401,7 @@ def test_what_is_no_number_is_refused(name, robots):
     function, short = OF_SYSTEMS[name], name.rpartition(".")[2]
     if short.startswith("plot"):
         pytest.importorskip("matplotlib")
-    arm = robots["iiwa14" if short in ("arm_angle", "ik_sweep", "self_motion") else "ur5"]
+    arm = robots["iiwa14" if short in ("arm_angle", "sweep", "ik_sweep", "self_motion") else "ur5"]
     requested = [(s, p, usual(s, short)[p]) for s in (arm, robots["four_bar"]) for p in numeric(name, function, s)]
     answered = [(s, p, good) for s, p, good in requested if answers(function, s, {p: good})]
     assert answered or not requested

@@ -590,8 +590,8 @@ GERMS = {  # branches (x, y) of a parameter in [-1, 1], and the equation u, v th
 }  # fmt: skip
 
 
-ELSEWHERE = ("cusp", "sharp cusp", "cubic", "tacnode", "close", "node")
-"""Germs through which a walk from elsewhere stays on its branch; at others it may change to one that it touches."""
+ELSEWHERE = ("cusp", "cubic", "tacnode", "close", "node")
+"""Germs through which a walk from elsewhere stays on its branch; at others it may change to another one, or end."""
 
 
 def germ_case(name: str, rng: np.random.Generator) -> tuple[kempe.System, list[np.ndarray]]:

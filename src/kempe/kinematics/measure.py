@@ -27,7 +27,7 @@ from kempe.kinematics.closure_errors import coordinate_value
 from kempe.kinematics.configuration import as_q
 from kempe.model.closures.constraint_program import TURNS, between, numbers_of, value_of
 from kempe.model.tree.characteristic_length import characteristic_length
-from kempe.reals import plain
+from kempe.reals import plain, reals
 from kempe.spatial import Array
 from kempe.words import InWords
 
@@ -331,7 +331,7 @@ def judge(
     Where another system is `closing`, what is declared is judged in its dimensions, and what is required in those of
     `system`.
     """
-    q = as_q(system, q)
+    q, t = as_q(system, q), reals(t, "t")
     at = drawn = Poses(system, q, t)
     if closing is not None and closing is not system:
         system, at = closing, Poses(closing, q, t)

@@ -80,11 +80,13 @@ def walk(equations: Closure, a: Node, longest: float, periods: Array) -> Iterato
             last.append(b.x)
             if b.sigma < min(HIDDEN, sigma) and b.lines is None:  # nearer to a point where rounding hides the curve
                 singular = passage(equations, last, known, periods)
-                if singular is not None:
-                    way = equations.between(before, singular.x)
-                    if way @ equations.between(before, b.x) < way @ way:
+                way = equations.between(before, b.x if singular is None else singular.x)
+                along = float(way @ equations.between(before, b.x))
+                if singular is not None and along > 0.0:  # else the walk leaves it
+                    if along < way @ way:
                         yield b  # not beyond it
                     break
+                singular = None
             yield b
             sigma = b.sigma
         else:

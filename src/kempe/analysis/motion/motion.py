@@ -113,7 +113,7 @@ def trace(
     with it growing, and points where it turns back are its dead points. `hold` fixes other coordinates at values.
     `toward` gives rates by coordinate name that choose the sense, and the branch where the start is a bifurcation. The
     path goes straight on through points where branches cross or touch, and back beside itself at a cusp; where branches
-    touch to third order, or more than two do, a path that does not start there may change from one to another.
+    touch to third order, or more than two do, a path that does not start there may end, or change from one to another.
     `ways`: "both" directions from the start, "forward" only, or "branches": both, and the branches met at bifurcations,
     too, see `Path.others`. The path ends where it closes on itself, at a limit (unless `limits=False`), where it is
     found to have no end (a slide that runs away, gears whose ratio lets it never close), or where the budget ends. Of
