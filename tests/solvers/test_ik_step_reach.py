@@ -148,7 +148,7 @@ def test_it_settles_at_a_minimum_of_the_error_often(robots, hunt):
 
 @pytest.mark.parametrize("name", some(list(TIPS), 3))
 def test_a_straight_way_leads_to_the_border_and_then_to_the_nearest_pose(name):
-    """Pushed out of reach, the hand stays on its line to 1.5 % of the way until the arm is stretched, and then slides."""
+    """Pushed out of reach, the hand stays on its line to 1.5 % of the way until the arm is stretched, then slides."""
     s, frame, q = kempe.load(name), TIPS[name], np.array(STARTS[name])
     X = s.fk(q, frame)
     X[:3, 3] += [0.3, 0.9, 0.3]
