@@ -135,3 +135,10 @@ def test_ranks_do_not_depend_on_the_unit_of_length(hunt):
                 ranks = [max(np.linalg.matrix_rank(j, 1e-9) for j in part) for part in (J, J[:, :3])]
                 assert [s.generic_rank for s in space] == ranks
         assert all(x == found[0] for x in found), found
+
+
+@pytest.mark.parametrize("name", ["sarrus", "scissor", "wunderlich", "bennett"])
+def test_freedoms_are_the_least_of_all_configurations(name):
+    """Singular configurations among those that were drawn have more; the least is what the linkage has: one."""
+    system = kempe.load(name)
+    assert system.task_space(system.body_names[-1]).n == 1

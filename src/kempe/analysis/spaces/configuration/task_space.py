@@ -136,15 +136,16 @@ def task_space(
     at = drawn[0] if q is None else one_finite(system, q)
     every, m = np.concatenate([at[None], drawn]), sum(count(system, t) for t in wanted)
     metres = np.array([unit == "m" for t in wanted for unit in units(system, t)])
-    time, ranks, n = time_of(USUAL), list[int](), 0
+    time, ranks, n = time_of(USUAL), list[int](), system.nv
     time.put_in_order()
     try:
         for k in range(0, len(every), SOME):
             look()
             some = every[k : k + SOME]
             rates = np.concatenate([jacobian(system, t, some) for t in wanted], axis=-2)
-            found, n = image_ranks(system, some, rates, metres)
+            found, freedoms = image_ranks(system, some, rates, metres)
             ranks += found.tolist()
+            n = min(n, freedoms)
     except TimeUp:
         if not ranks or not time.spent:
             raise
