@@ -225,7 +225,7 @@ def processes(folder, *environments):
         yield address
     finally:
         for process in reversed(begun):
-            process.terminate()
+            process.kill()  # asked to end, a worker waits for ever for a scheduler that has ended meanwhile
         for process in begun:
             process.wait()
 
