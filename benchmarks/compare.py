@@ -27,7 +27,7 @@ VERBS = {
     "ik_all": "r = kempe.load('puma560'); r.ik_all(r.fk(r.mid, 'tool'), 'tool')",
     "ik_all, six general axes": "r = kempe.load('jaco2'); f = r.frame_names[-1]; r.ik_all(r.fk(r.mid, f), f)",
     "ik of tasks": "r = kempe.load('puma560'); r.ik([kempe.tasks.Position('tool', r.fk(r.mid, 'tool')[:3, 3])])",
-    "ik_sweep": "r = kempe.load('panda'); f = r.frame_names[-1]; r.ik_sweep(r.fk(r.mid, f), f)",
+    "ik_sweep": "r = kempe.load('panda'); f = r.frame_names[-1]; r.inverse.sweep(r.fk(r.mid, f), f)",
     "assemble": "r = kempe.load('jansen'); r.assemble({'O': 1.0})",
     "assembly_modes": "r = kempe.load('jansen'); r.assembly_modes({'O': 1.0})",
     "mobility": "r = kempe.load('bennett'); r.mobility()",
@@ -53,7 +53,7 @@ def one(call, number=20000):
     call()
     return statistics.median(timeit.repeat(call, number=number, repeat=5)) / number * 1e6
 closed = bar.assemble({"A": 1.0}).q
-assembler = bar.assembler(["A"])
+assembler = bar.loops.assembler(["A"])
 print(json.dumps({
     "query(q), pose of Panda's hand": one(lambda: query(q)),
     "query(q, out)": one(lambda: query(q, out)),
@@ -75,7 +75,7 @@ q = panda.random(1, 100_000); out = panda.fk(q, hand, threads=1)
 X, Y = panda.fk(panda.random(2, 2000), hand), puma.fk(puma.random(2, 5000), "tool")
 Z = jaco.fk(jaco.random(2, 200), tip)
 angles = np.linspace(0.0, 6.0, 2000)
-start = stewart.posture("closed") if "closed" in stewart.posture_names else stewart.neutral
+start = stewart.q("closed") if "closed" in stewart.structure.posture_names else stewart.neutral
 near = np.tile(start, (500, 1)) + 1e-2 * np.random.default_rng(0).normal(size=(500, stewart.nq))
 def per(count, call, repeat=7):
     call()

@@ -28,29 +28,22 @@ INTRODUCTION = """\
 # What happens to bad files
 
 A robot file often comes from somewhere else, and many are broken. Kempe repairs nothing silently: a file either means
-one system, or it is refused with its line, the thing that is wrong, and what is allowed. <!-- hunted:
-tests/test_bad_files.py::test_what_is_said --> All problems of a file are
-collected before it gives up; 20 are shown. <!-- hunted:
-tests/test_bad_files.py::test_what_is_said --> What is legal but strange loads, with a note (`kempe info` shows notes,
+one system, or it is refused with its line, the thing that is wrong, and what is allowed. All problems of a file are
+collected before it gives up; 20 are shown. What is legal but strange loads, with a note (`kempe info` shows notes,
 `kempe check` shows problems with the line of the file and a caret).
 
-- No DTD and no entity is ever read. <!-- hunted: tests/test_bad_files.py::test_what_is_said
-  tests/description/test_xml.py::test_any_bytes --> A file has at most 32 MiB, its elements are nested
+- No DTD and no entity is ever read. A file has at most 32 MiB, its elements are nested
   at most 100 deep.
-- Numbers are finite, separated by blanks, and exactly as many as the format says. <!-- hunted:
-  tests/test_bad_files.py::test_what_is_said -->
+- Numbers are finite, separated by blanks, and exactly as many as the format says.
 - Names of links are unique, and so are those of joints; they are not empty.
-- Exactly one link is the root, and joints lead from it to all others. <!-- hunted:
-  tests/test_bad_files.py::test_what_is_said --> A second way to a link is a *loop*, and legal.
+- Exactly one link is the root, and joints lead from it to all others. A second way to a link is a *loop*, and legal.
 - A slip such as `orgin` for `origin` is refused, and so is what would be part of the mechanism for another reader: an
   element that decides on the motion and stands where it is not read, or whose prefix hides it, and a constraint that
   ties links. Other unknown elements directly in the robot, a link or a joint are noted, and so are unknown attributes
   of joints and their parts, and joints inside `<gazebo>`. So nothing that decides on the motion vanishes without a
-  note. <!-- hunted: tests/description/test_urdf_unknown.py::test_nothing_that_matters_vanishes_silently -->
+  note.
 - An archive, a web page, a Git LFS pointer, an SRDF, a USD scene, a mesh or a picture that was saved in place of a
-  robot file is named, with what to do. <!-- hunted:
-  tests/description/test_read.py::test_a_file_of_another_kind_is_named
-  tests/description/test_read.py::test_no_valid_file_is_taken_for_another_kind -->
+  robot file is named, with what to do.
 - [Files of other people](collected.md): how 1400 real ones are read.
 - A prefix that is bound to `http://www.ros.org`, or to the namespace of the outermost element, changes no name.
 - The version of `<robot>` is 1.0, 1.1 or 1.2, and 1.0 where it is left out; ROS refuses others, too.

@@ -41,7 +41,7 @@ print(json.dumps(out))
 MISSING = """
 import kempe
 try:
-    kempe.load("two_link").symbolic_fk("e")
+    kempe.load("two_link").symbolic.fk("e")
 except kempe.KempeError as error:
     print(error)
 """
