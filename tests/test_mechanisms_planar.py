@@ -49,7 +49,8 @@ def path(name: str, driver: str, angles: list[float], frame: str) -> list[comple
     system = kempe.load(name)
     q, out = system.q("closed"), []
     for angle in angles:
-        q = solved(system, {driver: angle}, q)
+        for part in np.linspace(system.q_dict(q)[driver], angle, 9)[1:]:
+            q = solved(system, {driver: float(part)}, q)
         x, y = system.fk(q, frame)[:2, 3]
         out.append(complex(x, y))
     return out
