@@ -29,6 +29,8 @@ def hunted(rng: np.random.Generator, count: int) -> tuple[int, int]:
             continue  # it does not close, or it is near the border
         path = four_bar(*lengths).trace("A")
         two = bool(2 * (least + most) < lengths.sum())
+        A = path.values("A")  # the other branch is the mirror image, which may have none of these angles
+        two &= any(A.min() <= 2 * np.pi * k - A[0] <= A.max() for k in (-1, 0, 1))
         assert len(path.elsewhere) == two, (lengths.tolist(), str(path))
         assert bool(path.hint) == two == ("not on this curve" in str(path))
         if two:
@@ -45,7 +47,7 @@ def test_four_bars_say_whether_they_have_another_branch(hunt):
 
 @pytest.mark.slow
 def test_many_four_bars_say_whether_they_have_another_branch(hunt):
-    assert min(hunted(hunt.rng(), cases := hunt.cases(250, least=75))) > cases // 5
+    assert min(hunted(hunt.rng(), cases := hunt.cases(250, least=75))) > cases // 8
 
 
 def test_the_sentence_names_the_input_and_its_value():
