@@ -87,11 +87,11 @@ print(json.dumps({
     "forward model, pose of Panda's hand": per(100_000, lambda: panda.fk(q, hand, out, 1)),
     "forward model, all bodies": per(20_000, lambda: panda.fk(q[:20_000], threads=1)),
     "Jacobian": per(20_000, lambda: panda.jacobian(q[:20_000], hand, threads=1)),
-    "ik of Panda": per(2000, lambda: panda.ik(X, hand, threads=1)),
-    "ik_all of a Puma 560": per(5000, lambda: puma.ik_all(Y, "tool", threads=1)),
-    "ik_all, six general axes": per(200, lambda: jaco.ik_all(Z, tip, threads=1), 3),
-    "Jansen's leg from its crank": per(2000, lambda: bar.assemble({"O": angles}, threads=1)),
-    "Stewart platform, from 0.01 off": per(500, lambda: stewart.assemble({}, near, threads=1)),
+    "ik of Panda": per(2000, lambda: panda.ik(X, hand, budget=kempe.Budget(threads=1))),
+    "ik_all of a Puma 560": per(5000, lambda: puma.ik_all(Y, "tool", budget=kempe.Budget(threads=1))),
+    "ik_all, six general axes": per(200, lambda: jaco.ik_all(Z, tip, budget=kempe.Budget(threads=1)), 3),
+    "Jansen's leg from its crank": per(2000, lambda: bar.assemble({"O": angles}, budget=kempe.Budget(threads=1))),
+    "Stewart platform, from 0.01 off": per(500, lambda: stewart.assemble({}, near, budget=kempe.Budget(threads=1))),
 }))
 """
 
