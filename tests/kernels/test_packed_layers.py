@@ -108,7 +108,7 @@ def check_envelope(plan: np.ndarray, nv: int, rng: np.random.Generator) -> None:
     y, x, v = rng.normal(size=m), float(rng.normal()), int(rng.integers(nv))
     assert kernel.product(p.loops, v, Pointer(y)) == pytest.approx(p.J[:, v] @ y, abs=1e-10)
     to = pointer(y)
-    kernel.add_product(p.loops, v, x, to)
+    kernel.add_product(p.loops, v, x, to, 1)
     assert np.allclose(to.array, y + x * p.J[:, v], atol=1e-10)
     out, damping = rng.random(nv) < 0.3, 10.0 ** rng.uniform(-3, 0)
     a, column, step = room(p.size), room(m), pointer(np.where(out, np.nan, 0.0))

@@ -24,7 +24,8 @@ def test_where_a_function_fails_kernels_find_no_numbers_and_the_error_is_kept():
     made = Callback(s, 2, fails)
     q, value, columns = s.mid.copy(), np.full(2, 7.0), np.zeros((s.nv, 2))
     numbers = ctypes.POINTER(ctypes.c_double)
-    made._kept(*(x.ctypes.data_as(numbers) for x in (q, value, columns)), 1)
+    called = ctypes.CFUNCTYPE(None, numbers, numbers, numbers, ctypes.c_int64)(made.address)
+    called(*(x.ctypes.data_as(numbers) for x in (q, value, columns)), 1)
     assert np.isnan(value).all() and repr(made.error) == "ZeroDivisionError('at home')"
 
 

@@ -10,7 +10,7 @@ from kempe.kernels.base.scratch import beyond
 from kempe.kernels.base.vectors import keep, raw
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.constraints.constraint_rows import LoopScratch
-from kempe.kernels.constraints.envelope import add_column
+from kempe.kernels.constraints.envelope import add_product
 from kempe.kernels.constraints.goals import fill
 from kempe.kernels.forward.table_layout import N_ROWS as TABLE_ROWS
 from kempe.kernels.forward.table_layout import NQ, NV
@@ -48,5 +48,5 @@ def equations(ints, floats, plan, weights, pins, q, with_jacobian, residual, jac
         for k in range(m * nv):
             columns[k] = 0.0
         for v in range(nv):
-            add_column(loops, v, beyond(columns, v), nv)
+            add_product(loops, v, 1.0, beyond(columns, v), nv)
     keep(block)

@@ -25,8 +25,8 @@ def product(loops, v, y):
 
 
 @device
-def add_product(loops, v, x, y):
-    """Add x times column v of the scaled Jacobian to y."""
+def add_product(loops, v, x, y, stride):
+    """Add x times column v of the scaled Jacobian to every `stride`-th number of y; the others are not touched."""
     plan = loops.plan
     at = plan[L.AT_VARS] + v
     for use in range(plan[at], plan[at + 1]):
@@ -35,21 +35,7 @@ def add_product(loops, v, x, y):
         rows, first = plan[tie + L.ROWS], plan[tie + L.FIRST_ROW]
         block = plan[tie + L.BLOCK] + rows * plan[k + 1]
         for i in range(rows):
-            y[first + i] += loops.blocks[block + i] * x
-
-
-@device
-def add_column(loops, v, to, stride):
-    """Add column v of the scaled Jacobian to every `stride`-th number of `to`; the others are not touched."""
-    plan = loops.plan
-    at = plan[L.AT_VARS] + v
-    for use in range(plan[at], plan[at + 1]):
-        k = plan[L.AT_USES] + L.USE_INTS * use
-        tie = plan[L.AT_TIES] + L.TIE_INTS * plan[k]
-        rows, first = plan[tie + L.ROWS], plan[tie + L.FIRST_ROW]
-        block = plan[tie + L.BLOCK] + rows * plan[k + 1]
-        for i in range(rows):
-            to[stride * (first + i)] += loops.blocks[block + i]
+            y[stride * (first + i)] += loops.blocks[block + i] * x
 
 
 @routine

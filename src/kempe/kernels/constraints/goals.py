@@ -42,6 +42,15 @@ def call(typingctx, address, q, out, columns, flag):
     return types.void(types.int64, FLOATS, FLOATS, FLOATS, types.int64), codegen
 
 
+@routine
+def is_late(loops, stop, flag, spare):
+    """Whether the work must end, as the function at the address `stop` writes to `flag`; 0 is none."""
+    flag[0] = 0.0
+    if stop != 0:
+        call(stop, loops.q, flag, spare, 0)
+    return flag[0] != 0.0
+
+
 @device
 def number_of(loops, k):
     """The number that tie k is given."""

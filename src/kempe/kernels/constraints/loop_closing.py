@@ -22,7 +22,7 @@ from kempe.kernels.base.vectors import keep, raw
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.constraints.constraint_rows import LoopScratch
 from kempe.kernels.constraints.envelope import add_product, factor, normal, product, solve
-from kempe.kernels.constraints.goals import call, fill
+from kempe.kernels.constraints.goals import fill, is_late
 from kempe.kernels.constraints.loop_coordinates import (
     distance,
     draw,
@@ -66,15 +66,6 @@ def evaluate(loops, with_blocks):
     """Square of the scaled residual at q."""
     row_poses(loops.ints, loops.floats, loops.q, 0, loops.scratch)
     return fill(loops, with_blocks)
-
-
-@routine
-def is_late(loops, work, stop):
-    """Whether the work must end, as the function at the address `stop` says; 0 is none."""
-    work.column[0] = 0.0
-    if stop != 0:
-        call(stop, loops.q, work.column, work.y, 0)
-    return work.column[0] != 0.0
 
 
 @routine
@@ -148,7 +139,7 @@ def close(loops, work, limit, accepted, kept, stop):
             copy(kept, loops.q, 0, loops.nq)
         if square <= FLOOR or (square <= accepted and square > 0.1 * before) or steps >= limit:
             break
-        if often != 0 and is_late(loops, work, often):
+        if often != 0 and is_late(loops, often, work.column, work.y):
             break
         before = square
         damping = min(DAMPING * square / m, MOST_DAMPING) + LEAST
@@ -170,7 +161,7 @@ def descend(loops, work, limit, kept, stop):
     best, damping, steps = evaluate(loops, True), 1.0, 0
     often = stop if loops.plan[L.N_ROWS] >= MANY else 0
     while steps < limit and damping < 1e12:
-        if often != 0 and is_late(loops, work, often):
+        if often != 0 and is_late(loops, often, work.column, work.y):
             break
         size = damped_step(loops, work, damping)
         steps += 1
@@ -200,7 +191,7 @@ def approach(loops, work, limit, accepted, kept, stop):
     least = distance(loops, work.home, work.target)
     part, size = 1.0, 1.0
     while rounds < limit and part > 0.05 and size > 1e-9:
-        if is_late(loops, work, stop):
+        if is_late(loops, stop, work.column, work.y):
             break
         rounds += 1
         evaluate(loops, True)
@@ -211,7 +202,7 @@ def approach(loops, work, limit, accepted, kept, stop):
         for v in range(loops.nv):
             work.target[v] *= part
             if work.step[v] == work.step[v]:
-                add_product(loops, v, work.target[v], work.y)
+                add_product(loops, v, work.target[v], work.y, 1)
         normal(loops, work.step, LEAST, work.a, work.column)
         factor(loops, work.a, LEAST)
         solve(loops, work.a, work.y)
@@ -243,7 +234,7 @@ def search(loops, work, key, first, tries, limit, accepted, nearest, best_q, sto
         best = square if square < LARGEST else np.inf
     while count < tries and not best <= accepted:
         if count > 0:
-            late = is_late(loops, work, stop)
+            late = is_late(loops, stop, work.column, work.y)
             if late:
                 break
             draw(loops, work.home, min(1.0, WIDER * count), mix(key, np.uint64(count)))
@@ -260,7 +251,7 @@ def search(loops, work, key, first, tries, limit, accepted, nearest, best_q, sto
     if best > accepted:
         current = False
         if nearest != UNFINISHED and not late:
-            late = is_late(loops, work, stop)
+            late = is_late(loops, stop, work.column, work.y)
             if not late:
                 best, used = descend(loops, work, 10 * limit, best_q, stop)
                 steps += used

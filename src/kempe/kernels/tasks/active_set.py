@@ -103,7 +103,7 @@ def solve_once(loops, work):
         if x != x:
             x = work.wish[v]
         if x != 0.0:
-            add_product(loops, v, x, work.y)
+            add_product(loops, v, x, work.y, 1)
     normal(loops, work.mark, 0.0, work.a, work.column)
     for i in range(m):
         if work.damp[i] >= OFF:
@@ -140,7 +140,7 @@ def count_rows(loops, work, release):
         work.ahead[i] = 0.0
     for v in range(loops.nv):
         if work.step[v] != 0.0:
-            add_product(loops, v, work.step[v], work.ahead)
+            add_product(loops, v, work.step[v], work.ahead, 1)
     for i in range(m):
         low, high = work.low[i], work.high[i]
         if low == high or work.weak[i] >= OFF:

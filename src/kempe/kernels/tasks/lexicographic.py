@@ -18,7 +18,7 @@ from kempe.kernels.base.scratch import copy
 from kempe.kernels.base.search_layout import AHEAD, LARGEST, NOTHING
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.constraints.envelope import add_product
-from kempe.kernels.constraints.goals import call
+from kempe.kernels.constraints.goals import call, is_late
 from kempe.kernels.constraints.loop_coordinates import distance, is_held, number, place_of, sort_of
 from kempe.kernels.tasks.active_set import LEAST, LONGEST, OFF, free_all, mark_pushed, step_to, take
 from kempe.kernels.tasks.level_rows import assess, count_in, is_hard, missed, square_of
@@ -125,15 +125,6 @@ def close(loops, work, ask, last, enough, limit):
 
 
 @routine
-def is_late(loops, work, stop):
-    """Whether the time is up, as the function at the address `stop` says; 0 is none."""
-    work.ahead[0] = 0.0
-    if stop != 0:
-        call(stop, loops.q, work.ahead, work.wish, 0)
-    return work.ahead[0] != 0.0
-
-
-@routine
 def aim(loops, work, mode, part):
     """Value of what the last stage lowers, at q; writes a step (nv,) that lowers it, scaled by `part`, to `wish`."""
     if mode == AHEAD:
@@ -161,7 +152,7 @@ def slope_of(loops, work, ask, stage, mode, part):
     for i in range(m):
         work.ahead[i] = 0.0
     for v in range(loops.nv):
-        add_product(loops, v, work.step[v], work.ahead)
+        add_product(loops, v, work.step[v], work.ahead, 1)
     for k in range(plan[L.N_TIES]):
         if ask.stage[k] == stage:
             tie = plan[L.AT_TIES] + L.TIE_INTS * k
@@ -238,7 +229,7 @@ def ease(loops, work, ask, stage, bound, limit, mode, stop):
     if mode == NOTHING:
         flat = FLAT_HARD if is_hard(loops, ask, stage) else FLAT
     while steps < limit and best == best and not (mode == NOTHING and best <= TIGHT):
-        late = is_late(loops, work, stop)
+        late = is_late(loops, stop, work.ahead, work.wish)
         if late:
             break
         steps += 1

@@ -20,7 +20,7 @@ from kempe.kernels.base.search_layout import BAD_INPUT, LARGEST, LATE, NOT_FOUND
 from kempe.kernels.base.vectors import keep, raw
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.constraints.constraint_rows import LoopScratch
-from kempe.kernels.constraints.goals import number_of
+from kempe.kernels.constraints.goals import is_late, number_of
 from kempe.kernels.constraints.loop_coordinates import nearest_turn, number, place_of, read_off, sort_of, sound
 from kempe.kernels.forward.table_layout import N_ROWS as TABLE_ROWS
 from kempe.kernels.forward.table_layout import NQ, NV
@@ -40,7 +40,7 @@ from kempe.kernels.tasks.level_rows import (
     square_of,
     unbind,
 )
-from kempe.kernels.tasks.lexicographic import ROUNDING, TIGHT, descend, is_late, lower
+from kempe.kernels.tasks.lexicographic import ROUNDING, TIGHT, descend, lower
 from kempe.kernels.tasks.restarts import begin, begin_at, to_middle
 
 AGAIN, LOWER = 5, 0.99
@@ -55,7 +55,7 @@ def search(loops, work, ask, last, key, tries, limit, stop):
     best, count, steps, good, late, left, least = np.inf, 0, 0, False, False, 0, np.inf
     to_middle(loops, work.home, work.trial)
     while count < tries and not good:
-        late = is_late(loops, work, stop)
+        late = is_late(loops, stop, work.ahead, work.wish)
         if late:
             break
         if left > 0:

@@ -68,8 +68,8 @@ def _keep_interrupt(lost: sys.UnraisableHookArgs) -> None:
     """The hook for exceptions that Python cannot raise: an interrupt of a `KernelFunction` is kept."""
     if isinstance(lost.exc_value, KeyboardInterrupt):
         for function in _all:
-            call = function._call
-            if lost.object == call or repr(call) in (lost.err_msg or ""):  # from Python 3.13 on it is in the text
+            is_it = getattr(lost.object, "__self__", None) is function
+            if is_it or repr(function._call) in (lost.err_msg or ""):  # from Python 3.13 on it is in the text
                 function.keep(lost.exc_value)
                 return
     other = _others.pop() if _others else sys.__unraisablehook__  # none where the other hook calls this one
