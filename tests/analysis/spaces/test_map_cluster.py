@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from contextlib import contextmanager
 from types import SimpleNamespace
 
@@ -15,6 +16,7 @@ import pytest
 
 import kempe
 from kempe import Budget
+from kempe.analysis.maps import cluster as maps_cluster
 from kempe.analysis.spaces.workspace import recipe, sample_parts
 from kempe.errors import InputError, KempeError, KernelsError
 from kempe.solvers.common import clock
@@ -55,9 +57,13 @@ def checksum(n):
 
 
 def kill(cluster, rng):
-    """End one worker process that is running, as the system would: its nanny starts another. Whether there was one."""
-    pids = [nanny.pid for nanny in cluster.workers.values() if nanny.pid]
-    for pid in rng.permutation(pids).tolist():
+    """End one worker process, as the system would: its nanny starts another. Whether there was one.
+
+    Only workers that have joined are ended: where one ends as it starts, its nanny ends, too.
+    """
+    nannies = [nanny for nanny in cluster.workers.values() if nanny.status.name == "running"]
+    joined = [nanny.pid for nanny in nannies if nanny.worker_address in cluster.scheduler.workers]
+    for pid in rng.permutation(joined).tolist():
         try:
             os.kill(pid, signal.SIGKILL)
         except ProcessLookupError:
@@ -163,9 +169,7 @@ def test_what_is_no_address_is_refused_before_a_client_is_made(monkeypatch):
 
 @pytest.mark.slow
 def test_schedulers_that_are_not_there(monkeypatch):
-    from kempe.analysis.maps import cluster
-
-    monkeypatch.setattr(cluster, "PATIENCE", 0.5)
+    monkeypatch.setattr(maps_cluster, "PATIENCE", 0.5)
     with pytest.raises(InputError, match="no scheduler answers at 'tcp://127.0.0.1:1'"):
         made(10**6, client="tcp://127.0.0.1:1")
     with pytest.raises(InputError, match="must be a distributed.Client"):
@@ -178,6 +182,23 @@ def test_a_client_that_was_closed(cluster):
     client.close()
     with pytest.raises(InputError, match="closed: it has no scheduler"):
         made(10**6, client=client)
+
+
+def test_that_no_workers_are_left_is_said_once_each_time(monkeypatch):
+    monkeypatch.setattr(maps_cluster, "PATIENCE", -1.0)
+    monkeypatch.setattr(maps_cluster, "refuse_workers", lambda client, new: None)
+    threads, scheduler = {"tcp://10.0.0.2:1": 2}, SimpleNamespace(address="tcp://10.0.0.1:8786")
+    workers = maps_cluster.ClusterWorkers(SimpleNamespace(nthreads=lambda: dict(threads), scheduler=scheduler))
+    for _ in range(2):
+        workers._look()
+        threads.clear()
+        with warnings.catch_warnings(record=True, action="always") as said:
+            for _ in range(4):
+                workers._look()
+        assert [str(row.message) for row in said] == [
+            "the scheduler tcp://10.0.0.1:8786 has no workers; the work goes on when one joins"
+        ]
+        threads["tcp://10.0.0.3:1"] = 2
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
+from math import inf
 from typing import Any
 
 from kempe.analysis.maps.side_by_side import RETRIES
@@ -61,7 +62,7 @@ class ClusterWorkers:
     def __init__(self, client: Any, most: int | None = None):
         self.client, self.fixed, self.most = client, most, most or 2
         self.known: set[str] = set()
-        self.alone: float | None = time.monotonic()
+        self.alone: float | None = None
         self._look()
 
     def _look(self) -> None:
@@ -74,10 +75,12 @@ class ClusterWorkers:
         self.most = self.fixed or max(2, 2 * sum(threads.values()))
         if threads:
             self.alone = None
-        elif self.alone is not None and time.monotonic() - self.alone > PATIENCE:
-            self.alone = None
+        elif self.alone is None:
+            self.alone = time.monotonic()
+        elif time.monotonic() - self.alone > PATIENCE:
+            self.alone = inf  # said once, until workers have joined
             address = self.client.scheduler.address
-            warn(f"the scheduler {address} has no workers; the work begins when the first one joins", UserWarning)
+            warn(f"the scheduler {address} has no workers; the work goes on when one joins", UserWarning)
 
     def wait(self, futures: list[Any]) -> set[Any]:
         """Those that are done, after a while perhaps none."""
