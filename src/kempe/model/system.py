@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -169,7 +169,7 @@ class System(Compiled, Pictured):
 
         return Symbolic(self)
 
-    @explained
+    @partial(explained, fast=True)
     def ik(
         self, target: Any, frame: FrameLike | None = None, start: Any = None, *,
         task: str | tuple[str, ArrayLike] | None = None, prefer: Any = None, method: str | None = None,
@@ -190,7 +190,7 @@ class System(Compiled, Pictured):
         return ik(self, target, frame, start, task=task, prefer=prefer, method=method, tolerance=tolerance,
                   budget=budget, history=history)  # fmt: skip
 
-    @explained
+    @partial(explained, fast=True)
     def ik_all(
         self, target: Any, frame: FrameLike, start: Any = None, *, task: str | tuple[str, ArrayLike] | None = None,
         fixed: Mapping[str, Any] | None = None, limits: bool | str = False, tolerance: float | None = None,

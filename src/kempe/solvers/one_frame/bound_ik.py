@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from kempe.calls import quiet
 from kempe.kernels.base.search_layout import ANSWER, STATUS
 from kempe.kernels.compiled import maker, schedule
 from kempe.kernels.forward.table_layout import HAS_QUATERNION
@@ -62,6 +63,12 @@ class BoundIk:
         X[0, : self.shape[0], 3] = target
         return X
 
+    @quiet
+    def _go_on(self, X: Array, seeds: Array, out: Array) -> None:
+        """Search further, from other starts."""
+        head = (self.chain.ints, self.chain.floats, self.chain.limits, self.rows, X, seeds, 0)
+        multi_start.go_on(self.task(X), X, head, FEW, out)
+
     def __call__(self, target: Array, start: Any) -> Solution | None:
         """The answer for a target, None where target or seed need the general solver."""
         if target.shape != self.shape or not (self.posed or target.dtype == np.float64):
@@ -86,8 +93,7 @@ class BoundIk:
             return None
         row = out[0]
         if missed:
-            head = (chain.ints, chain.floats, chain.limits, self.rows, X, seeds, 0)
-            multi_start.go_on(self.task(X), X, head, FEW, out)
+            self._go_on(X, seeds, out)
             if row[n + STATUS] == Status.BAD_INPUT:
                 return None
         if self.whole:
@@ -97,11 +103,11 @@ class BoundIk:
             if self.plain:
                 np.minimum(q, self.upper, out=q)
             q[self.part] = row[:n]
-            if not math.isfinite(base.dot(base)):
+            if not math.hypot(*base.tolist()) < math.inf:
                 return None
         if not missed or row[n + STATUS] == Status.SOLVED:
             return Solution.reached((self, X), q, row)
         task, codes = self.task(X), np.array([Status.NOT_FOUND])
-        multi_start.look_closer(task, codes)
+        quiet(multi_start.look_closer)(task, codes)
         linear, angular, _, steps, starts = row[n:].tolist()
         return Solution(q, False, member(codes[0]), linear, angular, int(steps), int(starts), task)
