@@ -10,6 +10,8 @@ import pytest
 from hunts import some
 from ik_all_checks import assert_found_near_singular
 
+import kempe
+
 PI, H = np.pi, np.pi / 2
 
 
@@ -185,3 +187,36 @@ def false_of(arm: arms.Arm, task: str, rng: np.random.Generator, count: int = 0,
         if off.min(initial=np.inf) > 1e-5:
             false.append((q[i].tolist(), solution.tolist()))
     return false
+
+
+def lined_up(rng, kinds, size):
+    """A chain of joints (`R` turns, `P` slides) along the axes of the ground; lengths are zero or a part of `size`."""
+    m = kempe.Mechanism("lined up")
+    below, axes = m.ground, np.eye(3)
+    for i, kind in enumerate(kinds):
+        body, at = m.body(f"b{i}"), size * rng.choice([0.0, 0.0, 0.5, 1.0], 3)
+        add = m.revolute if kind == "R" else m.prismatic
+        add(f"j{i}", below, body, at=at, axis=axes[rng.integers(3)] * rng.choice([-1.0, 1.0]))
+        below = body
+    m.frame("tip", below, at=size * rng.choice([0.0, 0.3, 0.8], 3))
+    return m.build()
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
+def test_a_slide_along_the_axis_of_a_turn_loses_no_solution(hunt, size):
+    """The target's orientation is any, not that of the chain: plans must not rest on what holds for the latter only."""
+    rng, regular = hunt.rng(), 0
+    for i in range(hunt.cases(60)):
+        kinds = ("RP", "PR", "RRP", "RPR", "PRP", "RPP")[i % 6]
+        arm, turns = lined_up(rng, kinds, size), np.array([k == "R" for k in kinds])
+        unit = np.where(turns, 1.0, size)
+        q = rng.uniform(-2.0, 2.0, (8, len(kinds))) * unit
+        scaled = arm.jacobian(q, "tip")[:, :3] * unit / size
+        X = arm.fk(q, "tip")[:, :3, 3]
+        for k in np.flatnonzero(np.linalg.svd(scaled, compute_uv=False)[:, -1] > 1e-2):
+            answer = arm.ik_all(X[k], "tip")
+            off = (answer.q - q[k]) / unit
+            off[:, turns] = np.angle(np.exp(1j * off[:, turns]))
+            assert answer.complete <= bool((np.abs(off).max(axis=1) < 1e-6).any()), (kinds, answer.status)
+            regular += 1
+    assert regular > 0

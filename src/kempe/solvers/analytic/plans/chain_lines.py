@@ -134,10 +134,11 @@ def _pose(rows: np.ndarray) -> Array:
 
 
 def _unit_of(kinds: np.ndarray, h: Array, o: Array, tip: Array, limits: Array) -> tuple[Array, float]:
-    """A point near the axes that turn, and a length: the way from axis to axis, 1 where that is zero.
+    """A point near the axes that turn, and a length: the way from axis to axis.
 
-    Neither changes if the points slide along their axes or the base moves. What slides go is no part of the way: where
-    that is much longer, offsets by which axes miss each other would be a unit in which slides are immense.
+    Where that is zero it is how far slides may go, and 1 without slides. Neither changes if the points slide along
+    their axes or the base moves. What slides go is no part of the way: where that is much longer, offsets by which axes
+    miss each other would be a unit in which slides are immense.
     """
     turning = np.flatnonzero(kinds != SLIDE)
     if turning.size == 0:
@@ -154,12 +155,13 @@ def _unit_of(kinds: np.ndarray, h: Array, o: Array, tip: Array, limits: Array) -
     steps = [_apart(h[i], o[i], h[i + 1], o[i + 1]) for i in range(len(h) - 1)]
     size = max(sum(steps), float(away.max()))
     noise = NOISE * max(float(np.linalg.norm(x)) for x in (free, origin))
-    if not (size > noise and math.isfinite(size)):
-        return origin, 1.0
+    alone = not (size > noise and math.isfinite(size))
     if slides.size:
         travel = _travel(limits[1, slides] - limits[0, slides], all_points[slides] - origin, tip - origin)
-        size = max(size, LITTLE * travel)
-    return origin, size
+        size = travel if alone else max(size, LITTLE * travel)
+    elif alone:
+        return origin, 1.0
+    return origin, size if size > noise and math.isfinite(size) else 1.0
 
 
 def _travel(ranges: Array, offsets: Array, tip: Array) -> float:

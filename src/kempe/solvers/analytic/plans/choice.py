@@ -17,11 +17,11 @@ from kempe.solvers.analytic.plans.plan import (
     carried_lines,
     free_lines,
     freedoms,
-    ground_poses,
     in_closed_form,
     kernel_of,
     make,
     spread,
+    targets_at,
 )
 from kempe.spatial import Array
 
@@ -149,7 +149,7 @@ def _share(plan: ChainPlan) -> float:
     held = np.array([plan.first])
     out, counts = np.empty((SAMPLES, A.SLOTS, n + A.INFO)), np.empty((SAMPLES, 2), dtype=np.int64)
     tolerance = 1e-9 * max(lines.length, 1.0)
-    kernel_of(plan)(plan.ints, plan.floats, ground_poses(lines, q), held, held, tolerance, TOLERANCE, 0,
+    kernel_of(plan)(plan.ints, plan.floats, targets_at(lines, plan.extra, q), held, held, tolerance, TOLERANCE, 0,
                     np.arange(SAMPLES), out, counts)  # fmt: skip
     code = out[..., n + A.CODE]
     return float(((code >= 0.0) & (code.astype(np.int64) % 2 == 1)).any(axis=1).mean())

@@ -116,11 +116,25 @@ def sweep(lines: Lines, theta: Array) -> tuple[Array, Array, Array]:
     return T, h, o
 
 
-def ground_poses(lines: Lines, q: Array) -> Array:
-    """Tip poses (m, 4, 4) in the ground frame, in metres, at coordinates q (m, n)."""
-    T = sweep(lines, lines.theta(q))[0]
+def targets_at(lines: Lines, extra: Extra, q: Array) -> Array:
+    """Targets (m, 4, 4) in the ground frame, in metres, that coordinates q (m, n) reach, random in what is free."""
+    T = sweep(lines, lines.theta(q))[0] @ freed(lines, extra, len(q))
     T[:, :3, 3] = T[:, :3, 3] * lines.length + lines.origin
     return T
+
+
+def freed(lines: Lines, extra: Extra, count: int) -> Array:
+    """Random motions (count, 4, 4) in the tip's frame that the task allows: those of the free lines.
+
+    A target says nothing of what its task does not ask: its rotation or position there is any, not that of the chain.
+    """
+    rng, M = np.random.default_rng(13), lines.tip
+    out = np.tile(np.eye(4), (count, 1, 1))
+    for kind, h, o, role in zip(*_parts(extra), strict=True):
+        if role == A.FREE:
+            ways = rng.uniform(-1.0, 1.0, count) * (1.0 if kind == SLIDE else np.pi)
+            out = out @ np.array([motion(int(kind), h, o, float(way)) for way in ways])
+    return spatial.inverse(M) @ out @ M
 
 
 def jacobians(lines: Lines, theta: Array) -> Array:
@@ -330,7 +344,8 @@ def _ways(lines: Lines, unknown: list[int], locked: tuple[int, ...], extra: Extr
         theta[1:, list(locked)] = theta[0, list(locked)]
         axes, shift = carried_lines(lines, locked, extra, theta[0])
         variants.append(Axes(axes.kinds[places], axes.h[places], axes.o[places]))
-        G = sweep(lines, theta[1:])[0] @ spatial.inverse(lines.tip) @ spatial.inverse(shift)
+        T = sweep(lines, theta[1:])[0] @ freed(lines, extra, len(theta) - 1)
+        G = T @ spatial.inverse(lines.tip) @ spatial.inverse(shift)
         goals.append([np.ascontiguousarray(g[:3]).ravel() for g in G])
     at_rest = {i for i, j in enumerate(places) if j >= len(lines) and extra.roles[j - len(lines)] == A.REST}
     found = ways(variants, goals, at_rest)
@@ -393,9 +408,9 @@ def _error(plan: ChainPlan) -> float:
     out, numbers, kernel = np.empty((TRIALS, plan.slots, n + A.INFO)), np.arange(TRIALS), side_by_side_of(plan)
     if kernel is not None:
         q[:, list(plan.locked)] = q[0, list(plan.locked)]
-        kernel(plan.ints, floats, ground_poses(lines, q), q, q[:1], 0, out, numbers)
+        kernel(plan.ints, floats, targets_at(lines, plan.extra, q), q, q[:1], 0, out, numbers)
     else:
         counts = np.empty((TRIALS, 2), dtype=np.int64)
-        kernel_of(plan)(plan.ints, floats, ground_poses(lines, q), q, q, 1e-9, 1e-9, 0, numbers, out, counts)
+        kernel_of(plan)(plan.ints, floats, targets_at(lines, plan.extra, q), q, q, 1e-9, 1e-9, 0, numbers, out, counts)
     off = np.where(out[..., n + A.CODE] >= 0.0, np.abs(out[..., :n] - q[:, None]).max(axis=-1), np.inf)
     return float(np.sort(off.min(axis=1))[int(0.8 * TRIALS)])
