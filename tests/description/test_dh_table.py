@@ -86,7 +86,7 @@ def test_what_is_missing_in_a_table_is_left_out():
         from_dh({"a": [0.1, float("nan")], "d": [0, 0]})
 
 
-@pytest.mark.parametrize("x", [6.68283349819805572, -6.4421, 12.2, -11.93])
+@pytest.mark.parametrize("x", [6.68283349819805572, -6.4421, 12.2, -11.93, 13.4, -19.2731, 57.12])
 def test_calibrated_angles_may_be_beyond_a_turn(x):
     """Controllers count turns: an offset, or theta, of more than one is an angle in radians."""
     within = x - 2.0 * np.pi * np.round(x / (2.0 * np.pi))
@@ -94,6 +94,36 @@ def test_calibrated_angles_may_be_beyond_a_turn(x):
         here, same = (from_dh([{"a": 0.3, "d": 0.1, "alpha": 0.2, name: y}]).build() for y in (x, within))
         q = np.linspace(-3.0, 3.0, 7)[:, None]
         np.testing.assert_allclose(here.fk(q, "tool"), same.fk(q, "tool"), atol=1e-14)
+
+
+def test_a_table_of_radians_may_have_several_angles_beyond_a_turn():
+    """A calibrated arm with fixed twists: some joints were turned more than once before they were measured."""
+    alpha, theta = [0.01, np.pi / 2, 0.02, -np.pi / 2], [13.4, 0.2, 6.6828, -12.71]
+    rows = [{"a": 0.3, "alpha": x, "theta": y, "type": "fixed"} for x, y in zip(alpha, theta, strict=True)]
+    with pytest.raises(InputError, match="row 1: theta is 13.4, .* deg=True"):  # three of six, as in degrees
+        from_dh([{"theta": y} for y in theta])
+    here = from_dh([*rows, {}]).build()
+    same = from_dh([*({**row, "theta": float(np.angle(np.exp(1j * row["theta"])))} for row in rows), {}]).build()
+    np.testing.assert_allclose(here.fk([0.3], "tool"), same.fk([0.3], "tool"), atol=1e-13)
+
+
+def test_hunt_tables_in_the_wrong_unit_are_refused_and_calibrated_ones_are_read(hunt):
+    """Arms with five to seven joints: in degrees, rounded or measured, and in radians with turns counted."""
+    rng, quarter = hunt.rng(), np.array([0.0, 90.0, -90.0, 180.0])
+    for _ in range(hunt.cases(1000)):
+        n = int(rng.integers(5, 8))
+        noise = rng.normal(size=(2, n)) * (0.05 if rng.random() < 0.7 else 0.0)
+        planar = rng.random() < 0.5
+        alpha = noise[0] if planar else np.array([90.0, 90.0, *rng.choice(quarter, n - 2)]) + noise[0]
+        offset = rng.uniform(-180.0, 180.0, n) if planar else rng.choice(quarter, n) + noise[1]
+        rows = [{"a": 0.2, "alpha": float(x), "offset": float(y)} for x, y in zip(alpha, offset, strict=True)]
+        with pytest.raises(InputError, match="deg=True"):
+            from_dh(rows)
+        from_dh(rows, deg=True)
+        turns = np.where(rng.permutation(n) < rng.integers(1, 3), rng.integers(-2, 3, n), 0) * 2.0 * np.pi
+        radians = np.deg2rad([alpha, offset])
+        radians[1] += turns
+        from_dh([{"a": 0.2, "alpha": float(x), "offset": float(y)} for x, y in radians.T])
 
 
 def test_columns_name_another_order():

@@ -97,6 +97,9 @@ def from_dh(
     'q1', ... unless named. `base` is the pose of DH frame 0 on the
     ground, `tool` that of the frame 'tool' on the last body: pose matrices (4, 4), `Placement` or dicts of
     the keywords of `place`. Errors: `InputError`, also where an angle is not one in the unit said: 90 without `deg`.
+    Without `deg` an alpha beyond one turn is refused; a theta or an offset beyond one turn, which calibrated arms have,
+    is refused where it is more than 10 turns, a whole or half number or within 0.5 of a multiple of 45, and where more
+    angles of the table are beyond one turn than within (below 0.1 they do not count; a single one is allowed).
 
     >>> arm = from_dh([{"a": 0.5}, {"a": "l2"}], parameters={"l2": 0.4})
     >>> float(arm.joints["q2"].X_CM.evaluate(arm.parameters)[0, 3])
@@ -135,11 +138,12 @@ def add_dh(
     checked = [_row(DHRow, row, i) for i, row in enumerate(table, 1)]
     if not checked:
         raise InputError("the table has no rows; it must have one for each joint")
+    winds = dh_table.counts_turns(checked)
     places = list(wheres) or [None] * len(checked)
     for i, (row, where) in enumerate(zip(checked, places, strict=True), 1):
         if row.type not in JOINT_TYPES:
             raise InputError(f"row {i}: type is {row.type!r}; it must be {', '.join(JOINT_TYPES)}")
-        row = dh_table.in_radians(row, i, deg)
+        row = dh_table.in_radians(row, i, deg, winds)
         a, alpha, d, theta, offset = (value(getattr(row, k), f"row {i}: {k}") for k in NUMBERS)
         if offset != 0.0:
             theta, d = (theta + offset, d) if row.type == "revolute" else (theta, d + offset)

@@ -22,10 +22,20 @@ ORDER = ("a", "alpha", "d", "theta")
 
 DEGREE = math.pi / 180.0
 
-LARGEST_TURN = 2.0 * math.pi + 1e-3
-"""Angles of a table beyond this many radians are taken for degrees: one turn says all.
+ONE_TURN = 2.0 * math.pi + 1e-3
+"""Angles of a table beyond this many radians are taken for degrees, unless they can be those of a calibration.
 
-Calibrated values of theta and offset may be up to twice as large, unless they are whole or half numbers."""
+Controllers count turns, so that a theta or an offset of a calibrated arm may be some turns; a twist alpha never is.
+"""
+
+MOST_TURNS = 20.0 * math.pi
+"""Largest theta or offset, in radians, that is taken for the turns that a controller has counted."""
+
+SHARE = 0.1
+"""Angles below this, in the unit of the table, are corrections of zero: they do not tell which unit it is."""
+
+ROUND, NEAR_ROUND = 45.0, 0.5
+"""Angles within so many degrees of a multiple of so many degrees are meant to be that multiple."""
 
 LARGEST_LIMIT = 10.0 * math.pi
 """The same for limits, of joints that may turn some times."""
@@ -134,8 +144,27 @@ def _is_nan(x: Any) -> bool:
 # ---- angles
 
 
-def in_radians(row: DHRow, number: int, deg: bool) -> DHRow:
-    """The row with its angles in radians. Errors: `InputError` for angles that are clearly in the other unit."""
+def counts_turns(rows: Iterable[DHRow]) -> bool:
+    """Whether angles beyond a turn, in a table of radians, can be turns that a controller has counted.
+
+    They are few then: in a table of degrees most angles are larger than 2 pi, in one of radians most are not. A single
+    angle does not tell, and may be one. Angles that are expressions are those of somebody who writes radians.
+    """
+    within, beyond = 0, 0
+    for i, row in enumerate(rows, 1):
+        for k in ("alpha", "theta", *(("offset",) if row.type == "revolute" else ())):
+            x = value(getattr(row, k), f"row {i}: {k}")
+            number = not isinstance(x, Expression)
+            beyond += number and abs(x) > ONE_TURN
+            within += not number or SHARE <= abs(x) <= ONE_TURN
+    return beyond <= max(1, within)
+
+
+def in_radians(row: DHRow, number: int, deg: bool, winds: bool = True) -> DHRow:
+    """The row with its angles in radians; `winds` is what `counts_turns` says of the table.
+
+    Errors: `InputError` for angles that are clearly in the other unit.
+    """
     if not isinstance(deg, (bool, np.bool_)):
         raise InputError(f"deg is {deg!r}; it must be True or False")
     if not isinstance(row.flip, (bool, np.bool_)):
@@ -144,7 +173,9 @@ def in_radians(row: DHRow, number: int, deg: bool) -> DHRow:
     if row.type == "fixed" and (row.flip or row.offset != 0.0):
         raise InputError(f"row {number}: a fixed row has no offset and is not flipped: it has no joint variable")
     angles = ("alpha", "theta", "offset") if turns else ("alpha", "theta")
-    changed: dict[str, Any] = {k: _angle(getattr(row, k), f"row {number}: {k}", deg) for k in angles}
+    changed: dict[str, Any] = {
+        k: _angle(getattr(row, k), f"row {number}: {k}", deg, winds and k != "alpha") for k in angles
+    }
     if turns:
         changed["limits"] = _limits(row.limits, f"row {number}: limits", deg)
         if deg and isinstance(row.velocity, (int, float, np.number)):
@@ -152,7 +183,7 @@ def in_radians(row: DHRow, number: int, deg: bool) -> DHRow:
     return replace(row, **changed)
 
 
-def _angle(given: Value | str, what: str, deg: bool) -> Value:
+def _angle(given: Value | str, what: str, deg: bool, winds: bool) -> Value:
     x = value(given, what)
     if isinstance(x, Expression):
         if not deg:
@@ -161,8 +192,7 @@ def _angle(given: Value | str, what: str, deg: bool) -> Value:
             raise InputError(f"{what} is {x.text!r} with deg=True, where angles are degrees: leave deg out, or pi")
         return Expression(f"radians({x.text})")
     if not deg:
-        winds = not what.endswith("alpha") and abs(x) <= 2.0 * LARGEST_TURN and (2.0 * x) % 1.0 != 0.0
-        if abs(x) > LARGEST_TURN and not winds:
+        if abs(x) > ONE_TURN and not (winds and abs(x) <= MOST_TURNS and not _is_round(x)):
             same = x - 2.0 * math.pi * round(x / (2.0 * math.pi))
             raise InputError(
                 f"{what} is {x:g}, which is {abs(x) / (2.0 * math.pi):.1f} turns in radians; for degrees give "
@@ -174,6 +204,11 @@ def _angle(given: Value | str, what: str, deg: bool) -> Value:
         raise InputError(f"{what} is {x:g} with deg=True, where angles are degrees; in radians it is "
                          f"{90 * round(quarters)} degrees: leave deg out, or write that")  # fmt: skip
     return x * DEGREE
+
+
+def _is_round(x: float) -> bool:
+    """Whether a number is one that people write in degrees: a whole or half one, or nearly a multiple of 45."""
+    return (2.0 * x) % 1.0 == 0.0 or abs(x - ROUND * round(x / ROUND)) < NEAR_ROUND
 
 
 def _limits(given: Any, what: str, deg: bool) -> Any:
