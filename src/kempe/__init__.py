@@ -14,6 +14,7 @@ from kempe.calls import explained
 from kempe.description.mechanism import Mechanism
 from kempe.errors import Interrupted, KempeError
 from kempe.model.system import System
+from kempe.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from kempe.description.dh.dh import from_dh, from_screws
     from kempe.status import Status
 
-__version__ = "0.1.0"
 __all__ = [
     "Budget", "Interrupted", "KempeError", "Mechanism", "Status", "System", "Tolerance", "constraints", "convert",
     "errors", "from_dh", "from_screws", "load", "map_file", "open_workspace", "read", "spatial", "tasks",

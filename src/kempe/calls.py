@@ -228,6 +228,7 @@ KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "Iterable": (is_list, "a list"),
     "Sequence": (is_list, "a list"),
     "System": (lambda x: _is_a("System", x), "a System"),
+    "Model": (lambda x: _is_a("Model", x), "a System"),
     "Mechanism": (lambda x: _is_a("Mechanism", x), "a Mechanism"),
     "Constraint": (lambda x: _is_a("Constraint", x), "a task or constraint of kempe.constraints"),
     "np.random.Generator": (lambda x: isinstance(x, np.random.Generator), "a generator"),

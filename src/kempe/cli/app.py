@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from kempe import __version__
 from kempe.description.formats import named, read_by
 from kempe.description.source import no_file
 from kempe.errors import InputError, KernelsError
 from kempe.model.immovable import immovable
+from kempe.version import __version__
 from kempe.views.terminal import COMPLETE, Commands, UsageError, print_json, refuse
 
 if TYPE_CHECKING:

@@ -10,7 +10,10 @@ import codecs
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING
+
+from kempe.late import call_late
 
 if TYPE_CHECKING:
     from kempe.description.mechanism import Mechanism
@@ -51,32 +54,9 @@ def root_element(text: str) -> str:
     return found[1] if found else ""
 
 
-def _read_urdf(text: str | bytes, source: str, **options: Any) -> Mechanism:
-    from kempe.description.urdf.urdf import read_urdf
-
-    return read_urdf(text, source, **options)
-
-
-def _write_urdf(mechanism: Mechanism) -> str:
-    from kempe.description.urdf.urdf_writer import write_urdf
-
-    return write_urdf(mechanism)
-
-
-def _read_toml(text: str | bytes, source: str, **options: Any) -> Mechanism:
-    from kempe.description.toml.toml import read_toml
-
-    return read_toml(text, source, **options)
-
-
-def _write_toml(mechanism: Mechanism) -> str:
-    from kempe.description.toml.toml_writer import write_toml
-
-    return write_toml(mechanism)
-
-
 URDF = Format(
-    "URDF", (".urdf",), _read_urdf, _write_urdf, recognises=lambda start: start.startswith("<"),
+    "URDF", (".urdf",), partial(call_late, "read_urdf"), partial(call_late, "write_urdf"),
+    recognises=lambda start: start.startswith("<"),
     options=("base", "root", "lenient_limits", "package_dirs", "beside"),
     cannot={
         "loops, joints from child to parent": "in URDF one joint leads to each body, and none to the ground",
@@ -99,7 +79,8 @@ URDF = Format(
 """The format of ROS; its links and joints form a tree."""
 
 TOML = Format(
-    "TOML", (".toml",), _read_toml, _write_toml, recognises=lambda start: bool(re.match(r"format\s*=", start)),
+    "TOML", (".toml",), partial(call_late, "read_toml"), partial(call_late, "write_toml"),
+    recognises=lambda start: bool(re.match(r"format\s*=", start)),
     options=("package_dirs",),
     cannot={
         "joints of types that are not in the table of joints": "add the type to the table",

@@ -13,6 +13,7 @@ from kempe.description.parts import Body, Coupling, Declared, Frame, Joint
 from kempe.description.source import collecting_later
 from kempe.errors import InputError, KempeError, UnknownNameError, Where
 from kempe.joints import JointType, joint_type
+from kempe.late import late
 from kempe.placement import Placement, place
 from kempe.values import Expression, Value, value
 
@@ -267,16 +268,12 @@ class Mechanism(ConstraintMethods):
 
     def build(self) -> System:
         """The compiled `System`. Errors: `DescriptionError` that names what does not fit together."""
-        from kempe.model.system import System
-
         with collecting_later(len(self.bodies)):
-            return System(self)
+            return late("System")(self)
 
     def save(self, path: str | Path) -> Path:
         """Write the mechanism to a file, in the format of its ending (.toml holds everything); returns the path."""
-        from kempe.description.write import write
-
-        return write(self, path)
+        return late("write")(self, path)
 
     def __repr__(self) -> str:
         return f"Mechanism({self.name!r}, dim={self.dim}, bodies={len(self.bodies) - 1}, joints={len(self.joints)})"

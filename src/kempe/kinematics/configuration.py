@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from kempe.calls import explained, generator, known, numbers, together
 from kempe.errors import InputError, UnknownNameError
+from kempe.late import late
 from kempe.model.kept import kept
 from kempe.model.tree.coordinates import distinct, returning
 from kempe.model.tree.structural_order import natural
@@ -101,7 +102,7 @@ def closed_from(system: System, coordinates: Mapping[str, Any], start: Any = Non
     given = named(coordinates) or {}
     if len(given) == system.nq:
         return q
-    answer = system.assemble(given, start)
+    answer = late("assemble")(system, given, start)
     if np.all(answer.success):
         return answer.q
     why, where = answer.status, ""

@@ -10,6 +10,7 @@ from typing import Any
 from kempe.analysis.maps.side_by_side import RETRIES
 from kempe.errors import InputError, KernelsError, MissingExtraError, shown, warn
 from kempe.kernels.compiled import VARIANT
+from kempe.version import __version__
 from kempe.words import counted
 
 LOOK = 0.5
@@ -120,8 +121,8 @@ def probe() -> Callable[[], tuple[str, str]]:
     """A function that is sent to workers as code, not by its name: they may have no Kempe."""
 
     def kernels() -> tuple[str, str]:
-        from kempe import __version__
         from kempe.kernels.compiled import VARIANT
+        from kempe.version import __version__
 
         return VARIANT, __version__
 
@@ -130,8 +131,6 @@ def probe() -> Callable[[], tuple[str, str]]:
 
 def refuse_workers(client: Any, workers: Iterable[str]) -> None:
     """Refuse to work where one of these workers has no Kempe, or another one. Errors: `KernelsError`."""
-    from kempe import __version__
-
     found = client.run(probe(), workers=sorted(workers), on_error="return")
     wrong: list[str] = []
     for worker, has in sorted(found.items()):
@@ -151,8 +150,6 @@ def refuse_workers(client: Any, workers: Iterable[str]) -> None:
 
 def refuse_kernels(variant: str, version: str) -> None:
     """Refuse to work with kernels that would round otherwise than these. Errors: `KernelsError`."""
-    from kempe import __version__
-
     if (variant, version) != (VARIANT, __version__):
         raise KernelsError(
             f"the map is made by the kernels {variant!r} of Kempe {version}, and here run {VARIANT!r} of "

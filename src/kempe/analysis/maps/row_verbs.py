@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from kempe import __version__
 from kempe.analysis.maps.cluster import refuse_kernels
 from kempe.budget import Budget
 from kempe.calls import known
@@ -21,6 +20,7 @@ from kempe.model.tree.coordinates import units
 from kempe.solvers.common.target_columns import PLACE, QUATERNION, poses_of_columns, said_columns
 from kempe.spatial import Array
 from kempe.status import Status
+from kempe.version import __version__
 from kempe.words import jsonable
 
 if TYPE_CHECKING:

@@ -14,7 +14,6 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.system import System
     from kempe.solvers.assembly.assembler import Assembler
-    from kempe.solvers.common.problem import Choice
     from kempe.status import Status
 
 
@@ -30,6 +29,7 @@ class Assembly(Answer):
 
     __repr__ = brief
 
+    row = "answers of assemble"
     what = "configurations closed"
     also = ("iterations", "starts")
 
@@ -65,12 +65,6 @@ class Assembly(Answer):
         """The system of the problem."""
         return self.assembler.system
 
-    def _chosen(self) -> Choice:
-        from kempe.solvers.assembly.assembly import SOLVERS
-        from kempe.solvers.common.problem import choose
-
-        return choose(SOLVERS, self.assembler, False)[1]
-
     def _left(self) -> Any:
         return np.where(self.success, self.residual, 0.0)
 
@@ -78,9 +72,3 @@ class Assembly(Answer):
         """Names and columns (n, nq) for a file: the coordinates of each configuration, NaN where it is not closed."""
         names, q = super().table()
         return names, np.where(np.reshape(self.success, (-1, 1)), q, np.nan)
-
-    def _sentence(self, index: tuple[int, ...]) -> str:
-        """The sentence for one configuration."""
-        from kempe.solvers.assembly.explain_assembly import sentence
-
-        return sentence(self, index)

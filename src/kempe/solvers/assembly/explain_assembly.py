@@ -14,6 +14,8 @@ from kempe.solvers.assembly.assembled import Assembly
 from kempe.solvers.assembly.assembler import LOOSEST, Assembler, assembler, of_equations
 from kempe.solvers.assembly.ideal import nearly
 from kempe.solvers.common import wording
+from kempe.solvers.common.answer import Row
+from kempe.solvers.common.problem import Choice, choose
 from kempe.solvers.common.proofs import Evidence, evidence, outside_limits
 from kempe.spatial import Array
 from kempe.status import Status
@@ -36,6 +38,13 @@ LATE = (
     "dimensions"
 )
 """What an answer adds that came before the search ended."""
+
+
+def choice(answer: Assembly) -> Choice:
+    """Which solver closes the loops of such problems."""
+    from kempe.solvers.assembly.assembly import SOLVERS
+
+    return choose(SOLVERS, answer.assembler, False)[1]
 
 
 def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
@@ -178,3 +187,7 @@ def _too_many(bound: Assembler) -> Evidence | None:
     if not bound.held or not 0 <= freedoms < len(bound.held):
         return None
     return evidence("too many given", given=len(bound.held), freedoms=freedoms)
+
+
+ROW = Row(sentence, choice)
+"""What `assemble` says of its answers."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -13,6 +14,7 @@ from kempe.errors import CallError, InputError, NoSolutionError, shown
 from kempe.kinematics.common.result import MOST_JUDGED, Cells, Result
 from kempe.kinematics.common.tabular import Tabular
 from kempe.kinematics.measure import Judgement, judge
+from kempe.late import late
 from kempe.reals import is_whole, plain
 from kempe.solvers.common.clock import partial
 from kempe.spatial import Array
@@ -22,6 +24,16 @@ from kempe.words import of_many
 if TYPE_CHECKING:
     from kempe.solvers.assembly.ideal import Idealised
     from kempe.solvers.common.problem import Choice
+
+
+@dataclass(frozen=True)
+class Row:
+    """What the verb that gave an answer says of it: functions of modules, which take the answer."""
+
+    sentence: Callable[[Any, Any], str]
+    """The sentence for one target, by its index in the batch."""
+    choice: Callable[[Any], Choice | None]
+    """Which solver answers such problems: of bound calls, whose answers do not keep the choice."""
 
 
 @explained_methods
@@ -42,6 +54,8 @@ class Answer(Result, Tabular):
     """What is counted of a batch: "3 of 4 targets reached"."""
     also: ClassVar[tuple[str, ...]] = ()
     """Names of further members that the `data` have."""
+    row: ClassVar[str] = ""
+    """Name of its `Row` in `kempe.late`; "" where the class says all of it."""
     is_motion: ClassVar[bool] = False
     """Whether the rows of `q` are passed one after the other."""
 
@@ -64,8 +78,12 @@ class Answer(Result, Tabular):
         """Leading shape of a batch of answers; () for a single one."""
         return np.shape(self.code)
 
+    @property
+    def _row(self) -> Any:
+        return late(self.row)
+
     def _sentence(self, index: tuple[int, ...]) -> str:
-        raise NotImplementedError
+        return self._row.sentence(self, index)
 
     @cached_property
     def status(self) -> Any:
@@ -143,9 +161,7 @@ class Answer(Result, Tabular):
 
         `names` are those that are drawn, all by default. Errors: `UnknownNameError`.
         """
-        from kempe.views.plots import plot_path
-
-        return plot_path(self, names=names, ax=ax)
+        return late("plots").plot_path(self, names=names, ax=ax)
 
     def animate(self, file: Any, **options: Any) -> Any:
         """Write its configurations as a moving picture (.gif, .mp4, .html), with the options of `System.animate`."""
@@ -167,11 +183,7 @@ class Answer(Result, Tabular):
     @property
     def solver(self) -> Choice | None:
         """The solver that answered, and why those before it in the table did not; None where there is no choice."""
-        return self.__dict__.get("_choice") or self._chosen()
-
-    def _chosen(self) -> Choice | None:
-        """The choice of bound calls, which was made once."""
-        return None
+        return self.__dict__.get("_choice") or (self._row.choice(self) if self.row else None)
 
     def __len__(self) -> int:
         self._refuse_one()

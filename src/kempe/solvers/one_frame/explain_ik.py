@@ -16,13 +16,15 @@ import numpy as np
 from kempe.model.immovable import immovable
 from kempe.singular_values import svd
 from kempe.solvers.common import wording
+from kempe.solvers.common.problem import Choice
 from kempe.solvers.common.proofs import Evidence, evidence, lengths
 from kempe.solvers.common.serial_chain import Chain, chain_of, slides_of
 from kempe.solvers.common.targets import Z_AXIS, frame_of, not_a_pose
-from kempe.solvers.one_frame.inverse import run
+from kempe.solvers.one_frame.derivative import derivative
+from kempe.solvers.one_frame.inverse import chosen, run
 from kempe.solvers.one_frame.multi_start import ITERATIONS, MOST, TOLERANCE, FrameProblem, past_lengths
 from kempe.solvers.one_frame.shut_out import shut_out
-from kempe.solvers.one_frame.solution import Solution
+from kempe.solvers.one_frame.solution import Solution, SolutionRow
 from kempe.spatial import Array
 from kempe.status import Status
 
@@ -236,3 +238,24 @@ def _not_found(task: FrameProblem) -> Evidence:
     """What is left where nothing else was found out."""
     limits = bool(np.isfinite(task.chain.limits).any())
     return evidence("not found", limits=limits, place=any(task.mask[:3]), turn=any(task.mask[3:]))
+
+
+def choice(solution: Solution) -> Choice:
+    """Which solver searches for answers to such problems."""
+    task = solution.task
+    return chosen(task.system, task.frame, (task.name, task.axis), "numeric", False)[1]
+
+
+def analyse(solution: Solution) -> tuple[int, int, int, Array]:
+    """Equations m, freedoms n, rank, and orthonormal basis (nv, k) of self-motions of one answer, scaled."""
+    from kempe.constraints.frame_targets import of_target  # only here: most answers are not analysed
+    from kempe.solvers.tasks import reached
+    from kempe.solvers.tasks.ik_tasks import pose_problem
+
+    task = solution.task
+    goals = of_target(task.frame, task.name, task.axis, task.targets[0])
+    return reached.analyse(pose_problem(task.system, goals, solution.q)[0], solution.q)
+
+
+ROW = SolutionRow(sentence, choice, proofs, derivative, analyse)
+"""What `ik` says of its answers."""

@@ -10,6 +10,7 @@ import numpy as np
 from kempe.errors import InputError
 from kempe.kernels.base.search_layout import STEPS
 from kempe.kinematics.common.result import Report
+from kempe.late import late
 from kempe.solvers.one_frame import multi_start
 from kempe.solvers.one_frame.solution import Solution
 from kempe.spatial import Array
@@ -79,9 +80,7 @@ class IkHistory(Report):
 
         The iterates themselves are drawn by ``system.plot(history.q)``.
         """
-        from kempe.views.plots import plot_history
-
-        return plot_history(self, ax)
+        return late("plots").plot_history(self, ax)
 
 
 def with_history(answer: Solution, problem: Problem) -> Solution:

@@ -12,14 +12,14 @@ import numpy as np
 from kempe.calls import brief, explained_methods, place_in
 from kempe.errors import InputError
 from kempe.kernels.base.search_layout import ANGULAR, ANSWER, LINEAR, STARTS, STATUS, STEPS
+from kempe.late import late
 from kempe.reals import plain
-from kempe.solvers.common.answer import Answer
+from kempe.solvers.common.answer import Answer, Row
 from kempe.spatial import Array
 from kempe.status import MEMBERS, PROOFS, Status
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-    from kempe.solvers.common.problem import Choice
     from kempe.solvers.one_frame.iterates import IkHistory
     from kempe.solvers.one_frame.multi_start import FrameProblem
 
@@ -33,6 +33,18 @@ _MEASURED: dict[str, tuple[int, Callable[..., Any]]] = {
     "position_error": (LINEAR, float), "orientation_error": (ANGULAR, float),
 }  # fmt: skip
 """Fields of an answer for a single target, where the kernels leave them, and as what they are read."""
+
+
+@dataclass(frozen=True)
+class SolutionRow(Row):
+    """What `ik` says of its answers."""
+
+    proofs: Callable[[Any, tuple[int, ...]], tuple[Any, ...]]
+    """What proves that there is no answer for one target."""
+    derive: Callable[[Any], Any]
+    """How answers move with their targets."""
+    analyse: Callable[[Any], tuple[int, int, int, Array]]
+    """Equations, freedoms, rank of the equations and self-motions of one answer."""
 
 
 @explained_methods
@@ -51,6 +63,7 @@ class Solution(Answer):
 
     __repr__ = brief
 
+    row = "answers of ik"
     what = "targets reached"
     also = ("position_error", "orientation_error", "iterations", "starts")
 
@@ -109,12 +122,6 @@ class Solution(Answer):
             return bound.task(target)
         return pair
 
-    def _chosen(self) -> Choice | None:
-        from kempe.solvers.one_frame.inverse import chosen
-
-        task = self.task
-        return chosen(task.system, task.frame, (task.name, task.axis), "numeric", False)[1]
-
     @cached_property
     def residual(self) -> Any:
         """Error (...) of each configuration: the norm of its position error [m] and orientation error [rad]."""
@@ -140,9 +147,7 @@ class Solution(Answer):
         return self._proofs(place_in(index, self._shape))
 
     def _proofs(self, index: tuple[int, ...]) -> tuple[Any, ...]:
-        from kempe.solvers.one_frame.explain_ik import proofs
-
-        return proofs(self, index)
+        return self._row.proofs(self, index)
 
     @property
     def system(self) -> System:
@@ -154,16 +159,7 @@ class Solution(Answer):
         """(m, n, rank, basis): equations, freedoms, rank of the equations, and an orthonormal basis of self-motions."""
         if np.ndim(self.success):
             raise InputError("m, n, rank and self_motion are those of one answer: ask for one problem, not for a batch")
-        return self._analysed()
-
-    def _analysed(self) -> tuple[int, int, int, Array]:
-        from kempe.constraints.frame_targets import of_target
-        from kempe.solvers.tasks.ik_tasks import pose_problem
-        from kempe.solvers.tasks.reached import analyse
-
-        task = self.task
-        problem, _ = pose_problem(task.system, of_target(task.frame, task.name, task.axis, task.targets[0]), self.q)
-        return analyse(problem, self.q)
+        return self._row.analyse(self)
 
     @property
     def m(self) -> int:
@@ -211,18 +207,11 @@ class Solution(Answer):
     @cached_property
     def derivative(self) -> Any:
         """dq (..., nv, 6) for a twist [linear; angular] of the target; see `kempe.solvers.one_frame.derivative`."""
-        from kempe.solvers.one_frame.derivative import derivative
-
-        return derivative(self)
+        return self._row.derive(self)
 
     def _sentence(self, index: tuple[int, ...]) -> str:
-        """Sentence that describes the answer for one target, at `index` in the batch."""
-        from kempe.solvers.one_frame.explain_ik import sentence
-
-        return sentence(self, index) + self._way_there(index)
+        return self._row.sentence(self, index) + self._way_there(index)
 
     def _way_there(self, index: tuple[int, ...]) -> str:
         """End of a success sentence: under velocity constraints, that driving there needs a manoeuvre; else ''."""
-        from kempe.solvers.common.slip import way_there
-
-        return way_there(self.system) if np.asarray(self.success)[index] else ""
+        return late("way_there")(self.system) if np.asarray(self.success)[index] else ""

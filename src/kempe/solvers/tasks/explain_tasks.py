@@ -17,9 +17,12 @@ from kempe.kinematics.tasks.task import Centred, PlacedTask
 from kempe.model.immovable import immovable
 from kempe.solvers.common import wording
 from kempe.solvers.common.freedoms import Local
+from kempe.solvers.common.problem import Choice, Problem
 from kempe.solvers.common.proofs import Evidence, evidence, lengths, outside_limits
 from kempe.solvers.common.serial_chain import slides_of
 from kempe.solvers.one_frame.explain_ik import rounded
+from kempe.solvers.one_frame.inverse import chosen
+from kempe.solvers.one_frame.solution import SolutionRow
 from kempe.solvers.tasks.contradictions import contradictions
 from kempe.solvers.tasks.ik_tasks import STARTS, judge
 from kempe.solvers.tasks.reach_bounds import beyond
@@ -177,3 +180,23 @@ def _rank(problem: Demands, q: Array, tasks: list[int]) -> Evidence | None:
     """Whether tasks have more equations than the system has freedoms."""
     equations, freedoms = analyse(problem.only(tasks), q)[:2]
     return evidence("rank", equations=equations, freedoms=freedoms) if freedoms < equations else None
+
+
+def choice(answer: Reached) -> Choice:
+    """Which solver searches for answers to such problems."""
+    usual = Problem(answer.problem.system, "one")
+    return chosen(usual.system, usual.frame, usual.task, usual.method, False)[1]
+
+
+def _derive(answer: Reached) -> dict[str, Array]:
+    from kempe.solvers.velocity.derivative_tasks import derivative  # only here: it is long, and seldom asked for
+
+    return derivative(answer)
+
+
+def _analyse(answer: Reached) -> tuple[int, int, int, Array]:
+    return analyse(answer.problem, answer.q)
+
+
+ROW = SolutionRow(sentence, choice, proofs, _derive, _analyse)
+"""What `ik` says of its answers for tasks."""

@@ -13,7 +13,6 @@ from kempe.solvers.one_frame.solution import Solution
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.solvers.common.problem import Choice
     from kempe.solvers.tasks.ik_tasks import Demands
 
 
@@ -29,32 +28,18 @@ class Reached(Solution):
 
     __repr__ = brief
 
+    row = "answers of ik, tasks"
     what = "problems solved"
 
     errors: dict[str, Array]
     late: Any
 
-    def _chosen(self) -> Choice:
-        from kempe.solvers.common.problem import Problem
-        from kempe.solvers.one_frame.inverse import chosen
-
-        usual = Problem(self.problem.system, "one")
-        return chosen(usual.system, usual.frame, usual.task, usual.method, False)[1]
-
     @property
     def _closing(self) -> Any:
         return self.problem.packed.closing
 
-    def _analysed(self) -> tuple[int, int, int, Array]:
-        return analyse(self.problem, self.q)
-
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
         return demands_of(self.problem)
-
-    def _proofs(self, index: tuple[int, ...]) -> tuple[Any, ...]:
-        from kempe.solvers.tasks.explain_tasks import proofs
-
-        return proofs(self, index)
 
     @cached_property
     def derivative(self) -> dict[str, Array]:
@@ -62,15 +47,7 @@ class Reached(Solution):
 
         See `kempe.solvers.velocity.derivative_tasks`.
         """
-        from kempe.solvers.velocity.derivative_tasks import derivative
-
-        return derivative(self)
-
-    def _sentence(self, index: tuple[int, ...]) -> str:
-        """The sentence for one problem."""
-        from kempe.solvers.tasks.explain_tasks import sentence
-
-        return sentence(self, index) + self._way_there(index)
+        return self._row.derive(self)
 
 
 def demands_of(problem: Demands) -> list[tuple[Any, Any, Any]]:

@@ -17,6 +17,7 @@ from kempe.analysis.spaces.planar.plane_curves import PlaneCurve
 from kempe.calls import brief, explained, explained_methods, numbers
 from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.common.result import Report
+from kempe.late import late
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import counted, joined
@@ -169,9 +170,7 @@ class PlanarWorkspace(Report):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Matplotlib axes with the regions, darker where there are more solutions, and the boundary."""
-        from kempe.views.workspace_plot import plot_planar
-
-        return plot_planar(self, ax)
+        return late("plots of workspaces").plot_planar(self, ax)
 
     @property
     def status(self) -> str:

@@ -17,6 +17,7 @@ from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods, interruptible, known, numbers
 from kempe.errors import InputError
 from kempe.kinematics.common.result import Report
+from kempe.late import late
 from kempe.reals import is_mapping, is_whole
 from kempe.solvers.common.clock import LONG, partial
 from kempe.spatial import Array
@@ -93,9 +94,7 @@ class BasePlacement(Report):
 
         Over a single axis it is a curve.
         """
-        from kempe.views.workspace_plot import plot_placement
-
-        return plot_placement(self, ax)
+        return late("plots of workspaces").plot_placement(self, ax)
 
     @property
     def status(self) -> str:

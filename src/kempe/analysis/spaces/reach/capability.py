@@ -21,6 +21,7 @@ from kempe.calls import brief, explained, explained_methods, interruptible, numb
 from kempe.constraints.frame_targets import of_target
 from kempe.errors import InputError, TimeLimitError
 from kempe.kinematics.common.result import Report
+from kempe.late import late
 from kempe.reals import is_sequence, is_whole
 from kempe.solvers.common.clock import LONG, partial
 from kempe.solvers.common.targets import Z_AXIS, frame_of
@@ -99,9 +100,7 @@ class CapabilityMap(Report):
 
     def plot(self, ax: Axes | None = None, height: float | None = None) -> Axes:
         """Matplotlib axes with the fraction over x and y, at the layer of cells nearest to a height (the middle)."""
-        from kempe.views.workspace_plot import plot_capability
-
-        return plot_capability(self, ax, height)
+        return late("plots of workspaces").plot_capability(self, ax, height)
 
     def _data(self) -> dict[str, Any]:
         names = ("axes", "directions", "rolls", "fraction", "solutions", "manipulability", "margin")

@@ -14,6 +14,7 @@ from kempe.calls import brief, explained, explained_methods, interruptible, numb
 from kempe.errors import InputError
 from kempe.kinematics.closure_rows import characteristic_length
 from kempe.kinematics.common.result import Report
+from kempe.late import late
 from kempe.reals import within_range
 from kempe.rigid import refuse_no_poses, sound
 from kempe.solvers.analytic.ik_analytic import plan_of
@@ -166,9 +167,7 @@ class ReachStudy(Report):
 
         Reached ones are dots, others crosses, those that were not tried rings.
         """
-        from kempe.views.workspace_plot import plot_reach
-
-        return plot_reach(self, ax)
+        return late("plots of workspaces").plot_reach(self, ax)
 
     def reason(self, index: int) -> str:
         """What blocks a pose, or how it is reached, as the sentence of `System.ik`. Errors: `InputError`."""

@@ -21,6 +21,7 @@ from kempe.calls import brief, explained_methods, interruptible, numbers
 from kempe.errors import InputError, shown
 from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import by_short_turns, circles
+from kempe.late import late
 from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp, partial
 from kempe.solvers.common.tracing import Curve, Node, node, step, walk
 from kempe.solvers.common.tracing import inside as node_between
@@ -118,9 +119,7 @@ class SingularCurves(Report):
 
         Errors: `InputError` where there are no curves, or no frame.
         """
-        from kempe.views.singular_plot import plot_curves
-
-        return plot_curves(self, ax)
+        return late("plots of singularities").plot_curves(self, ax)
 
     def _lines(self) -> list[str]:
         return [str(c) for c in self.curves]

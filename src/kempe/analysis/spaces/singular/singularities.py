@@ -19,6 +19,7 @@ from kempe.calls import brief, explained, explained_methods, flag, generator, in
 from kempe.errors import InputError, Interrupted
 from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import by_short_turns, circles, has_loops, one_finite
+from kempe.late import late
 from kempe.solvers.common.arguments import start_count
 from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp, partial
 from kempe.spatial import Array
@@ -118,10 +119,9 @@ class Singularities(Report):
         (after Ctrl-C in the `answer` of an `Interrupted`); `options` are those of `System.plot`.
         Errors: `InputError` where no set was found.
         """
-        from kempe.views.singular_plot import curves_shown, plot_singularities
-
-        curves = until_interrupt(curves_shown, self, budget)
-        axes = plot_singularities(self, curves, ax=ax, **options)
+        plots = late("plots of singularities")
+        curves = until_interrupt(plots.curves_shown, self, budget)
+        axes = plots.plot_singularities(self, curves, ax=ax, **options)
         if curves is not None and curves.broken is Status.INTERRUPTED:
             raise Interrupted(axes)
         return axes

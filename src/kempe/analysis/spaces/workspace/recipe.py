@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe import __version__
 from kempe.analysis.maps.cluster import refuse_kernels
 from kempe.analysis.spaces.kinds.questions import ORIENTATION, RANGES, TURNED, WorkspaceKind
 from kempe.analysis.spaces.workspace.cell_map import FEW_CELLS, USUAL_CELLS, Grid, cell_counts, grid_of
@@ -25,6 +24,7 @@ from kempe.kinematics.forward import fk
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.tree.characteristic_length import characteristic_length
 from kempe.spatial import Array
+from kempe.version import __version__
 from kempe.words import joined
 
 if TYPE_CHECKING:

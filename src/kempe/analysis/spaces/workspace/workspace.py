@@ -34,6 +34,7 @@ from kempe.analysis.spaces.workspace.recipe import closed_configurations
 from kempe.calls import explained, explained_methods
 from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.common.result import Cells, Report
+from kempe.late import late
 from kempe.reals import reals
 from kempe.spatial import Array
 from kempe.status import Status
@@ -298,9 +299,7 @@ class Workspace(Report):
 
     def plot(self, at: Any = None, ax: Any = None) -> Any:
         """Matplotlib axes with the map; see `kempe.views.workspace_plot.plot_workspace`."""
-        from kempe.views.workspace_plot import plot_workspace
-
-        return plot_workspace(self, at, ax)
+        return late("plots of workspaces").plot_workspace(self, at, ax)
 
     # ---- in words
 

@@ -14,12 +14,14 @@ from kempe.kernels.closed_form.analytic_layout import AT_REST, COUPLED, PLANE, P
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.model.immovable import immovable
 from kempe.singular_values import svd
-from kempe.solvers.analytic.answers.families import EXACT, Family
+from kempe.solvers.analytic.answers.families import EXACT, Family, families_of
 from kempe.solvers.analytic.answers.nearest import aim_of, fixed_joints, held_coordinates, nearest
+from kempe.solvers.analytic.answers.solutions import SolutionsRow
 from kempe.solvers.analytic.plans.plan import ChainPlan, carried_lines, free_lines
 from kempe.solvers.analytic.plans.plan import freedoms as rank_of
 from kempe.solvers.analytic.plans.structure import Axes, Strategy
 from kempe.solvers.common import wording
+from kempe.solvers.common.problem import Choice
 from kempe.solvers.common.proofs import Evidence, by_lengths, evidence, lengths
 from kempe.solvers.common.serial_chain import chain_of, slides_of
 from kempe.solvers.common.targets import not_a_pose
@@ -344,3 +346,16 @@ def _conditions(family: Family) -> list[tuple[str, float]]:
             x = float(family.q[0, lines.q_index[i]])
             out.append((names[int(i)], 0.0 if abs(x) < AT_ZERO and not motion.aim.slides[i] else x))
     return out
+
+
+def choice(solutions: Solutions) -> Choice:
+    """Which solver finds all answers to such problems."""
+    from kempe.solvers.analytic.ik_all import chosen
+
+    question, plan = solutions.question, solutions.plan
+    fixed = tuple(plan.lines.names[i] for i in plan.fixed)
+    return chosen(question.system, question.frame, (question.task, question.axis), fixed)[1]
+
+
+ROW = SolutionsRow(status, choice, held_sentence, nearest, families_of)
+"""What `ik_all` says of its answers."""

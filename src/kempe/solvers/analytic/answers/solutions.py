@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +18,7 @@ from kempe.singular_values import svd
 from kempe.solvers.analytic.plans.branch_names import Kind, branch_names, kind_of, named
 from kempe.solvers.analytic.plans.outcome import codes, goals
 from kempe.solvers.analytic.plans.plan import TASKS
-from kempe.solvers.common.answer import Answer, ConfigurationList
+from kempe.solvers.common.answer import Answer, ConfigurationList, Row
 from kempe.solvers.common.targets import Z_AXIS, frame_of
 from kempe.spatial import Array
 from kempe.status import member
@@ -29,7 +30,18 @@ if TYPE_CHECKING:
     from kempe.solvers.analytic.ik_all import BoundIkAll
     from kempe.solvers.analytic.plans.plan import ChainPlan
     from kempe.solvers.analytic.plans.question import Question
-    from kempe.solvers.common.problem import Choice
+
+
+@dataclass(frozen=True)
+class SolutionsRow(Row):
+    """What `ik_all` says of its answers; targets are numbered along all axes of a batch."""
+
+    held: Callable[[Any], str]
+    """Where joints are held, in a sentence."""
+    nearest: Callable[[Any, int], tuple[Array, float, float]]
+    """What comes nearest to one target."""
+    families: Callable[[Any, int], tuple[list[Family], np.ndarray]]
+    """The self-motions of one target."""
 
 
 @explained_methods
@@ -68,13 +80,6 @@ class Solutions(ConfigurationList, Answer):
     def system(self) -> System:
         """The system of the problem."""
         return self._question[0].system if isinstance(self._question, tuple) else self._question.system
-
-    def _chosen(self) -> Choice | None:
-        from kempe.solvers.analytic.ik_all import chosen
-
-        question, names = self.question, self.plan.lines.names
-        fixed = tuple(names[i] for i in self.plan.fixed)
-        return chosen(question.system, question.frame, (question.task, question.axis), fixed)[1]
 
     @property
     def single(self) -> bool:
@@ -287,13 +292,11 @@ class Solutions(ConfigurationList, Answer):
     @cached_property
     def _families(self) -> list[tuple[list[Family], np.ndarray]]:
         """Families of each target, and the family of each row (-1: none)."""
-        from kempe.solvers.analytic.answers.families import families_of
-
         spare = self.plan.locked != self.plan.fixed
         weak = [spare or bool(row.any()) for row in self._used & (self._code % 4 >= 2)]
         empty: list[Family] = []
         none: tuple[list[Family], np.ndarray] = (empty, np.full(len(self._used.T), -1))
-        return [families_of(self, i) if weak[i] else none for i in range(len(weak))]
+        return [self._row.families(self, i) if weak[i] else none for i in range(len(weak))]
 
     @property
     def families(self) -> Any:
@@ -315,11 +318,9 @@ class Solutions(ConfigurationList, Answer):
         return self._lead or ()
 
     def _sentence(self, index: tuple[int, ...]) -> str:
-        from kempe.solvers.analytic.answers.explain_ik_all import status
-
         i = int(np.ravel_multi_index(index, self._shape)) if index else 0
         if self._whole is None:
-            return status(self, i)
+            return self._row.sentence(self, i)
         return self._whole._sentence(index) + ("" if self._left_out is None else self._left_out[i])
 
     success = by_code
@@ -341,11 +342,9 @@ class Solutions(ConfigurationList, Answer):
 
         index: number of the target in a batch, counted along all its axes.
         """
-        from kempe.solvers.analytic.answers.nearest import nearest
-
         if not 0 <= index < len(self._rows):
             raise InputError(f"index is {index}; there are {counted(len(self._rows), 'target')}, from 0")
-        return nearest(self, index)
+        return self._row.nearest(self, index)
 
     def chosen(self, expand_turns: bool, inside_only: bool) -> Solutions:
         """The same answer with every turn inside the limits listed, or without what is outside them."""
@@ -383,14 +382,13 @@ class Solutions(ConfigurationList, Answer):
         of = "" if self.single else f" of {counted(len(self._rows), 'target')}"
         return f"Solutions({self.system.name!r}, {self.question.frame!r}, {what}{of})"
 
+    row = "answers of ik_all"
     what = "targets reached"
     also = ("complete", "late", "inside", "multiplicity", "branch", "names", "held", "spare", "tried")
 
     def _headline(self) -> str:
-        from kempe.solvers.analytic.answers.explain_ik_all import held_sentence
-
         text = super()._headline() + ("" if self.single else f", {counted(int(self._used.sum()), 'solution')}")
-        return f"{text}; {held_sentence(self)}" if self.spare and not self.single else text
+        return f"{text}; {self._row.held(self)}" if self.spare and not self.single else text
 
     def _cells(self) -> Cells:
         """What is shown of one target: coordinates of the chain, and what is special."""

@@ -1,0 +1,43 @@
+"""What lower layers ask of higher ones: the only names that point upwards, as text, imported on first use.
+
+`Mechanism.build` makes a `System`, answers are explained by the verb that gave them, and are drawn. All other imports
+point from a layer to those below it.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import import_module
+from typing import Any
+
+ROWS = {
+    "System": "kempe.model.system:System",
+    "read_urdf": "kempe.description.urdf.urdf:read_urdf",
+    "write_urdf": "kempe.description.urdf.urdf_writer:write_urdf",
+    "read_toml": "kempe.description.toml.toml:read_toml",
+    "write_toml": "kempe.description.toml.toml_writer:write_toml",
+    "write": "kempe.description.write:write",
+    "assemble": "kempe.solvers.assembly.assembly:assemble",
+    "way_there": "kempe.solvers.common.slip:way_there",
+    "answers of assemble": "kempe.solvers.assembly.explain_assembly:ROW",
+    "answers of ik": "kempe.solvers.one_frame.explain_ik:ROW",
+    "answers of ik, tasks": "kempe.solvers.tasks.explain_tasks:ROW",
+    "answers of ik_all": "kempe.solvers.analytic.answers.explain_ik_all:ROW",
+    "plots": "kempe.views.plots:",
+    "plots of singularities": "kempe.views.singular_plot:",
+    "plots of workspaces": "kempe.views.workspace_plot:",
+}
+"""Names, and where they are: ``module:member``, or ``module:`` for the module itself."""
+
+
+@cache
+def late(name: str) -> Any:
+    """What a row of `ROWS` names."""
+    module, _, member = ROWS[name].partition(":")
+    found = import_module(module)
+    return getattr(found, member) if member else found
+
+
+def call_late(name: str, *args: Any, **options: Any) -> Any:
+    """What the function that a row names returns for these arguments."""
+    return late(name)(*args, **options)
