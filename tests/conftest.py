@@ -86,13 +86,12 @@ def usual_time_limits_are_far() -> Iterator[None]:
     """Limits that are for people, of half a minute and more, never end a test: it may run on a busy machine."""
     from kempe.solvers.common import arguments, clock
     from kempe.solvers.one_frame import inverse
-    from kempe.solvers.tasks import ik_tasks
 
     def far(limit: float | None) -> float:
         return arguments.deadline(limit) + (FAR if limit is not None and limit >= clock.SHORT else 0.0)
 
     with pytest.MonkeyPatch.context() as patch:
-        for module in (clock, inverse, ik_tasks):
+        for module in (clock, inverse):
             patch.setattr(module, "deadline", far)
         yield
 

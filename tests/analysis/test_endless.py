@@ -198,9 +198,9 @@ def test_samples_points_and_self_motions_keep_what_was_done(looks):
 
 def test_modes_and_paths_of_targets_keep_what_was_done(looks):
     s, panda = kempe.load("rssr"), kempe.load("panda")
-    looks(20)
+    looks(40)
     modes = s.assembly_modes({"A": 0.4}, frame="rocker", budget=kempe.Budget(time_limit=5.0))
-    assert modes.late and modes and "found from 256 starts" in modes.status and "time limit" in modes.status
+    assert modes.late and modes and "found from 384 starts" in modes.status and "time limit" in modes.status
     q = panda.q("ready") + 0.3 * np.linspace(0.0, 1.0, 50)[:, None]
     looks(9)
     path = panda.ik_path(panda.fk(q, "panda_hand_tcp"), "panda_hand_tcp", q[0], budget=kempe.Budget(time_limit=5.0))

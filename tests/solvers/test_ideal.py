@@ -21,7 +21,8 @@ from rounded import FAMILIES, NAMES, exact, in_place, perturbed, rounded, spheri
 
 import kempe
 from kempe import Mechanism, System
-from kempe.errors import InputError
+from kempe.budget import look
+from kempe.errors import InputError, TimeLimitError
 from kempe.kinematics.closure_rows import characteristic_length
 from kempe.placement import Placement
 from kempe.solvers.assembly import ideal
@@ -358,14 +359,51 @@ def test_names_that_searches_give_to_parts_of_their_own_may_be_taken(name):
 
 
 def test_a_time_limit_ends_the_search_and_the_answer_says_so(hunt, monkeypatch):
-    """What is known then is the answer for the given numbers; the next call without a limit searches again."""
+    """What is closed is not known then, and nothing is a success; the next call without a limit searches again."""
     given = rounded(exact("bennett"), 6, hunt.rng())
     with monkeypatch.context() as m:
         m.setattr(clock, "time", SimpleNamespace(monotonic=itertools.count(1e9).__next__))
         answer = given.assemble(budget=kempe.Budget(time_limit=1.0))
-    assert answer.late and answer.within is None and "the time limit ended the search" in answer.status
+        many = given.assemble({given.coordinate_names[0]: [0.1, 0.2]}, budget=kempe.Budget(time_limit=1.0))
+    assert answer.late and answer.within is None and "time limit of 1 s ended the search" in answer.status
+    assert not answer.success and answer.code is kempe.Status.OUT_OF_TIME and np.isfinite(answer.q).all()
+    assert many.late and not many.success.any() and (many.code == kempe.Status.OUT_OF_TIME).all()
     again = given.assemble(budget=kempe.Budget(time_limit=100.0))
     assert again and not again.late and again.within is not None and again.status == given.assemble().status
+
+
+UNDECIDED = {
+    "assemble": lambda s, name, b: s.assemble(budget=b),
+    "mobility": lambda s, name, b: s.mobility(budget=b),
+    "classify": lambda s, name, b: s.classify(budget=b),
+    "assembly_modes": lambda s, name, b: s.assembly_modes({name: 0.3}, budget=b),
+    "trace": lambda s, name, b: s.trace(name, budget=b),
+    "drive": lambda s, name, b: s.drive({name: [0.3, 0.4]}, budget=b),
+    "ik": lambda s, name, b: s.ik(s.fk(s.mid, s.body_names[-1]), s.body_names[-1], budget=b),
+    "ik_path": lambda s, name, b: s.ik_path(s.fk(s.mid, s.body_names[-1])[None], s.body_names[-1], budget=b),
+    "components": lambda s, name, b: s.configuration_space.components(budget=b),
+}
+
+
+@pytest.mark.parametrize("verb", UNDECIDED)
+def test_no_verb_answers_before_it_is_decided_which_mechanism_is_closed(verb, hunt, monkeypatch):
+    """One search for each system decides for all verbs: none of them answers for the given numbers in its place."""
+    given, searched = rounded(exact("bennett"), 6, hunt.rng()), []
+
+    def search(system: kempe.System, *_: Any, **__: Any) -> None:
+        searched.append(system)
+        look()
+        raise AssertionError("the time was up")
+
+    monkeypatch.setattr(ideal, "_searched", search)
+    monkeypatch.setattr(clock, "time", SimpleNamespace(monotonic=lambda: math.inf if searched else -math.inf))
+    try:
+        answer = UNDECIDED[verb](given, given.coordinate_names[0], kempe.Budget(time_limit=100.0))
+    except TimeLimitError as error:
+        assert "over before anything was known" in str(error)
+    else:
+        assert answer.late and answer.code is kempe.Status.OUT_OF_TIME and not answer
+    assert searched
 
 
 def test_loops_that_close_with_any_dimensions_are_not_searched(monkeypatch):

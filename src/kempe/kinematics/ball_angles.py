@@ -70,7 +70,7 @@ def _balls(system: System) -> dict[str, list[int]]:
     related |= {n for r in system.structure.relations for n in (r.of, *r.sources)}
     found: dict[str, list[int]] = {}
     for joint in system.structure.joints.values():
-        particle = system.mechanism.bodies[joint.child].particle
+        particle = system._mechanism.bodies[joint.child].particle
         own, steps = joint.type.layout(system.dim, particle)
         last = steps[-3:] if plain(steps) else ()
         angles = [f"{joint.name}.{own[p.coordinate]}" for p in last if p.kind == R]

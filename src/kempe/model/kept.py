@@ -6,6 +6,8 @@ from collections.abc import Callable
 from functools import wraps
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
+from kempe.budget import look
+
 if TYPE_CHECKING:
     from kempe.model.system import System
 
@@ -17,7 +19,10 @@ T = TypeVar("T")
 
 
 def kept(function: Callable[Concatenate[System, Keys], T]) -> Callable[Concatenate[System, Keys], T]:
-    """A decorator for functions of a system and keys: an answer is kept, and returned again for equal arguments."""
+    """A decorator for functions of a system and keys: an answer is kept, and returned again for equal arguments.
+
+    Before an answer is worked out, the clock is looked at: of large systems it may take long.
+    """
 
     @wraps(function)
     def call(system: System, *keys: Any) -> T:
@@ -25,7 +30,10 @@ def kept(function: Callable[Concatenate[System, Keys], T]) -> Callable[Concatena
         if answers is None:
             answers = system._kept[function] = {}
         found = answers.get(keys, answers)  # it never holds itself
-        return keep(answers, keys, function(system, *keys)) if found is answers else found  # type: ignore[call-arg]
+        if found is not answers:
+            return found
+        look()
+        return keep(answers, keys, function(system, *keys))  # type: ignore[call-arg]
 
     return call  # type: ignore[return-value]
 

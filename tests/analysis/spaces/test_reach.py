@@ -166,11 +166,11 @@ def interrupted(done: int, total: int) -> None:
     raise KeyboardInterrupt
 
 
-@pytest.mark.parametrize(("budget", "code"), [
-    (Budget(starts=4, progress=interrupted), Status.INTERRUPTED),
-    (Budget(starts=4, time_limit=1e-9), Status.OUT_OF_TIME),
+@pytest.mark.parametrize(("budget", "code", "slices"), [
+    (Budget(starts=4, progress=interrupted), Status.INTERRUPTED, 1),
+    (Budget(starts=4, time_limit=1e-9), Status.OUT_OF_TIME, 0),
 ])  # fmt: skip
-def test_what_was_done_stays_where_a_map_is_broken_off(budget, code, monkeypatch):
+def test_what_was_done_stays_where_a_map_is_broken_off(budget, code, slices, monkeypatch):
     monkeypatch.setattr(map_slices, "SLICE", 8)
     box = [[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]
     part, whole = (
@@ -178,20 +178,23 @@ def test_what_was_done_stays_where_a_map_is_broken_off(budget, code, monkeypatch
     )
     assert part.code == code and "this is the part that was done" in part.status and whole.broken is None
     done = np.isfinite(part.fraction).ravel()
-    assert done.tolist() == [True] * 2 + [False] * 6
-    np.testing.assert_array_equal(part.fraction.ravel()[:2], whole.fraction.ravel()[:2])
+    first = 2 * slices
+    assert done.tolist() == [True] * first + [False] * (8 - first)
+    np.testing.assert_array_equal(part.fraction.ravel()[:first], whole.fraction.ravel()[:first])
     ranges = {"x": (-4.0, 0.0), "y": (-0.1, 0.1)}
     part, whole = (until_interrupt(UR.reach.place, UR.fk(UR.mid, "tool")[None], "tool", ranges, 4, budget=b)
                    for b in (budget, Budget(starts=4)))  # fmt: skip
-    assert np.isfinite(part.fraction).sum() == 8 and part.broken == code
-    np.testing.assert_array_equal(part.fraction.ravel()[:8], whole.fraction.ravel()[:8])
-    assert part.place()["x"] in part.axes["x"][:2]
+    first = 8 * slices
+    assert np.isfinite(part.fraction).sum() == first and part.broken == code
+    np.testing.assert_array_equal(part.fraction.ravel()[:first], whole.fraction.ravel()[:first])
+    assert not slices or part.place()["x"] in part.axes["x"][:2]
     poses = UR.fk(UR.random(0, 12), "tool")
     part, whole = (until_interrupt(UR.reach.poses, poses, "tool", budget=b) for b in (budget, Budget(starts=4)))
-    assert part.code == code and part.tried.tolist() == [True] * 8 + [False] * 4 and whole.tried.all()
-    np.testing.assert_array_equal(part.solutions, [*whole.solutions[:8], *[-1] * 4])
-    assert "of 8 poses reached (" in part.status and not part.reached[8:].any() and (part.codes[8:] == code).all()
-    assert not {*part.reasons} & {8, 9, 10, 11}, "poses that were not tried are not blocked"
+    assert part.code == code and part.tried.tolist() == [True] * first + [False] * (12 - first) and whole.tried.all()
+    np.testing.assert_array_equal(part.solutions, [*whole.solutions[:first], *[-1] * (12 - first)])
+    assert f"of {first} poses reached (" in part.status
+    assert not part.reached[first:].any() and (part.codes[first:] == code).all()
+    assert not {*part.reasons} & {*range(first, 12)}, "poses that were not tried are not blocked"
 
 
 def test_a_search_can_be_broken_off_before_many_poses_are_tried():

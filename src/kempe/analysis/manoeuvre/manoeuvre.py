@@ -25,7 +25,7 @@ from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.kinematics.configuration import as_q, has_loops, refuse_far
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.reals import is_real, is_whole, named
-from kempe.solvers.common.clock import SHORT, TimeLimit, TimeUp
+from kempe.solvers.common.clock import SHORT, TimeLimit, TimeUp, begun_within
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -71,8 +71,9 @@ def manoeuvre(
     if not is_whole(samples) or not 2 <= samples <= MOST:
         raise InputError(f"points is {samples!r}; it must be a whole number, at least 2 and at most {MOST}")
     time.put_in_order()  # there is nothing to do afterwards
-    car = wheeled(system, q)
-    loose = _loose(system, goal, free, car)
+    with begun_within(USUAL, time):
+        car = wheeled(system, q)
+        loose = _loose(system, goal, free, car)
     motion, said, late = None, "", False
     try:
         with time:

@@ -242,7 +242,7 @@ class _Classifier:
     def _each(self, place: EvaluationPoint) -> Mapping[str, ConstraintKind]:
         each: dict[str, ConstraintKind] = {}
         for name, rows in self.of.items():
-            if self.time.spent and name in self.moving:
+            if self.time.spent:
                 continue
             try:
                 each[name] = self._one(place, name, rows)

@@ -192,7 +192,15 @@ USUAL = Usual("mobility", time_limit=SHORT)
 
 
 @explained
-@time_limited(USUAL)
+def _counted(time: TimeLimit, system: System, q: Any = None, *_: Any, **__: Any) -> Mobility:
+    """The count alone: the time was up before more was known."""
+    given, tree = None if q is None else _given(system, q), own_tree(system)
+    why = f"the time limit of {time.limit:g} s came before a closed configuration and its ranks were known"
+    at = NearestClosed(home_of(tree) if given is None else given, False, math.nan, math.nan, why)
+    return replace(_open(tree, system, at), late=True)
+
+
+@time_limited(USUAL, _counted)
 @tolerant()
 def mobility(
     system: System, q: Any = None, actuated: Iterable[str] | None = None, *, local: bool = True,
@@ -214,14 +222,7 @@ def mobility(
     shown, system = system, own_tree(system)
     driven(system, actuated)  # a wrong name is refused before any work
     given = None if q is None else _given(system, q)
-    try:
-        return _looked_at(system, shown, given, actuated, local, generator(rng), time)
-    except TimeUp:
-        if not time.spent:
-            raise
-    why = f"the time limit of {time.limit:g} s came before a closed configuration and its ranks were known"
-    at = NearestClosed(home_of(system) if given is None else given, False, math.nan, math.nan, why)
-    return replace(_open(system, shown, at), late=True)
+    return _looked_at(system, shown, given, actuated, local, generator(rng), time)
 
 
 def _looked_at(

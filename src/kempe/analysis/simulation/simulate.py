@@ -20,7 +20,7 @@ from kempe.budget import Budget, Usual
 from kempe.calls import explained, explained_methods, interruptible, numbers
 from kempe.errors import InputError, UnknownNameError
 from kempe.reals import is_mapping, is_real, is_whole, named, reals
-from kempe.solvers.common.clock import BROKEN_OFF, LONG, TimeLimit, TimeUp
+from kempe.solvers.common.clock import BROKEN_OFF, LONG, TimeLimit, TimeUp, begun_within
 from kempe.spatial import Array
 from kempe.words import InWords, counted
 
@@ -177,18 +177,21 @@ def simulate(
     samples = spend.points
     if not is_whole(samples) or not 2 <= samples <= MOST_SAMPLES:
         raise InputError(f"points is {samples!r}; it must be a whole number, at least 2 and at most {MOST_SAMPLES}")
-    q = start_of(system, start, {}).astype(float)
+    limit = TimeLimit(spend.time_limit)
+    with begun_within(USUAL, limit):
+        q = start_of(system, start, {}).astype(float)
     times = np.linspace(0.0, float(duration), int(samples))
     if inputs is not None:
-        allowed, limit = TOLERANCE if tolerance is None else tolerance, TimeLimit(spend.time_limit)
+        allowed = TOLERANCE if tolerance is None else tolerance
         return _rolls(system, q, times, inputs, velocity, acceleration, allowed, limit)
     if not is_real(restitution) or not 0.0 <= restitution <= 1.0:
         raise InputError(f"restitution is {restitution!r}; it must be between 0 (no rebound) and 1 (no loss)")
     v = _velocity(system, velocity)
-    fall = falling(system, q, v, float(duration))
-    start_of_flight(fall, q)
+    with begun_within(USUAL, limit):
+        fall = falling(system, q, v, float(duration))
+        start_of_flight(fall, q)
     g = _acceleration(system, acceleration)
-    gravity, first, limit = fall.basis.T @ g, (fall.y(q), fall.shape @ v[fall.slides_v]), TimeLimit(spend.time_limit)
+    gravity, first = fall.basis.T @ g, (fall.y(q), fall.shape @ v[fall.slides_v])
     broken: BaseException | None = None
     if fall.moving is None:
         flight = Flight(fall.planes, gravity, float(restitution))
@@ -226,7 +229,8 @@ def _rolls(
         raise InputError(f"{name} is for what falls by itself; with inputs all velocities follow from these")
     if not is_real(tolerance) or not 1e-14 <= tolerance <= 1e-3:
         raise InputError(f"tolerance is {tolerance!r}; it must be between 1e-14 and 1e-3")
-    found = roll(system, inputs, q, times, float(tolerance), time)
+    with begun_within(USUAL, time):
+        found = roll(system, inputs, q, times, float(tolerance), time)
     late, interrupted = isinstance(found.broken, TimeUp), isinstance(found.broken, KeyboardInterrupt)
     return Simulation(system, found.t, found.q, found.v, (), not found.reason and found.broken is None, found.reason,
                       slip(system, found.t, found.q, found.v), interrupted, late)  # fmt: skip

@@ -27,6 +27,7 @@ from kempe.solvers.analytic.plans.chain_lines import Lines, lines_of
 from kempe.solvers.analytic.plans.choice import plan_holding
 from kempe.solvers.analytic.plans.plan import ChainPlan, kernel_of, side_by_side_of
 from kempe.solvers.analytic.plans.question import Question, Watch, held, held_by, near_of, within
+from kempe.solvers.common.clock import TimeLimit, begun_within
 from kempe.solvers.common.problem import Choice, Problem, Solver, TaskOf, choose, chosen_by, takes_all
 from kempe.solvers.common.serial_chain import inside, of_loops, shared_by
 from kempe.solvers.common.targets import (
@@ -113,7 +114,11 @@ def ik_all(
     known = held_by(fixed)
     problem = Problem(system, "all", known, start, None, limits, tolerance, budget, frame=name, task=(task, direction),
                       targets=targets, lead=lead)  # fmt: skip
-    solver, choice = chosen(system, name, problem.task, tuple(known))
+    time = TimeLimit((BATCH if lead else USUAL).of(budget).time_limit)
+    time.put_in_order()  # a plan is made as a whole, or not at all
+    with begun_within(USUAL, time):
+        solver, choice = chosen(system, name, problem.task, tuple(known))
+    problem = problem._replace(options={"time": time})
     return chosen_by(solver.run(problem), choice)
 
 
@@ -137,7 +142,7 @@ def _of_chain(problem: Problem) -> Solutions:
     single = problem.lead == ()
     lines, spend = chain_lines(system, name, direction), (USUAL if single else BATCH).of(problem.budget)
     values, threads = held(name, lines.names, problem.known), spend.threads
-    watch = Watch(spend.time_limit, len(targets))
+    watch = Watch(problem.options["time"], len(targets))
     plan = plan_for(system, name, lines, task, direction, tuple(values))
     wanted = TOLERANCE if problem.tolerance is None else within(problem.tolerance)
     sure = max(wanted, attainable(targets, lines))

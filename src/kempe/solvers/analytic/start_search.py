@@ -48,10 +48,11 @@ def search(
     """Fill the rows `out` (N, K, n + 2) and `counts` (N, 2) of the targets whose numbers are in `which`."""
     out[which, :, -A.INFO + A.CODE] = A.UNUSED
     counts[which, 1] = 1
-    for i in which:
-        if question.stopped(i):
-            counts[i, 0] = 0
-            continue
+    for k, i in enumerate(which):
+        if question.stopped(which[k:]):
+            bad = ~np.isfinite(question.targets[which[k:]]).all(axis=(1, 2))
+            counts[which[k:], 0] = np.where(bad, -1, 0)
+            break
         target = question.targets[i]
         if not np.isfinite(target).all():
             counts[i, 0] = -1

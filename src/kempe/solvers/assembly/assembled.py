@@ -43,8 +43,8 @@ class Assembly(Answer):
     late: bool = False
     """Whether the time limit ended the search for the nearest mechanism that closes exactly.
 
-    This is then the answer for the dimensions as they are given. Sets of known values for which it ended the search for
-    a closed configuration have the `code` `OUT_OF_TIME`.
+    Nothing is then known to be closed, and nothing is a success. Sets of known values for which it ended the search for
+    a closed configuration have the `code` `OUT_OF_TIME`, too.
     """
     limit: float | None = field(default=None, repr=False)
     """The time limit, in seconds, where it may have ended the work."""

@@ -49,11 +49,11 @@ def assemble(
     Of the `budget` are read: starts (20), rng (0), threads, and time_limit (30 s; none for the search of a batch, whose
     length says how long it takes). Sets of known values for which it ended the search have the code `OUT_OF_TIME`, and
     in `q` what is nearest to closing by then. Where it ended the search for the nearest mechanism that closes exactly,
-    which is made once for each system, the answer is the one for the dimensions as they are given, and says so. The
-    first start is `start`; the others are drawn around it from rng, wider and wider. An open loop is never a success:
-    the answer then says which loop is open, by how much, and `q` is the nearest to closing; ``answer.expect()`` raises
-    `NoSolutionError` then. Redundant constraints are no obstacle. Method: damped least squares with steps of minimum
-    norm (Nakamura and Hanafusa, 1986; Sugihara, 2011).
+    which is made once for each system and decides for all verbs what is closed, nothing is a success, and the answer
+    says so. The first start is `start`; the others are drawn around it from rng, wider and wider. An open loop is never
+    a success: the answer then says which loop is open, by how much, and `q` is the nearest to closing;
+    ``answer.expect()`` raises `NoSolutionError` then. Redundant constraints are no obstacle. Method: damped least
+    squares with steps of minimum norm (Nakamura and Hanafusa, 1986; Sugihara, 2011).
     `also` are constraints of `kempe.constraints`, or functions of q (nq,) that are zero, for this call. `tolerance` is
     as in `kempe.solvers.assembly.ideal`; where no other mechanism closes, the largest residual of a success.
     """
@@ -72,8 +72,9 @@ def assemble(
         except TimeUp:
             if not time.spent:
                 raise
-            answer = _of_given(system, given, start, branch, prefer, limits, tolerance, _left(budget, time), signs)
-            return replace(answer, late=True, limit=time.limit)
+            q = system.q(branch) if branch is not None and start is None and not signs else start
+            problem = Problem(system, "one", given, q, None, limits, TOLERANCE)
+            return replace(_unsolved(bare(system, given), problem), late=True, limit=time.limit)
         budget = _left(budget, time)
     if tolerance is not None:
         system, tolerance = allowing(system, tolerance)
@@ -108,23 +109,8 @@ def _left(budget: Budget | None, time: TimeLimit) -> Budget | None:
     return budget if time.limit is None else replace(budget or Budget(), time_limit=time.left)
 
 
-def _of_given(
-    system: System, given: Mapping[str, Any], start: Any, branch: str | None, prefer: str | None, limits: bool,
-    tolerance: Any, budget: Budget | None, signs: bool,
-) -> Assembly:  # fmt: skip
-    """The answer for the dimensions as they are given: the time was up before a nearest exact mechanism was known.
-
-    Branches that `signs` name are those of that mechanism: then there is no success.
-    """
-    if signs:
-        return _unsolved(bare(system, given), Problem(system, "one", given, start, None, limits, TOLERANCE, budget))
-    q = system.q(branch) if branch is not None and start is None else start
-    most = min(tolerance, LOOSEST) if isinstance(tolerance, float) else TOLERANCE
-    return bare(system, given)._solve(Problem(system, "one", given, q, prefer, limits, most, budget))
-
-
 def _unsolved(assembler: Assembler, problem: Problem) -> Assembly:
-    """The answer where the time was up before configurations were found on the branch that is named."""
+    """The answer where the time was up before it was known what closes, or configurations on a named branch."""
     answer = assembler._solve(problem._replace(prefer=None, budget=Budget(starts=1, time_limit=LEAST)))
     code = np.where(np.asarray(answer.code) == Status.BAD_INPUT, Status.BAD_INPUT, Status.OUT_OF_TIME)
     return replace(answer, success=plain(np.zeros(np.shape(code), dtype=bool)), code=member(plain(code)))

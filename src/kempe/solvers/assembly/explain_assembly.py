@@ -34,10 +34,10 @@ COINCIDE = 1e-6
 
 
 LATE = (
-    "the time limit ended the search for a mechanism near by that closes exactly: this is the answer for the given "
-    "dimensions"
+    "the time limit of {:g} s ended the search for the nearest mechanism that closes exactly: what closes is not known"
+    "; allow more by kempe.Budget(time_limit=...)"
 )
-"""What an answer adds that came before the search ended."""
+"""The answer where this search did not end."""
 
 
 def choice(answer: Assembly) -> Choice:
@@ -49,7 +49,8 @@ def choice(answer: Assembly) -> Choice:
 
 def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
     """The sentence for one configuration of an assembly."""
-    return f"{_sentence(answer, index)}; {LATE}" if answer.late else _sentence(answer, index)
+    undecided = answer.late and np.asarray(answer.code)[index] == Status.OUT_OF_TIME
+    return LATE.format(answer.limit) if undecided else _sentence(answer, index)
 
 
 def _sentence(answer: Assembly, index: tuple[int, ...]) -> str:
@@ -71,7 +72,7 @@ def _sentence(answer: Assembly, index: tuple[int, ...]) -> str:
         return wording.failed(said, _open(bound, q, residual), "q is the nearest to closing so far")
     why: Any = _one_sided(bound, q) or _limits(bound, q) or _too_many(bound)
     why = why or "with these values no closed configuration was found"
-    wider, loose = nearly(bound.system) if residual < NEARLY and not answer.late else None, ""
+    wider, loose = nearly(bound.system) if residual < NEARLY else None, ""
     if wider is not None:
         loose = f"it closes {wider.least}: give a larger tolerance"
     elif residual <= LOOSEST / 2.0:

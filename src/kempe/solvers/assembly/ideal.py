@@ -41,7 +41,7 @@ from kempe.solvers.assembly.dimensions import (
     moves_all_along,
 )
 from kempe.solvers.assembly.relations import Place, Relations, snapped
-from kempe.solvers.common.clock import ENDLESS, LONG, TIME_LIMIT, TimeLimit, time_limited
+from kempe.solvers.common.clock import ENDLESS, LONG, TIME_LIMIT, TimeLimit, begun_within, time_limited
 from kempe.solvers.common.slip import rolls
 from kempe.spatial import Array, log_so3, xyz_rpy_from_pose
 from kempe.words import InWords, counted
@@ -225,15 +225,30 @@ def within(system: System, tolerance: Any = None, time: TimeLimit = ENDLESS) -> 
     found = answers.get(key, answers)  # it never holds itself
     if found is not answers:
         return found
+    most = tolerance_of(system, tolerance)
+    if not _closes(system):
+        return keep(answers, key, None)
     own = time is ENDLESS and not checks()
     time = TimeLimit(LONG) if own else time
     try:
         with time:
-            return keep(answers, key, _searched(system, tolerance_of(system, tolerance), time=time))
+            return keep(answers, key, _searched(system, most, time=time))
     except TimeUp:
         if own:
             raise TimeLimitError("the search for the nearest mechanism that closes exactly", time.limit) from None
         raise
+
+
+def decided_within(usual: Usual, time: TimeLimit, system: System) -> None:
+    """Decide within the time of a verb which mechanism answers for the system. Errors: `TimeLimitError`."""
+    if _closes(system) and not is_known(system):
+        with begun_within(usual, time):
+            within(system)
+
+
+def _closes(system: System) -> bool:
+    """Whether there is anything that has to close."""
+    return bool(system.structure.closures or system._mechanism.constraints)
 
 
 def is_known(system: System, tolerance: Any = None) -> bool:
@@ -288,7 +303,7 @@ def said(found: Idealised | None) -> str:
 
 
 def _searched(system: System, most: float, thorough: bool = True, time: TimeLimit = ENDLESS) -> Idealised | None:
-    if system._ideal is not None or not (system.structure.closures or system._mechanism.constraints):
+    if system._ideal is not None or not _closes(system):
         return None
     if not system.nv or timed(system) or rolls(system) or _closes_anyway(system, most):
         return None

@@ -206,7 +206,7 @@ def _relations(system: System) -> list[LinearRow]:
     balls: set[str] = set()
     for joint in system.mechanism.joints.values():
         names = system.structure.coordinates_of_joint(joint.name)
-        steps = joint.type.layout(system.dim, system.mechanism.bodies[joint.child].particle)[1]
+        steps = joint.type.layout(system.dim, system._mechanism.bodies[joint.child].particle)[1]
         slow = {p.coordinate for p in steps if p.kind == P and p.multiplier or not float(p.multiplier).is_integer()}
         turning |= {names[p.coordinate] for p in steps if p.coordinate not in slow and p.kind != Q}
         balls |= {n for p in steps if p.kind == Q for n in names[p.coordinate : p.coordinate + 4]}
@@ -299,7 +299,7 @@ def _refuse_held(system: System, values: dict[str, Array], tolerance: float) -> 
     """Refuse rotations that are not those of quaternions that are held."""
     for joint in system.mechanism.joints.values():
         names = [n for n in system.structure.coordinates_of_joint(joint.name) if n in system.structure.couplings]
-        for p in joint.type.layout(system.dim, system.mechanism.bodies[joint.child].particle)[1]:
+        for p in joint.type.layout(system.dim, system._mechanism.bodies[joint.child].particle)[1]:
             four = system.structure.coordinates_of_joint(joint.name)[p.coordinate : p.coordinate + 4]
             if p.kind == Q and four[0] in names:
                 quat = np.array([system.structure.couplings[n].offset for n in four])

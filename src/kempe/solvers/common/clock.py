@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from typing import Any, TypeVar
 
@@ -115,6 +117,21 @@ def time_limited(
     return of
 
 
+@contextlib.contextmanager
+def begun_within(usual: Usual, time: TimeLimit) -> Iterator[None]:
+    """A block in which a verb prepares its work. Errors: `TimeLimitError` where its time is up in it.
+
+    For verbs that keep what was done by then once the work has begun: before that there is nothing to keep.
+    """
+    try:
+        with time:
+            yield
+    except TimeUp:
+        if not time.spent:
+            raise  # that of a verb which called this one
+        raise TimeLimitError(usual.verb, time.limit) from None
+
+
 _running = threading.local()
 
 
@@ -132,7 +149,7 @@ def up_at(end: float) -> Callable[[], None]:
     """A check for `watched_by` that raises `EndReached` from the time `end` of `time.monotonic` on."""
 
     def check() -> None:
-        if time.monotonic() >= end:
+        if end < math.inf and time.monotonic() >= end:
             raise EndReached
 
     return check

@@ -155,10 +155,10 @@ def obstacle(system: System, name: str) -> str | None:
                 f"frame {name!r} moves with coordinate {relation.of!r}, which follows several others: no chain of its "
                 f"own leads there"
             )
-    if any(c.equations(system.dim) for c in system.mechanism.constraints.values()):
+    if any(c.equations(system.dim) for c in system._mechanism.constraints.values()):
         loops = full(system, False)
         for k, tie in enumerate(loops.ties):
-            if tie.name in system.mechanism.constraints and moving & set(loops.columns(k)):
+            if tie.name in system._mechanism.constraints and moving & set(loops.columns(k)):
                 return f"frame {name!r} moves with the constraint {tie.name!r}: no chain of its own leads there"
     return None
 

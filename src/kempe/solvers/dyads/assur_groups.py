@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from itertools import product
 from typing import TYPE_CHECKING
 
+from kempe.budget import look
 from kempe.joints import P, R
 from kempe.kernels.dyads import dyads_layout as K
 from kempe.solvers.dyads.decompose import NOWHERE, SAME, Code, Dyad, Link, PartLine, Parts, Pose, inverse, times, turned
@@ -64,7 +65,7 @@ class Decomposition:
     def run(self) -> list[int]:
         """Clusters, other than the ground's, that remain when no further dyad closes."""
         while self._drive() or self._relate() or self._ground() or self._floating():
-            pass
+            look()
         return [c for c in self.members if c != GROUND]
 
     def freedom(self) -> int:
@@ -85,7 +86,7 @@ class Decomposition:
 
     def _relate(self) -> bool:
         """Whether a relation of coordinates was used: to find its one unknown, or as a check if it has none."""
-        slots = {c: i for i, c in enumerate(self.system.coordinate_names)}
+        slots = {c: i for i, c in enumerate(self.system.coordinate_names)} if self.relations else {}
         for relation in self.relations:
             terms = {slots[relation.of]: 1.0, **{slots[k]: -m for k, m in relation.sources.items()}}
             unknown = [s for s in terms if s not in self.known]

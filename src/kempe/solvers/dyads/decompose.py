@@ -202,7 +202,7 @@ def _assemble(system: System, held: dict[str, tuple[str, str, Pose]], moving: li
     at, groups, misfit = _merge(order, held)
     number = {b: i for i, b in enumerate(system.body_names)}
     slots = {c: i for i, c in enumerate(system.coordinate_names)}
-    parameters = system.structure.parameters
+    parameters, mechanism = system.structure.parameters, system.mechanism  # a copy: it takes long
     links: list[Link] = []
     for joint in moving:
         (a, X_A), (b, X_B) = at[joint.parent], at[joint.child]
@@ -211,12 +211,12 @@ def _assemble(system: System, held: dict[str, tuple[str, str, Pose]], moving: li
         assert motion is not None
         turns, axis = motion.kind == R, "xyz".index(motion.axis)
         F, M = (times(X, _flat(Y) if turns else _rail(Y, axis)) for X, Y in ((X_A, X_PF), (X_B, X_CM)))
-        source, multiplier, offset = coordinate_names(system.mechanism, joint)[0], 1.0, 0.0
+        source, multiplier, offset = coordinate_names(mechanism, joint)[0], 1.0, 0.0
         follower = system.structure.couplings.get(source)
         if follower is not None:
             source, multiplier, offset = follower.source or "", follower.multiplier, follower.offset
         links.append(Link(joint.name, R if turns else P, a, b, F, M, slots[source], multiplier, offset))
-    constraints = system.mechanism.constraints
+    constraints = mechanism.constraints
     for name in sorted((n for n, c in constraints.items() if c.equations(2)), key=natural):
         links += _tie(system, name, len(groups), at)
         groups.append([name])
@@ -228,7 +228,7 @@ def _assemble(system: System, held: dict[str, tuple[str, str, Pose]], moving: li
 
 def _tie(system: System, name: str, part: int, at: dict[str, tuple[int, Pose]]) -> list[Link]:
     """The two links of a constraint, on a part of its own."""
-    constraint, parameters = system.mechanism.constraints[name], system.structure.parameters
+    constraint, parameters = system._mechanism.constraints[name], system.structure.parameters
     (a, X_A), (b, X_B) = at[constraint.parent], at[constraint.child]
     X_PF, X_CM = constraint.frames(parameters, 2)
     here, there = (f"{name} ({body})" for body in (constraint.parent, constraint.child))

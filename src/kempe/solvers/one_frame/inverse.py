@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.budget import Budget, Usual
+from kempe.budget import Budget, TimeUp, Usual
 from kempe.calls import explained, flag, together
 from kempe.constraints.frame_targets import of_target
-from kempe.errors import InputError
+from kempe.errors import InputError, TimeLimitError
 from kempe.kernels.base.search_layout import ANSWER, LARGEST, LINEAR, SOLVED, STATUS
 from kempe.kinematics.configuration import as_start, refuse_far
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.kept import kept
 from kempe.rigid import sound
 from kempe.solvers.common.arguments import deadline, seed_number, start_count, step_count, tolerances
-from kempe.solvers.common.clock import SHORT
-from kempe.solvers.common.problem import Choice, Problem, Solver, TaskOf, choose, chosen_by
+from kempe.solvers.common.clock import SHORT, TimeLimit
+from kempe.solvers.common.problem import NOTHING, Choice, Problem, Solver, TaskOf, choose, chosen_by
 from kempe.solvers.common.serial_chain import Chain, chain_of, inside, obstacle
 from kempe.solvers.common.targets import (
     axis_for,
@@ -114,10 +114,16 @@ def _of_frame(
         raise InputError(f"method is {method!r}; it must be one of {', '.join(map(repr, METHODS))}")
     if prefer is not None and method != "numeric":
         raise InputError(f"method is {method!r}, which prefers nothing; leave it out, or prefer")
-    solver, choice = chosen(system, name, requested, method, prefer is not None)
+    options = NOTHING
+    if method == "numeric":
+        solver, choice = chosen(system, name, requested, method, prefer is not None)
+    else:
+        time = TimeLimit((BATCH if lead else USUAL).of(budget).time_limit)
+        solver, choice, method = _planned(time, system, name, requested, method, prefer is not None)
+        options = {"end": time.end}
     targets = targets.copy() if np.may_share_memory(targets, target) else targets  # the answer keeps them
     problem = Problem(system, "one", start=start, prefer=prefer, tolerance=tolerance, budget=budget, frame=name,
-                      task=requested, targets=targets, lead=lead, method=method)  # fmt: skip
+                      task=requested, targets=targets, lead=lead, method=method, options=options)  # fmt: skip
     answer = chosen_by(solver.run(problem), choice)
     if not lead and task is said and solver is not BY_TASKS:
         bind(answer.task, said, np.shape(target))
@@ -173,7 +179,7 @@ def _of_chain(problem: Problem) -> Solution:
     question = FrameProblem(
         system, name, problem.targets, *problem.task, TOLERANCE if tolerance is None else tolerances(tolerance),
         start_count(spend.starts), seed_number(spend.rng), chain, step_count(spend.iterations), spend.time_limit,
-        deadline(spend.time_limit), usual,
+        problem.options["end"] if problem.options else deadline(spend.time_limit), usual,
     )  # fmt: skip
     plan = None
     if problem.method != "numeric":
@@ -208,6 +214,22 @@ SOLVERS = (
 def chosen(system: System, frame: str | None, task: TaskOf, method: str, prefers: bool) -> tuple[Solver, Choice]:
     """Who answers for a frame and a task of it, or, without a frame, for tasks."""
     return choose(SOLVERS, system, frame, task, method, prefers)
+
+
+def _planned(
+    time: TimeLimit, system: System, frame: str, task: TaskOf, method: str, prefers: bool
+) -> tuple[Solver, Choice, str]:  # fmt: skip
+    """Who answers, and by which method: numbers where the time does not last to plan a closed form."""
+    time.put_in_order()  # a plan is made as a whole, or not at all
+    try:
+        with time:
+            return *chosen(system, frame, task, method, prefers), method
+    except TimeUp:
+        if not time.spent:
+            raise
+        if method == "analytic":
+            raise TimeLimitError("ik", time.limit) from None
+    return *chosen(system, frame, task, "numeric", prefers), "numeric"
 
 
 def _run(

@@ -21,6 +21,7 @@ from kempe.reals import reals
 from kempe.rigid import arrays, refuse_no_poses, sound
 from kempe.singular_values import svd
 from kempe.solvers.assembly.assembly import assemble
+from kempe.solvers.assembly.ideal import decided_within
 from kempe.solvers.common import wording
 from kempe.solvers.common.answer import Configurations
 from kempe.solvers.common.clock import BROKEN_OFF, LONG, TimeLimit, partial
@@ -149,6 +150,9 @@ def by_steps(problem: Problem) -> IkPath:
     """The path, gone step by step."""
     system, start, options, spend = problem.system, problem.start, problem.options, USUAL.of(problem.budget)
     tolerance, restart = TOLERANCE if problem.tolerance is None else problem.tolerance, options["restart"]
+    time = TimeLimit(spend.time_limit)
+    time.put_in_order()  # there is nothing to do afterwards
+    decided_within(USUAL, time, system)
     demands, first = pose_problem(system, problem.wanted, start, tolerance, spend.starts, spend.rng)
     refuse_far(system, first, "start")
     if len(demands.lead) != 1 or not demands.lead[0] or len(first) > 1:
@@ -156,21 +160,27 @@ def by_steps(problem: Problem) -> IkPath:
                          f"targets and one start ({system.nq},)")  # fmt: skip
     for task, goals in zip(demands.tasks, demands.goals, strict=True):
         refuse(goals, task.label)
-    time = TimeLimit(spend.time_limit)
-    time.put_in_order()  # there is nothing to do afterwards
     way = _FollowedPath(demands, options["max_step"], time, spend.progress)
-    q0, info = way.rows[0].run(first)
-    begin, n = 0, demands.lead[0]
-    while restart and info[0, 0] != SOLVED and begin + 1 < n:
-        begin += 1
-        q0, info = way.rows[begin].run(first)
-    if info[0, 0] != SOLVED:
-        status = f"the path does not begin: target {begin} is {judge(way.rows[begin], q0, info).status}"
-        return IkPath(system, np.full((n, system.nq), np.nan), np.zeros(n, dtype=bool), (), status, demands)
+    n = demands.lead[0]
+    none = IkPath(system, np.full((n, system.nq), np.nan), np.zeros(n, dtype=bool), (), "", demands)
+    begin, begins = 0, list[Array]()
+    try:
+        with time:
+            q0, info, begin = way.begun(first, restart)
+            if info[0, 0] != SOLVED:
+                why = judge(way.rows[begin], q0, info).status
+                return replace(none, reason=f"the path does not begin: target {begin} is {why}")
+            begins.append(q0[0])
+            if options["branches"]:
+                begins += [*way.elsewhere(begin, q0[0]), *_all(problem, way.rows[begin], begin, q0[0])]
+    except BROKEN_OFF as error:
+        interrupted, late = (isinstance(error, kind) for kind in BROKEN_OFF)
+        if not begins or interrupted:
+            said = f"the path does not begin{partial(interrupted, late)}"
+            return replace(none, reason=said, interrupted=interrupted, late=late)
     if not options["branches"]:
-        return way.rolled(way.best(q0[0], restart, begin), begin)
-    further = _all(problem, way.rows[begin], begin, q0[0])
-    begins = _distinct([q0[0], *way.elsewhere(begin, q0[0]), *further])
+        return way.rolled(way.best(begins[0], restart, begin), begin)
+    begins = _distinct(begins)
     paths: list[IkPath] = []
     for q in begins:
         paths.append(way.best(q, restart, begin))
@@ -195,6 +205,15 @@ class _FollowedPath(PathSteps):
     """The way of targets, and the path along it, with self-motions away from limits where `avoids` is not 0."""
 
     avoids = 0.0
+
+    def begun(self, first: Array, restart: bool) -> tuple[Array, np.ndarray, int]:
+        """What is found for the first target, or with `restart` for the first that is reached, and its number."""
+        begin = 0
+        q, info = self.rows[begin].run(first)
+        while restart and info[0, 0] != SOLVED and begin + 1 < len(self.rows):
+            begin += 1
+            q, info = self.rows[begin].run(first)
+        return q, info, begin
 
     def reason(self, i: int, q: Array, part: float) -> str:
         """What ends the path at q, a fraction `part` of the way to target i: limits, a singularity, or neither."""

@@ -21,7 +21,7 @@ from kempe.kinematics.one_sided import one_sided_rows
 from kempe.reals import is_whole
 from kempe.solvers.common import wording
 from kempe.solvers.common.answer import Configurations
-from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit
+from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, begun_within
 from kempe.solvers.common.freedoms import Local
 from kempe.solvers.common.problem import NOTHING, Problem, Solver, choose, chosen_by, takes_all
 from kempe.solvers.common.slip import slip_of
@@ -137,11 +137,13 @@ def by_tangents(problem: Problem) -> SelfMotion:
     if not is_whole(steps) or steps < 1 or not number or not 0.0 < step <= 0.5:
         raise InputError(f"points is {steps!r}, step {step!r}; needed are a whole number from 1, and 0 < step <= 0.5")
     time.put_in_order()  # there is nothing to do afterwards
-    demands, q0 = _begin(system, problem.start, problem.wanted)
-    local = Local(demands, q0)
-    if not local.left.shape[1]:
-        raise InputError("the tasks leave no freedom at q: there is no self-motion")
-    if not local.finite:
+    with begun_within(USUAL, time):
+        demands, q0 = _begin(system, problem.start, problem.wanted)
+        local = Local(demands, q0)
+        if not local.left.shape[1]:
+            raise InputError("the tasks leave no freedom at q: there is no self-motion")
+        finite = local.finite
+    if not finite:
         text = wording.freedoms_left(local.left.shape[1], 0)
         return SelfMotion(system, local.q[None], 0, 0, False, (text, text), demands)
     wish = _wish(system, direction, local, demands)

@@ -25,8 +25,9 @@ from kempe.model.kept import keep, kept
 from kempe.reals import is_sequence, is_whole
 from kempe.solvers.assembly.assembler import TOLERANCE as CLOSED
 from kempe.solvers.assembly.assembler import limitless
-from kempe.solvers.common.arguments import deadline, seed_number, start_count, step_count, tolerances
-from kempe.solvers.common.clock import EndReached, clock, up_at
+from kempe.solvers.assembly.ideal import decided_within
+from kempe.solvers.common.arguments import seed_number, start_count, step_count, tolerances
+from kempe.solvers.common.clock import EndReached, TimeLimit, clock, up_at
 from kempe.solvers.common.problem import Problem
 from kempe.solvers.common.serial_chain import inside
 from kempe.solvers.tasks import effort
@@ -235,11 +236,14 @@ def reach(problem: Problem) -> Reached:
     tolerance = TOLERANCE if problem.tolerance is None else problem.tolerance
     starts, threads = spend.starts, spend.threads
     turns = prefer is None or prefer == "nearest"
+    time = TimeLimit(USUAL.of(problem.budget).time_limit)
+    decided_within(USUAL, time, system)
     demands, base = pose_problem(system, problem.wanted, problem.start, tolerance, starts, spend.rng, turns)
     search = Demands.run if starts is not None else effort.search
-    limit = spend.time_limit if demands.lead else USUAL.of(problem.budget).time_limit
+    limit = spend.time_limit if demands.lead else time.limit
     if spend.iterations != STEPS or limit is not None:
-        demands = replace(demands, iterations=step_count(spend.iterations), time_limit=limit, end=deadline(limit))
+        end = math.inf if limit is None else time.end
+        demands = replace(demands, iterations=step_count(spend.iterations), time_limit=limit, end=end)
     if prefer == "manipulability" and demands.lead:  # it depends on the goal, of which each row has its own
         rows = [_preferring(demands.of(i), prefer, base) for i in range(math.prod(demands.lead))]
         each = [solve(row, base[i : i + 1] if len(base) > 1 else base, search) for i, row in enumerate(rows)]

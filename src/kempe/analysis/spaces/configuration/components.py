@@ -295,6 +295,8 @@ def _proven(system: System, time: TimeLimit) -> tuple[tuple[int, str] | None, Cu
     try:
         sweep = sweep_of(system, time)
     except TimeUp:
+        if known is None:
+            raise
         return known, None, True
     if isinstance(sweep, str):
         return known, None, False
@@ -335,6 +337,8 @@ def _traced(
     system: System, mobility: Mobility, sweep: CurveSweep | None, spend: Budget, time: TimeLimit, enough: int | None
 ) -> Traced:  # fmt: skip
     """All components to which starts lead: those of the sweep first, then random ones unless that was complete."""
+    if time.spent:  # the number is proven, and no curves are looked for
+        return Traced((), frozenset(), True)
     still, home = moved_by_spins(system, mobility.q), mobility.q
     own = np.empty((0, system.nq)) if sweep is None else sweep.starts[np.isfinite(sweep.starts).all(axis=1)]
     whole = sweep is not None and sweep.complete and len(own) == sweep.count

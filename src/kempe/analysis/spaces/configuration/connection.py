@@ -92,15 +92,15 @@ def path(system: System, q0: Any, q1: Any, *, budget: Budget | None = None) -> C
             f"step is {spend.step!r}; it must be between 1e-4 and 1, in radians and characteristic lengths"
         )
     time, step, rng = time_of(USUAL, budget), float(spend.step), generator(spend.rng)
-    a, b = _end(system, q0, "q0"), _end(system, q1, "q1")
-    manifold = Manifold(system, system.nv)
-    for name, q in (("the start q0", a), ("the goal q1", b)):
-        if not manifold.inside(q[None])[0]:
-            rows = manifold.one_sided
-            which = ", ".join(repr(rows.names[k]) for k in np.flatnonzero(rows.beyond(q) > 0.0))
-            why = f"{name} is outside the limits of {which}"
-            return Connection(_no_way(system), Status.OUTSIDE_LIMITS, why, step, system)
     try:
+        a, b = _end(system, q0, "q0"), _end(system, q1, "q1")
+        manifold = Manifold(system, system.nv)
+        for name, q in (("the start q0", a), ("the goal q1", b)):
+            if not manifold.inside(q[None])[0]:
+                rows = manifold.one_sided
+                which = ", ".join(repr(rows.names[k]) for k in np.flatnonzero(rows.beyond(q) > 0.0))
+                why = f"{name} is outside the limits of {which}"
+                return Connection(_no_way(system), Status.OUTSIDE_LIMITS, why, step, system)
         if has_loops(system):
             return _closed(system, a, b, step, rng, spend, time)
         found = _straight(manifold, a, b, step)

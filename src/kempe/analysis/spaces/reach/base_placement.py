@@ -62,7 +62,7 @@ class BasePlacement(Report):
     @property
     def code(self) -> Status:  # type: ignore[override]
         """`SOLVED` where all poses are reached from some place, `PARTLY` where some are, or what broke the map off."""
-        most = float(np.nanmax(self.fraction))
+        most = float(np.nan_to_num(self.fraction).max())
         if self.broken is not None and most < 1.0:
             return self.broken
         return Status.SOLVED if most == 1.0 else Status.PARTLY if most > 0.0 else Status.NOT_FOUND
@@ -99,7 +99,7 @@ class BasePlacement(Report):
     @property
     def status(self) -> str:
         """How many poses are reached from the best place, and where that is."""
-        of, n = f"{self.system.name}, {self.frame}", round(float(np.nanmax(self.fraction)) * self.poses)
+        of, n = f"{self.system.name}, {self.frame}", round(float(np.nan_to_num(self.fraction).max()) * self.poses)
         where = ", ".join(f"{k} = {v:.4g}" for k, v in self.place().items() if k in self.axes)
         full, tried = int((self.fraction == 1.0).sum()), counted(int(np.isfinite(self.fraction).sum()), "place")
         tail = partial(self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME)
@@ -156,7 +156,7 @@ def place_base(
         hit, far, w = own
         return [hit.mean(axis=1), far.min(axis=1), w.min(axis=1)]
 
-    found, broken = sliced(system, work, len(places), len(X), spend)
+    found, broken = sliced(system, work, [(), (), ()], len(places), len(X), spend)
     fraction, far, w = (x.reshape(shape) for x in found)
     return BasePlacement(system, name, len(X), axes, fixed, fraction, far, w, broken)
 

@@ -153,7 +153,7 @@ def capability_map(
         own = (found.reached, found.solutions, found.manipulability, found.margin)
         return [x.reshape(len(p), len(R)) for x in own]
 
-    (share, solutions, w, far), broken = sliced(system, work, len(centres), len(R), spend)
+    (share, solutions, w, far), broken = sliced(system, work, [(len(R),)] * 4, len(centres), len(R), spend)
     hit = share == 1.0
     mean = np.where((solutions == UNKNOWN).any(axis=1), np.nan, solutions.mean(axis=1))
     best = [np.where(hit.any(axis=1), np.max(np.where(hit, x, -np.inf), axis=1), np.nan) for x in (w, far)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,28 +23,32 @@ LONG = 16
 
 
 def sliced(
-    system: System, work: Callable[[int, int, Budget], list[Array]], count: int, poses: int, spend: Budget
+    system: System,
+    work: Callable[[int, int, Budget], list[Array]],
+    shapes: Sequence[tuple[int, ...]],
+    count: int,
+    poses: int,
+    spend: Budget,
 ) -> tuple[list[Array], Status | None]:
     """What `work` finds of the places 0 to `count`, each of so many `poses`, and what broke it off (None: nothing).
 
-    `work` gets the first place, the one after the last and what it may spend, and gives arrays with a row a place. Rows
-    that were not reached before the time limit or an interrupt are NaN; the first slice is always done.
+    `work` gets the first place, the one after the last and what it may spend, and gives arrays with a row, of one of
+    the `shapes`, for each place. Rows that were not done before the time limit or an interrupt are NaN.
     """
     clock, each = TimeLimit(spend.time_limit), Budget(starts=spend.starts, rng=spend.rng, threads=spend.threads)
     share, broken = max(1, system.nv // LONG) ** 2, None
     at_once = max(1, (LOOP_SLICE if has_loops(system) else SLICE) // (poses * share))
     rows: list[list[Array]] = []
     try:
-        for first in range(0, max(count, 1), at_once):
-            if first:
+        with clock:
+            for first in range(0, max(count, 1), at_once):
                 clock.check()
-            last = min(first + at_once, count)
-            rows.append(work(first, last, each))
-            if spend.progress is not None:
-                spend.progress(last * poses, count * poses)
+                last = min(first + at_once, count)
+                rows.append(work(first, last, each))
+                if spend.progress is not None:
+                    spend.progress(last * poses, count * poses)
     except BROKEN_OFF as error:
-        if not rows:
-            raise
         broken = Status.OUT_OF_TIME if isinstance(error, TimeUp) else Status.INTERRUPTED
+    rows.append([np.zeros((0, *shape)) for shape in shapes])
     out = [np.concatenate(x).astype(float) for x in zip(*rows, strict=True)]
     return [np.concatenate([x, np.full((count - len(x), *x.shape[1:]), np.nan)]) for x in out], broken

@@ -227,7 +227,9 @@ def reach_poses(
     def work(first: int, last: int, each: Budget) -> list[Array]:
         return list(vars(reached(system, X[first:last], name, task, each)).values())
 
-    (hit, solutions, w, far, q, codes), broken = sliced(system, work, len(X), 1, spend)
+    (hit, solutions, w, far, q, codes), broken = sliced(
+        system, work, [(), (), (), (), (system.nq,), ()], len(X), 1, spend
+    )
     left, each = np.isnan(codes), replace(spend, time_limit=None, progress=None)
     if broken is not None:
         codes[left], solutions[left] = int(broken), UNKNOWN

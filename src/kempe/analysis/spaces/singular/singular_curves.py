@@ -136,25 +136,26 @@ Start = tuple[tuple[str, ...], str, Array]
 @interruptible
 def singular_curves(
     found: Singularities, problems: dict[str, RankLoss], starts: list[Start], held: tuple[str, ...],
-    budget: Budget | None,
+    budget: Budget | None, clock: TimeLimit,
 ) -> SingularCurves:  # fmt: skip
-    """The curves of `problems` through `starts`; see `Singularities.curves`."""
+    """The curves of `problems` through `starts`, in the time of the `clock`; see `Singularities.curves`."""
     spend, system = USUAL.of(budget), found.system
-    clock, curves, sizes, broken = TimeLimit(spend.time_limit), list[SingularCurve](), set[int](), None
+    curves, sizes, broken = list[SingularCurve](), set[int](), None
     try:
-        for k, (kinds, name, q) in enumerate(starts):
-            clock.check()
-            tracer = _CurveTracer(problems[kinds[0]], clock, spend.step or 0.0, found.limits)
-            if not any(tracer.on(q, c.q) for c in curves if c.kinds == kinds):
-                sizes.add(size := tracer.dimension(q))
-                way, closed = tracer.traced(q) if size == 1 else (q[None], False)
-                p = system.fk(way, found.frame)[:, :3, 3] if found.frame is not None else np.zeros((0, 3))
-                if len(way) >= FEW:
-                    curves.append(SingularCurve(kinds, name, way, p, closed))
-                if tracer.broken is not None:
-                    raise tracer.broken
-            if spend.progress is not None:
-                spend.progress(k + 1, len(starts))
+        with clock:
+            for k, (kinds, name, q) in enumerate(starts):
+                clock.check()
+                tracer = _CurveTracer(problems[kinds[0]], clock, spend.step or 0.0, found.limits)
+                if not any(tracer.on(q, c.q) for c in curves if c.kinds == kinds):
+                    sizes.add(size := tracer.dimension(q))
+                    way, closed = tracer.traced(q) if size == 1 else (q[None], False)
+                    p = system.fk(way, found.frame)[:, :3, 3] if found.frame is not None else np.zeros((0, 3))
+                    if len(way) >= FEW:
+                        curves.append(SingularCurve(kinds, name, way, p, closed))
+                    if tracer.broken is not None:
+                        raise tracer.broken
+                if spend.progress is not None:
+                    spend.progress(k + 1, len(starts))
     except BROKEN_OFF as error:
         broken = Status.OUT_OF_TIME if isinstance(error, TimeUp) else Status.INTERRUPTED
     if sizes and min(sizes) > 1 and broken is None:

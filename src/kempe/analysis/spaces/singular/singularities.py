@@ -12,6 +12,7 @@ from kempe.analysis.first_order.control import driven
 from kempe.analysis.spaces.singular.arm_names import names_of
 from kempe.analysis.spaces.singular.rank_loss import RankLoss
 from kempe.analysis.spaces.singular.rank_questions import CONSTRAINT, OF_FRAMES, SERIAL, LostAndGained, RankQuestions
+from kempe.analysis.spaces.singular.singular_curves import USUAL as CURVES
 from kempe.analysis.spaces.singular.singular_curves import SingularCurves, held_equations, singular_curves
 from kempe.analysis.spaces.singular.singular_sets import SAME, NearestSingular, SingularSet, changes, inside_limits
 from kempe.budget import Budget, Usual
@@ -21,7 +22,7 @@ from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import by_short_turns, circles, has_loops, one_finite
 from kempe.late import late
 from kempe.solvers.common.arguments import start_count
-from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp, partial
+from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp, begun_within, partial
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import counted
@@ -138,14 +139,16 @@ class Singularities(Report):
         progress, which is called with the number of configurations done and that of all. Errors: `InputError` where
         the sets are larger than curves; `UnknownNameError`.
         """
+        clock = TimeLimit(CURVES.of(budget).time_limit)
         rows, held = held_equations(self, hold, orientation)
         problems = {kind: replace(p, further=rows) for kind, p in self.problems.items()}
         starts = [(s.kinds, s.name, q) for s in self.sets for q in s.q]
         if held:
             near = np.concatenate([*(s.q for s in self.sets), self.questions.starts])
-            led = _led(self.questions, problems, dict.fromkeys(problems, near), self.task, self.limits)
+            with begun_within(CURVES, clock):
+                led = _led(self.questions, problems, dict.fromkeys(problems, near), self.task, self.limits)
             starts = [(kinds, name, q) for (kinds, name, _), (q, _) in led if kinds]
-        return singular_curves(self, problems, starts, held, budget)
+        return singular_curves(self, problems, starts, held, budget, clock)
 
     def _nearest(self, s: SingularSet, q: Array) -> tuple[Array, float]:
         problem = self.problems[s.kinds[-1]]
@@ -228,10 +231,11 @@ def singularities(
     driving = driven(system, inputs)
     if loops and name is None and not driving:
         raise InputError(f"{system.name} has no actuated joint: name inputs, or a frame")
-    task, questions = _questions_of(system, name, task, driving if loops else None, spend, limits)
-    problems = questions.problems()
-    found: Found = {}
     clock, done, broken = TimeLimit(spend.time_limit), 0, None
+    with begun_within(USUAL, clock):
+        task, questions = _questions_of(system, name, task, driving if loops else None, spend, limits)
+        problems = questions.problems()
+    found: Found = {}
     try:
         with clock:
             while done < len(questions.starts):

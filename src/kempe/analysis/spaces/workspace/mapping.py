@@ -30,7 +30,7 @@ from kempe.calls import explained, interruptible
 from kempe.errors import DamagedError, InputError, shown
 from kempe.reals import is_real
 from kempe.solvers.common.arguments import seed_number
-from kempe.solvers.common.clock import BROKEN_OFF, TimeLimit
+from kempe.solvers.common.clock import BROKEN_OFF, TimeLimit, begun_within
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
@@ -81,13 +81,15 @@ def workspace(
     clock = TimeLimit(spend.time_limit)
     if n is not None and not (is_real(n) and 1 <= n <= MOST and n == int(n)):
         raise InputError(f"n is {shown(n)}; it must be a whole number of samples, from 1 to {MOST:.2g}")
-    question = question_of(system, name, kind, orientation, at)
+    with begun_within(USUAL, clock):
+        question = question_of(system, name, kind, orientation, at)
     if client is not None:
         own, client = isinstance(client, str), connected(client)
     else:
         own = False
     try:
-        recipe = recipe_of(system, name, seed_number(spend.rng), cells, box, question)
+        with begun_within(USUAL, clock):
+            recipe = recipe_of(system, name, seed_number(spend.rng), cells, box, question)
         store = _Memory(recipe) if path is None else _Disk(recipe, Path(path))
         return _answer(recipe, store, int(n or recipe.usual), client, spend, clock)
     finally:

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from kempe.budget import look
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.solvers.analytic.plans.chain_lines import Lines
@@ -60,6 +61,7 @@ def plan_holding(lines: Lines, task: str, fixed: tuple[int, ...], planar: bool) 
         plans = [p for p in (in_closed_form(lines, task, locked, planar) for locked in group) if p is not None]
         plans = plans or [p for p in (make(lines, task, x, planar) for x in group[:ELIMINATED]) if p.method != "search"]
         for k, bare in enumerate(plans):
+            look()
             plan = replace(bare, first=_first(bare, fixed))
             key = (_rank(plan), -round(_share(plan) / STEP), k)
             if best is None or key < best[0]:
@@ -91,6 +93,7 @@ def _able(lines: Lines, task: str, free: Extra, unknown: list[int], extra: int, 
         itertools.islice(itertools.combinations(order, extra), MOST_CHOICES),
     )
     for choice in every:
+        look()
         key = frozenset(choice)
         if key not in seen and freedoms(lines, free, [i for i in unknown if i not in key]) == rank:
             seen.add(key)

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from kempe import spatial
+from kempe.budget import look
 from kempe.errors import UnsupportedError
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.closed_form.analytic_layout import X_FIRST, Z_FIRST
@@ -262,6 +263,7 @@ def make(lines: Lines, task: str, locked: tuple[int, ...], planar: bool, but: Ex
         return plan
     unknown = [i for i in range(len(lines)) if i not in locked]
     for extra in itertools.islice(_completions(lines, task, unknown, planar, but), ELIMINATIONS):
+        look()
         plan = _by_elimination(lines, task, unknown, locked, extra)
         if plan is not None:
             return plan
@@ -276,6 +278,7 @@ def in_closed_form(
     if not unknown:
         raise UnsupportedError("no joint is left to move: all of the chain are held, or do nothing for this task")
     for extra in _completions(lines, task, unknown, planar, but):
+        look()
         for way in _ways(lines, unknown, locked, extra):
             plan = pack(lines, task, locked, extra, way)
             if (off := _error(plan)) < max(AGAIN, lines.span.blur):
