@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import collections
 import ctypes
 import functools
 import importlib
@@ -13,6 +14,7 @@ import pkgutil
 import re
 import signal
 import sys
+import types
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +26,11 @@ import kempe
 from kempe import Budget
 from kempe.budget import TimeUp, Usual, checks, look
 from kempe.errors import CallError, InputError, NoSolutionError
-from kempe.solvers.common import clock
+from kempe.solvers.analytic.plans import question
+from kempe.solvers.common import arguments, clock
 from kempe.solvers.common.clock import TimeLimit
+from kempe.solvers.one_frame import inverse, multi_start
+from kempe.solvers.tasks import effort
 
 ROOT = Path(__file__).parent.parent
 
@@ -246,6 +251,71 @@ ELSEWHERE = {
     "plot_spaces": "tests/views/test_space_pictures.py",
 }
 """Verbs whose answers at the end of their time are tested elsewhere, for they need files or pictures."""
+
+
+def ladder(count: int) -> kempe.System:
+    """Cranks in a row, each of which drives the next by a bar."""
+    m = kempe.Mechanism("ladder", dim=2)
+    for k in range(count + 1):
+        m.revolute(f"A{k}", m.ground, m.body(f"a{k}"), at=(4.0 * k, 0.0))
+    for k in range(count):
+        m.revolute(f"B{k}", f"a{k}", m.body(f"b{k}"), at=(0.0, 1.0))
+        m.revolute(f"C{k}", f"b{k}", f"a{k + 1}", at=(4.0, 0.1), child_at=(0.0, 1.2))
+    return m.build()
+
+
+AROUND = np.diag([1.0, -1.0, -1.0, 1.0])
+LARGE = {
+    "mobility": lambda s, b: s.mobility(budget=b),
+    "classify": lambda s, b: s.classify(budget=b),
+    "singularities": lambda s, b: s.singularities(inputs=["A0"], budget=b),
+    "singularities of a frame": lambda s, b: s.singularities("a9", budget=b),
+    "assemble": lambda s, b: s.assemble({"A0": 0.3}, budget=b),
+    "assembly_modes": lambda s, b: s.assembly_modes({"A0": 0.3}, budget=b),
+    "ik": lambda s, b: s.ik(s.fk(s.mid, "a9") @ AROUND, "a9", budget=b),
+    "ik_all": lambda s, b: s.ik_all(s.fk(s.mid, "a9"), "a9", budget=b),
+    "ik_path": lambda s, b: s.ik_path(np.repeat(s.fk(s.mid, "a9")[None], 9, axis=0), "a9", budget=b),
+    "trace": lambda s, b: s.trace("A0", budget=b),
+    "drive": lambda s, b: s.drive({"A0": [0.0, 1.0]}, budget=b),
+    "sample": lambda s, b: s.configuration_space.sample(9, budget=b),
+    "components": lambda s, b: s.configuration_space.components(budget=b),
+    "task_space": lambda s, b: s.task_space("a9", budget=b),
+    "workspace": lambda s, b: s.workspace("b9", n=1000, budget=b),
+    "reach.poses": lambda s, b: s.reach.poses(s.fk(s.mid, "a9")[None], "a9", budget=b),
+    "reach.place": lambda s, b: s.reach.place(s.fk(s.mid, "a9")[None], "a9", {"x": (0.0, 0.1)}, 50, budget=b),
+    "reach.capability": lambda s, b: s.reach.capability("a9", [[0.0, 0.0], [1.0, 1.0]], 9, 9, budget=b),
+    "chain: ik_all": lambda s, b: s.ik_all(s.fk(s.mid, "b99"), "b99", budget=b),
+    "chain: ik": lambda s, b: s.ik(s.fk(s.mid, "b99") @ AROUND, "b99", method="auto", budget=b),
+    "chain: singularities": lambda s, b: s.singularities("b99", budget=b),
+    "chain: self_motion": lambda s, b: s.inverse.self_motion(s.mid, "b99", direction="j0", budget=b),
+    "chain: ik_sweep": lambda s, b: s.inverse.sweep(s.fk(s.mid, "b99"), "b99", "j0", budget=b),
+    "chain: task_space": lambda s, b: s.task_space("b99", budget=b),
+    "chain: workspace": lambda s, b: s.workspace("b99", n=1e5, budget=b),
+    "chain: reach.poses": lambda s, b: s.reach.poses(s.fk(s.mid, "b99")[None], "b99", budget=b),
+}
+"""Verbs of systems of 40 loops, and of chains of 100 joints, of which nothing is known beforehand."""
+ALLOWED, AFTERWARDS = 3000.0, 200_000
+"""Calls of functions that a verb may make, by its time limit, and that may follow: about 0.1 s."""
+
+
+@pytest.mark.parametrize("verb", LARGE)
+def test_time_limits_hold_while_the_work_is_prepared(verb, monkeypatch):
+    """The clock counts calls of Python functions: the answer comes soon after its time, whatever was going on."""
+    system = chain(100) if verb.startswith("chain") else ladder(40)
+    calls = collections.Counter[str]()
+    counted = types.SimpleNamespace(monotonic=lambda: float(calls["call"]))
+    for module in (arguments, clock, multi_start, question, effort):
+        monkeypatch.setattr(module, "time", counted)
+    for module in (clock, inverse):
+        monkeypatch.setattr(module, "deadline", arguments.deadline)
+    sys.setprofile(lambda frame, event, argument: calls.update((event,)))
+    try:
+        LARGE[verb](system, Budget(time_limit=ALLOWED))
+    except kempe.errors.TimeLimitError:
+        pass
+    finally:
+        sys.setprofile(None)
+    assert calls["call"] < ALLOWED + AFTERWARDS
 
 
 def test_every_verb_with_a_time_limit_is_in_the_battery():

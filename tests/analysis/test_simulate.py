@@ -313,7 +313,7 @@ def test_bad_inputs_are_named(inputs, error):
 
 
 def test_time_is_up(looks):
-    looks(3)
+    looks(30)
     r = wheels.car().simulate(1.0, np.zeros(4), inputs={"body.vx": 1.0, "steer": 0.0},
                               budget=kempe.Budget(time_limit=1.0))  # fmt: skip
     assert r.late and not r and "time limit" in r.status and len(r.q) == len(r.t) == len(r.v)

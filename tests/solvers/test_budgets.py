@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import pickle
 import threading
 from types import SimpleNamespace
@@ -18,6 +19,7 @@ from kempe.kernels.compiled import fallback
 from kempe.kinematics.common import parallel
 from kempe.solvers.analytic import ik_all, start_search, through_loops
 from kempe.solvers.analytic.plans import question
+from kempe.solvers.common import arguments, clock
 from kempe.solvers.one_frame import multi_start
 from kempe.solvers.tasks import effort, ik_tasks
 from kempe.status import Status
@@ -379,23 +381,40 @@ def counted_calls(calls: list[int], function):
 
 
 def test_a_function_that_cannot_hold_ends_the_search(monkeypatch):
-    """The clock of the first search runs out, and neither without limits nor alone is there an answer."""
+    """The calls of the first search are spent, and neither without limits nor alone is there an answer."""
     s = two_arms()
     L = s.fk(s.mid, "left")
-    monkeypatch.setattr(effort, "GLIMPSE", 1e-9)
+    monkeypatch.setattr(effort, "GLIMPSE", 20)
     for low, never in ((0.5, True), (0.0, False)):
         calls = [0]
         wanted = [tasks.Pose("left", L), tasks.Function(counted_calls(calls, lambda q, a=low: q[8] ** 2 + a))]
         answer = s.ik(wanted)
         assert bool(answer) is not never
         if never:
-            assert answer.code is Status.OUT_OF_TIME and answer.late
-            assert "time limit of 1e-09 s" in answer.status and calls[0] < 60_000
+            assert answer.code is Status.NOT_FOUND and not answer.late
+            assert "20 calls of functions found nothing" in answer.status and calls[0] < 60_000
     beyond = tasks.Function(
         lambda q: q[8] - 50.0
     )  # there is an answer without limits, not for the function inside them
     answer = s.ik([tasks.Pose("left", L), beyond])
-    assert answer.code is Status.OUT_OF_TIME and "time limit of 1e-09 s" in answer.status
+    assert answer.code is Status.NOT_FOUND and "20 calls of functions found nothing" in answer.status
+
+
+@pytest.mark.parametrize("low", [0.5, 0.0])
+def test_an_answer_with_functions_does_not_depend_on_how_fast_the_machine_is(low, monkeypatch):
+    """On a clock that goes a hundredth of a second, or none at all, between two looks it is the same."""
+    answers = []
+    monkeypatch.setattr(effort, "GLIMPSE", 200)
+    monkeypatch.setattr(effort, "SHARE", 100)
+    for slow in (0.0, 0.01):
+        ticks, calls, s = itertools.count(), [0], two_arms()
+        fake = SimpleNamespace(monotonic=lambda slow=slow, ticks=ticks: slow * next(ticks))
+        for module in (arguments, clock, effort):
+            monkeypatch.setattr(module, "time", fake)
+        off = tasks.Function(counted_calls(calls, lambda q: (q[8] - 1.0) ** 2 + low))
+        answer = s.ik([tasks.Pose("left", s.fk(s.mid, "left")), off, tasks.Posture(s.mid)])
+        answers.append((answer.code, answer.starts, answer.iterations, calls[0], answer.q.tolist()))
+    assert answers[0] == answers[1]
 
 
 def test_a_search_that_is_asked_for_its_starts_has_them():

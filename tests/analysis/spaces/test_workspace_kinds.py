@@ -297,7 +297,7 @@ def test_maps_of_other_kinds_are_kept_and_gone_on_with(tmp_path):
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_the_time_limit_keeps_what_was_done(threads, looks):
-    looks(9)
+    looks(190)
     w = hexapod().workspace("tool", kind="dexterous", n=1e9, budget=Budget(time_limit=0.3, threads=threads))
     assert w.code is Status.OUT_OF_TIME and 0 < w.samples < 1e9 and w.map.counts.sum() + w.left_out == w.samples
 

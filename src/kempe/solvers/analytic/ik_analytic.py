@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,6 +20,10 @@ from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
+
+
+PIECE = 2**15
+"""Targets that are solved, and whose solutions are compared, before the clock is looked at again."""
 
 
 def plan_of(system: System, frame: str, task: str, axis: tuple[float, float, float]) -> ChainPlan | str:
@@ -51,25 +57,36 @@ def answer(
     task: FrameProblem, plan: ChainPlan, near: Array, seeds: Array, threads: int | None
 ) -> tuple[Array, Array, np.ndarray]:
     """As `inverse.run`: the solution inside the limits nearest to `near` (1 or N, nq); where there is none, numbers."""
-    n, chain = len(task.targets), task.chain
-    within = min(*task.tolerance, TOLERANCE)
-    question = Question(
-        task.system, task.frame, task.name, task.axis, task.targets, (n,), within, watch=Watch(task.time_limit, n)
-    )
-    found = solve(question, plan, near, {}, threads)
-    own, inside = found._rows[..., : len(plan.lines)], found.inside
-    unit = np.abs(plan.lines.multiplier)
-    away = np.where(inside, np.linalg.norm((own - near[:, None, plan.lines.q_index]) * unit, axis=-1), np.inf)
-    best = np.argmin(away, axis=1)
-    there = np.asarray(inside.any(axis=1))
-    q, residual = np.empty((n, len(chain.q_index))), np.zeros((n, 2))
+    n = len(task.targets)
+    q, residual, there = np.empty((n, len(task.chain.q_index))), np.zeros((n, 2)), np.zeros(n, dtype=bool)
+    for k in range(0, max(n, 1), PIECE):
+        if k and time.monotonic() >= task.end:
+            break
+        at, base = slice(k, k + PIECE), near[k : k + PIECE] if len(near) > 1 else near
+        q[at], residual[at], there[at] = _solved(replace(task, targets=task.targets[at]), plan, base, threads)
     info = np.zeros((n, 3), dtype=np.int64)
-    at = {int(x): i for i, x in enumerate(plan.lines.q_index)}
-    q[:] = own[np.arange(n), best][:, [at[int(x)] for x in chain.q_index]]
-    residual[there] = misses(task, task.targets[there], q[there])
     info[:, 0] = SOLVED
     rest = np.flatnonzero(~there)
     if len(rest):
         some = seeds[rest] if len(seeds) > 1 else seeds
         q[rest], residual[rest], info[rest] = run(task, some, threads, targets=task.targets[rest])
     return q, residual, info
+
+
+def _solved(
+    task: FrameProblem, plan: ChainPlan, near: Array, threads: int | None
+) -> tuple[Array, Array, np.ndarray]:  # fmt: skip
+    """The nearest solutions (n, k) to `near` (1 or n, nq), their errors (n, 2), and where there are any (n,)."""
+    n, chain = len(task.targets), task.chain
+    within, watch = min(*task.tolerance, TOLERANCE), Watch(task.time_limit, n)
+    watch.limit.end = task.end
+    question = Question(task.system, task.frame, task.name, task.axis, task.targets, (n,), within, watch=watch)
+    found = solve(question, plan, near, {}, threads)
+    own, inside = found._rows[..., : len(plan.lines)], found.inside
+    unit = np.abs(plan.lines.multiplier)
+    away = np.where(inside, np.linalg.norm((own - near[:, None, plan.lines.q_index]) * unit, axis=-1), np.inf)
+    best, there, residual = np.argmin(away, axis=1), np.asarray(inside.any(axis=1)), np.zeros((n, 2))
+    at = {int(x): i for i, x in enumerate(plan.lines.q_index)}
+    q = own[np.arange(n), best][:, [at[int(x)] for x in chain.q_index]]
+    residual[there] = misses(task, task.targets[there], q[there])
+    return q, residual, there

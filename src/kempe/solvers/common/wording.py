@@ -112,6 +112,12 @@ def late(limit: float | None, starts: int, most: int | None = None, done: str = 
     return f"not {done} within the time limit of {limit or 0.0:g} s, after {count}"
 
 
+def calls_in_vain(count: int) -> str:
+    """That a search with functions was given up after so many calls of these."""
+    return (f"{count} calls of functions found nothing, nor did a search without limits, or for the functions alone: "
+            "kempe.Budget(starts=..., time_limit=...) goes on")  # fmt: skip
+
+
 def ended(limit: float) -> str:
     """That the time was up before all solutions were looked for."""
     return f"; the time limit of {limit:g} s ended the work: there may be others"

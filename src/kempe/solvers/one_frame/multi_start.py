@@ -123,7 +123,7 @@ def answered(
     if unbegun.size:
         first = seeds[:, 0] if seeds.shape[1] else chain.base[:, chain.q_index]
         out[unbegun, :n], out[unbegun, n:] = first[unbegun] if len(first) > 1 else first, 0.0
-        _end(task, targets, unbegun, out)
+        _end(task, targets, unbegun, out, alike=len(first) == 1)
     far = 0
     if postpone:
         left = left[out[left, n + STATUS] == NOT_FOUND]
@@ -282,20 +282,20 @@ def _more(
     return rows[out[rows, n + STATUS] == NOT_FOUND]
 
 
-def _end(task: FrameProblem, targets: Array, left: np.ndarray, out: Array) -> None:
-    """Measure these rows as they are: the time is up."""
+def _end(task: FrameProblem, targets: Array, left: np.ndarray, out: Array, alike: bool = False) -> None:
+    """Measure these rows as they are: the time is up. Whether their configurations are all `alike`."""
     n = out.shape[1] - ANSWER
     out[left, n + STATUS] = Status.OUT_OF_TIME
-    out[left, n : n + STATUS] = misses(task, targets[left], out[left, :n])
+    out[left, n : n + STATUS] = misses(task, targets[left], out[left[:1] if alike else left, :n])
 
 
 def misses(task: FrameProblem, targets: Array, q: Array) -> Array:
-    """Linear and angular errors (N, 2), by the forward model, of a chain's configurations (N, n)."""
+    """Linear and angular errors (N, 2), by the forward model, of a chain's configurations (N or 1, n)."""
     from kempe.kinematics.forward import fk
 
     full = np.repeat(task.chain.base, len(q), axis=0)
     full[:, task.chain.q_index] = q
-    X, out = fk(task.system, full, task.frame, threads=1), np.zeros((len(q), 2))
+    X, out = fk(task.system, full, task.frame, threads=1), np.zeros((len(targets), 2))
     if any(task.mask[:3]):
         out[:, 0] = np.linalg.norm(X[:, :3, 3] - targets[:, :3, 3], axis=-1)
     if points_along(task.name):

@@ -15,6 +15,7 @@ import numpy as np
 
 from kempe.kernels.base import search_layout as S
 from kempe.kernels.constraints import loop_layout as L
+from kempe.solvers.common.clock import EndReached
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -29,12 +30,30 @@ EACH, MOST, HOPELESS = 30, 15_000, 10
 them that is tried where no answer without limits is found either. With 30, 1470 are for an arm with seven joints."""
 
 
-GLIMPSE, SHARE = 1.0, 0.25
-"""Seconds that a search with Python functions takes before it is checked whether it may ever end well, and seconds of
-each of the searches by which this is checked."""
+GLIMPSE, SHARE = 10_000, 2_500
+"""Calls of Python functions after which it is checked whether a search may ever end well, and calls of each of the
+searches by which this is checked. They are counted, not timed, so that no answer depends on how busy the machine is."""
 
 Found = tuple[Array, np.ndarray]
 """Configurations (N, nq) and (status, steps, starts) (N, 3)."""
+
+
+class Effort:
+    """A check for `watched_by` that lets a search call functions, and begin starts, `most` times in all."""
+
+    def __init__(self, most: int):
+        self.most, self.count = most, 0
+
+    def __call__(self) -> None:
+        """Count one more. Raises `EndReached` where these are too many."""
+        self.count += 1
+        if self.spent:
+            raise EndReached
+
+    @property
+    def spent(self) -> bool:
+        """Whether it ended a search."""
+        return self.count > self.most
 
 
 def of_functions(problem: Demands) -> bool:
@@ -43,15 +62,18 @@ def of_functions(problem: Demands) -> bool:
 
 
 def patiently(problem: Demands, solve: Callable[[Demands], Found], base: Array) -> tuple[Demands, Found]:
-    """The problem with the time limit that it got, and what `solve` finds: at first within GLIMPSE, of one problem.
+    """The problem, how far it was searched, and what `solve` finds: at first with GLIMPSE calls, of one problem.
 
     It goes on only where a search without limits finds an answer, and each function alone holds inside the limits.
     """
-    quick = replace(problem, time_limit=GLIMPSE, end=min(problem.end, time.monotonic() + GLIMPSE))
-    found = solve(quick)
-    if found[1][0, 0] < S.LATE or not _hopeful(problem, base):
-        return quick, found
-    return problem, solve(problem)
+    effort = Effort(GLIMPSE)
+    q, info = solve(replace(problem, effort=effort))
+    if not effort.spent or time.monotonic() >= problem.end:
+        return problem, (q, info)
+    if _hopeful(problem, base) or time.monotonic() >= problem.end:
+        return problem, solve(problem)
+    info[info[:, 0] >= S.LATE, 0] -= S.LATE  # it was not the time that ended it
+    return replace(problem, given_up=effort.most), (q, info)
 
 
 def _hopeful(problem: Demands, base: Array) -> bool:
@@ -60,7 +82,7 @@ def _hopeful(problem: Demands, base: Array) -> bool:
     called = {int(i) for i, t in zip(problem.packed.owner, problem.packed.loops.ties, strict=True) if t.function}
     trials = [problem.only(hard, False), *(problem.only([i]) for i in hard if i in called)]
     for trial in trials:
-        _, info = replace(trial, end=time.monotonic() + SHARE).run(base[:1], tries=FIRST)
+        _, info = replace(trial, end=problem.end, effort=Effort(SHARE)).run(base[:1], tries=FIRST)
         if info[0, 0] != S.SOLVED:
             return False
     return True

@@ -66,6 +66,9 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
     near = "q is the nearest found"
     if code is Status.OUT_OF_TIME:
         return wording.failed(wording.late(problem.time_limit, starts, problem.starts), what, near, soft)
+    if problem.given_up:
+        calls = wording.calls_in_vain(problem.given_up)
+        return wording.failed(wording.given_up("reached", starts), what, calls, near, soft)
     why = _reasons(problem, q)
     if failing and any(isinstance(x, Evidence) and x.figures.get("rank") for x in why):
         worst = np.max([misses[t.label] for t in failing], axis=0)

@@ -91,6 +91,10 @@ class Demands:
     time_limit: float | None = None
     end: float = math.inf
     """When the time is up, by `time.monotonic`."""
+    effort: effort.Effort | None = field(default=None, repr=False)
+    """How many calls of functions the search may make; None: as many as it takes."""
+    given_up: int = 0
+    """After how many calls of functions the search was given up; 0 where it was not."""
 
     def tolerance_of(self, task: Task) -> tuple[float, float]:
         """Largest error of a hard task in metres and radians."""
@@ -111,7 +115,8 @@ class Demands:
         use = tuple(i in tasks for i in range(len(self.tasks)))
         few = min(self.starts, STARTS)
         return replace(
-            self, use=use, limits=limits, one_sided=one_sided, mode=S.NOTHING, end=math.inf, starts=few)  # fmt: skip
+            self, use=use, limits=limits, one_sided=one_sided, mode=S.NOTHING, end=math.inf, effort=None,
+            starts=few)  # fmt: skip
 
     def run(
         self, starts: Array, threads: int | None = 1, *, tries: int | None = None, rows: np.ndarray | None = None
@@ -127,7 +132,7 @@ class Demands:
         aim, pins, stop = (
             starts if self.aim is None else self.aim,
             self.pins,
-            clock().address if self.end < math.inf or checks() else 0,
+            clock().address if self.end < math.inf or self.effort is not None or checks() else 0,
         )
         if rows is not None:
             starts, aim, pins = (x[rows] if len(x) > 1 else x for x in (starts, aim, pins))
@@ -137,7 +142,7 @@ class Demands:
             return x[i:j] if len(x) > 1 else x
 
         def work(i: int, j: int) -> int:
-            with watched_by(up_at(self.end)):
+            with watched_by(up_at(self.end), *(() if self.effort is None else (self.effort,))):
                 left = kernel.solve(
                     loops.ints, loops.floats, loops.plan, weights, stages, strengths, part(starts, i, j),
                     part(aim, i, j), part(pins, i, j), most, self.iterations, self.mode, stop, self.loose, self.rng,
@@ -221,8 +226,8 @@ def reach(problem: Problem) -> Reached:
     the number of limited coordinates that the tasks move (at least 300, at most 15 000); else a tenth of these.
     Iterations are the steps of one start, at most, and four times as many those of a lower level from one start. The
     time limit is looked at before each start: an answer that it ended says so, and is the only one that depends on the
-    machine. By default it is 30 s for one problem, and 1 s where tasks or constraints are Python functions and a search
-    without limits, or for these alone, finds nothing either. A batch has none.
+    machine. By default it is 30 s for one problem; a batch has none. Where tasks or constraints are Python functions,
+    one problem is given up after 10 000 calls of these if a search without limits, or for these alone, finds nothing.
 
     A success is checked by the forward model: hard tasks, limits and loops. Else the answer says what fails and why,
     and ``answer.expect()`` raises `NoSolutionError`; its `q` is the nearest found, by the sum of squares of what tasks
