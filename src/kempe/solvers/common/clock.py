@@ -7,7 +7,7 @@ import functools
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from functools import cache
 from typing import Any, TypeVar
 
@@ -118,7 +118,7 @@ def time_limited(
 
 
 @contextlib.contextmanager
-def begun_within(usual: Usual, time: TimeLimit) -> Iterator[None]:
+def begun_within(usual: Usual, time: TimeLimit) -> Generator[None]:
     """A block in which a verb prepares its work. Errors: `TimeLimitError` where its time is up in it.
 
     For verbs that keep what was done by then once the work has begun: before that there is nothing to keep.
