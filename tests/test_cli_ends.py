@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -248,3 +249,70 @@ def test_an_expansion_ends_when_its_message_says(text, tmp_path, monkeypatch):
         expand_xacro(path, seconds=1.5)
     assert max(t for t in waited if t is not None) == 1.5
     monkeypatch.setattr(subprocess.Popen, "wait", wait)
+
+
+# ---- mistakes, and numbers that are no numbers
+
+
+def rows_files(folder: Path) -> dict[str, str]:
+    """Files of rows by name: good ones, and such as are not what their names say."""
+    paths = {name: folder / name for name in ("places.csv", "inputs.csv", "q.npy", "archive.npy", "promises.npy")}
+    paths["places.csv"].write_text("x,y\n0.6,0.3\n0.5,0.2\n", encoding="utf-8")
+    paths["inputs.csv"].write_text("A\n0.1\n0.2\n", encoding="utf-8")
+    np.save(paths["q.npy"], np.zeros((3, 2)))
+    with open(paths["archive.npy"], "wb") as file:
+        np.savez(file, q=np.zeros((3, 2)))
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (999999999999, 2), }".ljust(117) + b"\n"
+    paths["promises.npy"].write_bytes(b"\x93NUMPY\x01\x00v\x00" + header)
+    return {name: str(path) for name, path in paths.items()} | {"new": str(folder / "new.zarr")}
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("workspace two_link --frame e --cells 1e400", "--cells is '1e400', which holds inf"),
+        ("workspace two_link --frame e --box -inf,inf,0,1", "--box is '-inf,inf,0,1', which holds -inf"),
+        ("workspace two_link --frame e --threads 99999999999999999999", "at most 4096"),
+        ("singularities two_link --frame e --starts 100000000", "starts is 100000000"),
+        ("place two_link {places.csv} --frame e --box x=0,1 --box x=0,2", "--box gives 'x' twice"),
+        ("ik two_link --frame e --target 0.6,0.3 --tolerance=", "tolerance: '' is not a number"),
+        ("view two_link --html page.html --frame nope", "has no frame 'nope'"),
+        ("tour --section 1 --pictures {places.csv}", "this is no folder"),
+        ("map ik two_link {places.csv} --frame e -o {new} --task foo", "task is 'foo'; it must be one of"),
+        ("map ik two_link {places.csv} --frame e -o {new} --start nan,0", "start is [nan, 0.0]"),
+        ("map fk two_link {archive.npy} --frame e -o {new}", "this is a .npz archive"),
+        ("fk two_link --q {archive.npy}", "it is not a .npy file of numbers"),
+        ("fk two_link --q {promises.npy}", "it is not a .npy file of numbers"),
+        ("fk two_link --q {q.npy} -o {q.npy}", "the command reads this file"),
+        ("ik two_link --frame e --target {places.csv} -o {places.csv}", "the command reads this file"),
+        ("path two_link --frame e --targets {places.csv} -o {places.csv}", "the command reads this file"),
+        ("reach two_link {places.csv} --frame e -o {places.csv}", "the command reads this file"),
+        ("assemble four_bar {inputs.csv} -o {inputs.csv}", "the command reads this file"),
+    ],
+)  # fmt: skip
+def test_mistakes_are_refused_in_a_sentence(tmp_path, words, said):
+    files = rows_files(tmp_path)
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    done = Result(*(re.sub(r"\{(.*?)\}", lambda found: files[found[1]], word) for word in words.split()))
+    assert done.code == 2 and said in " ".join(done.err.split()), done.out + done.err
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_points_that_are_not_finite_are_not_answered(tmp_path):
+    made = Result("workspace", "two_link", "--frame", "e", "-n", 1000, "-o", tmp_path / "map.zarr")
+    done = Result("query", tmp_path / "map.zarr", "1e400,0")
+    assert made.code == 0 and done.code == 2 and "holds inf" in done.err
+
+
+@pytest.mark.parametrize(
+    "words", [("{long}",), ("fk", "two_link", "--{long}"), ("info", "two_link", "--plot", "{long}.png")]
+)
+@pytest.mark.parametrize("json", [False, True])
+def test_long_words_do_not_make_long_messages(words, json):
+    done = Result(*(w.format(long="p" * 100_000) for w in words), *(["--json"] if json else []))
+    assert done.code == 2 and 0 < len(done.err + done.out) < 3000
+
+
+def test_an_equation_that_is_a_coordinate_alone_is_zero():
+    alone = Result("assemble", "four_bar", "--where", "A", "--where", "A", "--json")
+    assert alone.code == 0 and abs(alone.json()["q"]["A"]) < 1e-12

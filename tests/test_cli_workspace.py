@@ -22,7 +22,7 @@ def test_a_map_is_made_drawn_and_looked_up(tmp_path):
     assert [p["reached"] for p in found["points"]] == [True, True, False, False]
     assert found["points"][0]["distance"] > 0 > found["points"][3]["distance"]
     refused = Result("query", path, "0.5,nan")
-    assert refused.code == 2 and "a point is '0.5,nan'; nan is no number" in " ".join(refused.err.split())
+    assert refused.code == 2 and "a point is '0.5,nan', which holds nan" in " ".join(refused.err.split())
     assert "in metres, in the ground frame" in " ".join(Result("query", "--help").out.replace("│", " ").split())
     text = Result("query", path, "0.5,0.2", "1,1").out
     assert "0.5,0.2: reached" in text and "1,1: not reached" in text

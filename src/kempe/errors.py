@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 import reprlib
 import tokenize
 import warnings
@@ -236,14 +237,27 @@ def shown(x: object) -> str:
     return text if 0 < len(text) <= 80 else f"{text[:60]}... ({type(x).__name__})"
 
 
+HINTED, COMPARED = 200, 500
+"""Characters of a name, and names, that are compared letter by letter: more take long."""
+
+
+def _alike(given: str, names: Iterable[str]) -> list[str]:
+    """The names, of many only those that share the longest beginnings and ends with the one that is given."""
+    names = list(names)
+    if len(names) <= COMPARED:
+        return names
+    return sorted(names, key=lambda name: -len(os.path.commonprefix((given, name)))
+                  - len(os.path.commonprefix((given[::-1], name[::-1]))))[:COMPARED]  # fmt: skip
+
+
 def hint(name: object, allowed: Iterable[str]) -> str:
     """The tail of a message about an unknown name: the nearest names, or all of them where they are few."""
     import difflib  # only here: most names are known
 
     allowed = list(dict.fromkeys(allowed))
-    folded = {str(a).casefold(): a for a in reversed(allowed)}
-    given = name if isinstance(name, str) else shown(name)
-    near = difflib.get_close_matches(given[:200].casefold(), list(folded), n=3, cutoff=0.6)  # longer ones take long
+    folded = {str(a)[:HINTED].casefold(): a for a in reversed(allowed)}
+    given = (name if isinstance(name, str) else shown(name))[:HINTED].casefold()
+    near = difflib.get_close_matches(given, _alike(given, folded), n=3, cutoff=0.6)
     if near:
         return f"; did you mean {' or '.join(repr(folded[n]) for n in near)}?"
     if not allowed:

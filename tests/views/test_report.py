@@ -136,3 +136,13 @@ def test_errors_carry_their_data():
 
 def test_number_has_no_negative_zero():
     assert report.number(-1e-9) == "0.000000" and report.number(-0.5, 1) == "-0.5" and report.number(np.nan) == "nan"
+
+
+def test_a_long_table_looks_as_a_short_one(monkeypatch):
+    """Text in place of a table of rich, which takes a millisecond a line."""
+    heads = (">target", "reached", "=name", ">q [rad]")
+    lines = [(i, "yes" if i % 3 else "no", "\u00e4\u4e2d" * (i % 4), f"{1.5 * i:.3f}") for i in range(30)]
+    short = text(report.table(heads, lines, title="a title"))
+    monkeypatch.setattr(report, "LONG", 10)
+    long = report.table(heads, lines, title="a title")
+    assert text(long).rstrip() == short.rstrip() and not hasattr(long, "columns")

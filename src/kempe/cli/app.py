@@ -17,7 +17,7 @@ import numpy as np
 import typer
 
 from kempe.description.formats import named, read_by
-from kempe.description.source import no_file
+from kempe.description.source import expanded, no_file
 from kempe.errors import InputError, KernelsError
 from kempe.model.immovable import immovable
 from kempe.version import __version__
@@ -168,12 +168,21 @@ def writable(path: Path | None) -> None:
         raise InputError(f"{path}: it may not be written")
 
 
-def results(path: Path | None) -> None:
-    """Refuse an ending or a place that results cannot be written to, before any work. Errors: `InputError`."""
+def results(path: Path | None, *read: object) -> None:
+    """Refuse an ending or a place that results cannot be written to, before any work. Errors: `InputError`.
+
+    Nor are they written over a file of rows that the command reads.
+    """
     from kempe.views import rows
 
     rows.output(path)
     writable(path)
+    if path is None or not path.exists():
+        return
+    for given in read:
+        if isinstance(given, (str, Path)) and rows.is_file(str(given)) and expanded(given).exists():
+            if path.samefile(expanded(given)):
+                raise InputError(f"{path}: the command reads this file; write the results to another one")
 
 
 def remark(text: str) -> None:

@@ -88,8 +88,9 @@ def ik(
     system = load(file, base, root, package_dir, xacro, lenient_limits)
     from kempe.views import rows
 
-    results(out)
+    results(out, target)
     drawable(plot, gif, html)
+    errors = (0.0, 0.0) if all else rows.tolerance("1e-6" if tolerance is None else tolerance)
 
     def draw(answer: Any) -> list[Path]:
         return drawn(system, answer, plot, gif, html)
@@ -98,7 +99,7 @@ def ik(
         read = _read_tasks(system, tasks, deg)
         start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
         _answer(system, read.count, TASK_SLICE, lambda i, j: system.ik(
-            read.tasks(i, j), start=_part(start, i, j), tolerance=rows.tolerance(tolerance or "1e-6"), prefer=prefer,
+            read.tasks(i, j), start=_part(start, i, j), tolerance=errors, prefer=prefer,
             budget=Budget(rng=rng),
         ), deg, out, draw, json)  # fmt: skip
         return
@@ -110,7 +111,7 @@ def ik(
     if all:
         _all(system, X, frame, task, axis, hold, start, tolerance, deg, out, draw, json)
         return
-    wanted: dict[str, Any] = {"tolerance": rows.tolerance(tolerance or "1e-6"), "budget": Budget(rng=rng),
+    wanted: dict[str, Any] = {"tolerance": errors, "budget": Budget(rng=rng),
                               "task": task_argument(task, axis)}  # fmt: skip
     _answer(system, len(X) if X.ndim > 2 else None, SLICE, lambda i, j: system.ik(
         X[i:j] if X.ndim > 2 else X, frame, start=_part(start, i, j), **wanted), deg, out, draw, json)  # fmt: skip
@@ -194,7 +195,7 @@ def path(
     system = load(file, base, root, package_dir, xacro, lenient_limits)
     from kempe.views import facts, ik_report, rows, slices
 
-    results(out)
+    results(out, target)
     drawable(plot, gif, html)
     start = None if seed is None else rows.configuration(system, seed, None, deg, start=True)
     wanted: Any

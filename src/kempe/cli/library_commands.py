@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from kempe.cli.app import MODELS, Json, Picture, app, drawable, option, save_picture, say_written
+from kempe.errors import InputError
 from kempe.views.terminal import guarded, print_json, show
 
 
@@ -77,6 +78,8 @@ def tour(
 
     found = lecture.chosen(number)
     if pictures is not None:
+        if pictures.exists() and not pictures.is_dir():
+            raise InputError(f"{pictures}: this is no folder; --pictures names the folder of the pictures")
         pictures.mkdir(parents=True, exist_ok=True)
         drawable(pictures / "01.png")
     if json:

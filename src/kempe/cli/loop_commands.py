@@ -133,8 +133,8 @@ def _under(system: System, equations: list[str]) -> System:
     if not equations:
         return system
     mechanism = system.mechanism.copy()
-    for text in equations:
-        mechanism.equation(text, text)
+    for text in dict.fromkeys(equations):
+        mechanism.equation(text if "=" in text else f"{text} = 0", text)  # 'A' alone would be called as the joint
     return mechanism.build()
 
 
@@ -191,7 +191,7 @@ def assemble(
     from kempe.views import facts, loop_report
     from kempe.views.input import given
 
-    results(out)
+    results(out, *known or ())
     drawable(plot, gif, html)
     values = given.known(system, known or [], deg)
     start = given.start(system, near, deg)

@@ -149,7 +149,7 @@ def reach(
     system = load(file, base, root, package_dir, xacro, lenient_limits)
     X, position = _poses(system, poses, frame, deg)
     task = "position" if position or position_only else None
-    results(out)
+    results(out, poses)
     drawable(plot, gif, html)
     with _paced(starts, rng, time_limit, "poses") as budget:
         answer = until_interrupt(system.reach.poses, X, frame, task=task, budget=budget)
@@ -227,6 +227,8 @@ def _box(words: list[str], deg: bool) -> dict[str, object]:
         name, sign, value = word.partition("=")
         if not sign:
             raise InputError(f"--box {word!r} has no '='; write x=LOW,HIGH or x=VALUE")
+        if name.strip() in out:
+            raise InputError(f"--box gives {name.strip()!r} twice")
         factor = DEGREE if deg and name.strip() == "yaw" else 1.0
         numbers = [x * factor for x in rows.numbers(value, f"--box {name}")]
         out[name.strip()] = numbers[0] if len(numbers) == 1 else numbers

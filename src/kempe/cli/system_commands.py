@@ -153,7 +153,7 @@ def fk(
 
     if frame is not None:
         system.structure.frame_name(frame)  # a wrong name is reported before kernels are compiled
-    results(out)
+    results(out, q)
     drawable(plot, gif, html)
     values = rows.configuration(system, q, posture, deg)
     X = system.fk(values, frame)

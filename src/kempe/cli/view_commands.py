@@ -51,6 +51,8 @@ def view(
     system = load(file, base, root, package_dir, xacro, lenient_limits)
     from kempe.views import rows
 
+    if frame is not None:
+        system.structure.frame_name(frame)
     start = None if q is None and posture is None else rows.configuration(system, q, posture, deg)
     if html is not None:
         from kempe.views.viewer.pages import write_page

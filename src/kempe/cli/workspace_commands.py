@@ -43,8 +43,8 @@ def _numbers(text: str, what: str) -> list[float]:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
         raise InputError(f"{what} is {text!r}; it must be numbers, separated by commas") from None
-    if any(math.isnan(x) for x in numbers):
-        raise InputError(f"{what} is {text!r}; nan is no number")
+    if bad := [x for x in numbers if not math.isfinite(x)]:
+        raise InputError(f"{what} is {text!r}, which holds {bad[0]}; all numbers must be finite")
     return numbers
 
 

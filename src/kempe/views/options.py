@@ -18,6 +18,7 @@ WORDS: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
     (r"\bthe option '?(\w+)'? is for\b", lambda found: f"--{found[1].replace('_', '-')} is for"),
     (r"\b(angles|deg)=True\b", r"\1 = true"),
     (r"\bcolumns=\(\.\.\.\)", "--columns A,B,..."),
+    (r"kempe\.Budget\(time_limit=\.\.\.\)", "--time-limit"),
     (r"`ik_all`", "ik --all"),
     (r"`ik`", "ik"),
     (r"`start`", "--start"),

@@ -36,6 +36,9 @@ WORD = 20
 NOTE_LIMIT, REASON_LIMIT = 10, 5
 """Notes about one file, and reasons why targets of a batch are not reached, that are shown."""
 
+LONG = 1000
+"""Lines of a table above which it is plain text."""
+
 _CONTROL = {i: f"\\x{i:02x}" for i in (*range(32), *range(127, 160)) if i not in (9, 10)}
 """Control characters, which a name from a file must not send to the terminal."""
 
@@ -89,8 +92,14 @@ def clean(text: object) -> str:
     return in_options(str(text)).translate(_CONTROL)
 
 
-def table(columns: Sequence[str], lines: Iterable[Sequence[object]], title: str = "") -> Table:
-    """A light table; columns named with a leading '>' hold numbers (right, not wrapped), with '=' are not wrapped."""
+def table(columns: Sequence[str], lines: Iterable[Sequence[object]], title: str = "") -> Table | Text:
+    """A light table; columns named with a leading '>' hold numbers (right, not wrapped), with '=' are not wrapped.
+
+    Of many lines it is plain text of the same look, for rich takes a millisecond a line.
+    """
+    lines = list(lines)
+    if len(lines) > LONG:
+        return _long_table(columns, lines, title)
     out = Table(
         box=None, pad_edge=False, padding=(0, 2, 0, 0), title=title or None, title_justify="left",
         header_style="bold", title_style="bold",
@@ -104,6 +113,20 @@ def table(columns: Sequence[str], lines: Iterable[Sequence[object]], title: str 
     for line in lines:
         out.add_row(*(cell if isinstance(cell, Text) else clean(cell) for cell in line))
     return out
+
+
+def _long_table(columns: Sequence[str], lines: Sequence[Sequence[object]], title: str) -> Text:
+    """The text of a table."""
+    cells = [[clean(name.lstrip(">=")) for name in columns]]
+    cells += [[clean(cell) for cell in line] for line in lines]
+    wide = [max(map(cell_len, column)) for column in zip(*cells, strict=True)]
+    right = [name.startswith(">") for name in columns]
+    out = [title] * bool(title)
+    for line in cells:
+        padded = (" " * (w - cell_len(x)) + x if r else x + " " * (w - cell_len(x))
+                  for x, w, r in zip(line, wide, right, strict=True))  # fmt: skip
+        out.append("  ".join(padded).rstrip())
+    return Text("\n".join(out), no_wrap=True, overflow="ignore")
 
 
 def number(x: float, digits: int = 6) -> str:

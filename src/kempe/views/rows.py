@@ -129,9 +129,12 @@ def read(path: Path, matrices: bool = False) -> tuple[list[str] | None, spatial.
 
 def _read_npy(path: Path, matrices: bool) -> tuple[None, spatial.Array]:
     try:
-        array = reals(np.load(path, allow_pickle=False), "the file")
+        # a map of the file asks for no memory: the header may promise more rows than there are
+        array = reals(np.array(np.load(path, mmap_mode="r", allow_pickle=False)), "the file")
     except UNREADABLE:
         raise InputError(f"{path}: it is not a .npy file of numbers") from None
+    except MemoryError:
+        raise InputError(f"{path}: this memory does not hold the array in it") from None
     if array.ndim == 2 or (matrices and array.ndim == 3 and array.shape[1:] == (4, 4)):
         return None, array
     wanted = "a row for each target, or (n, 4, 4) poses" if matrices else "a row for each configuration"

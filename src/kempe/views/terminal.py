@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from kempe.errors import KempeError
+from kempe.errors import KempeError, shortened
 
 COMPLETE, INCOMPLETE, REFUSED, INTERRUPTED = 0, 1, 2, 130
 """Exit codes: complete answer; no solution or problems found; question that could not be posed; Ctrl-C."""
@@ -79,6 +79,7 @@ def refuse(error: BaseException | str, json: bool = False) -> NoReturn:
 
 def say_error(error: BaseException | str, json: bool = False) -> None:
     """Print an error: a sentence on standard error, or JSON on standard output."""
+    error = error if isinstance(error, BaseException) else str(shortened(error))
     if json:
         from kempe.views.facts import error_facts
 

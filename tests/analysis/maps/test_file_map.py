@@ -751,3 +751,19 @@ def test_workers_of_a_cluster_answer_the_same(tmp_path, whole):
         third = kempe.map_file(PUMA, "ik", whole[0], tmp_path / "three.zarr", "tool", client=cluster.scheduler_address)
     assert 300 <= first.rows < N and second.rows == third.rows == N
     assert same(arrays(path), whole[1]) and same(arrays(tmp_path / "three.zarr"), whole[1])
+
+
+def test_a_file_of_very_many_columns_is_refused_at_once(tmp_path, monkeypatch):
+    """The names were looked up in all others, one by one: with 100 000 it took minutes."""
+    k = 100_000
+    (tmp_path / "wide.csv").write_text(",".join(f"c{i}" for i in range(k)) + "\n" + "1," * (k - 1) + "1\n")
+    monkeypatch.setattr(row_sources, "known", lambda *given: pytest.fail(f"{given[1]} is looked up in a list"))
+    with pytest.raises(InputError, match=r"the target has the columns c0, c1, .*, \.\.\.; it must be"):
+        kempe.map_file(TWO, "ik", tmp_path / "wide.csv", tmp_path / "out.zarr", "e")
+
+
+def test_folders_named_as_parquet_files_are_no_files(tmp_path):
+    (tmp_path / "rows" / "q.parquet").mkdir(parents=True)
+    parquet.write_table(pyarrow.table({"q1": [0.1], "q2": [0.2]}), tmp_path / "rows" / "q.parquet" / "part.parquet")
+    answer = kempe.map_file(TWO, "fk", tmp_path / "rows", tmp_path / "out.zarr", "e")
+    assert answer and zarr.open(str(tmp_path / "out.zarr"), mode="r")["pose"].shape == (1, 4, 4)

@@ -167,6 +167,21 @@ def test_what_is_no_address_is_refused_before_a_client_is_made(monkeypatch):
             made(10**6, client=address)
 
 
+@pytest.mark.parametrize(
+    ("address", "why"),
+    [
+        ("tls://127.0.0.1:1", "certificates"),
+        ("wss://127.0.0.1:1", "certificates"),
+        ("ucx://127.0.0.1:1", "no client can be made for 'ucx' here"),
+    ],
+)
+def test_ways_to_a_scheduler_that_are_not_set_up_are_refused_before_a_client_is_made(monkeypatch, address, why):
+    """They ended in a TypeError of distributed."""
+    monkeypatch.setattr(distributed, "Client", lambda *a, **k: pytest.fail("a client was made"))
+    with pytest.raises(InputError, match=f"{address}'.*{why}"):
+        made(10**6, client=address)
+
+
 @pytest.mark.slow
 def test_schedulers_that_are_not_there(monkeypatch):
     monkeypatch.setattr(maps_cluster, "PATIENCE", 0.5)

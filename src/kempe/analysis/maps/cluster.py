@@ -17,6 +17,8 @@ LOOK = 0.5
 """Seconds between two looks at the clock."""
 HOSTS = ("tcp", "tls")
 """Ways to a scheduler that name a host and a port."""
+SECURED = ("tls", "wss")
+"""Ways to a scheduler that are encrypted, with certificates of both sides."""
 PATIENCE = 10.0
 """Seconds in which a scheduler must answer, and after which a cluster without workers is mentioned."""
 
@@ -27,20 +29,30 @@ SHOWN = 5
 def connected(client: Any) -> Any:
     """The client, or a new one for the address of a scheduler. Errors: `InputError` where nobody answers there."""
     try:
-        from distributed import Client
+        from distributed import Client, Security
         from distributed.comm.addressing import parse_address, parse_host_port
         from distributed.comm.registry import get_backend
     except ImportError:
         raise MissingExtraError("distributed", "scale") from None
     if isinstance(client, str):
+        such = "give one such as 'tcp://127.0.0.1:8786'"
         try:
             scheme, place = parse_address(client)
-            get_backend(scheme)  # a client for what is no address waits long until it goes
+            backend = get_backend(scheme)  # a client for what is no address waits long until it goes
             if scheme in HOSTS:
                 parse_host_port(place)
         except ValueError as error:
-            said = f"{shown(client)} is no address of a scheduler ({error})"
-            raise InputError(f"{said}; give one such as 'tcp://127.0.0.1:8786'") from None
+            raise InputError(f"{shown(client)} is no address of a scheduler ({error}); {such}") from None
+        try:
+            backend.get_connector()
+        except (TypeError, RuntimeError, ImportError) as error:  # it is not installed, or not completely
+            raise InputError(f"{shown(client)}: no client can be made for {scheme!r} here ({error}); {such}") from None
+        security: Any = Security()
+        if scheme in SECURED and security.get_connection_args("client").get("ssl_context") is None:
+            raise InputError(
+                f"{shown(client)}: {scheme!r} needs certificates: name them in Dask's configuration "
+                "(distributed.comm.tls), or give a distributed.Client(..., security=...)"
+            )
         try:
             return Client(client, timeout=PATIENCE, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:

@@ -12,10 +12,11 @@ from kempe.analysis.maps.part_log import DonePart
 from kempe.analysis.maps.row_sources import RowSource, open_rows
 from kempe.analysis.maps.row_store import RowStore
 from kempe.analysis.maps.row_verbs import VERBS, RowJob, job_of
-from kempe.analysis.maps.side_by_side import RETRIES, Pace, ThreadWorkers, finished, thread_count
+from kempe.analysis.maps.side_by_side import RETRIES, Pace, ThreadWorkers, finished
 from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods, flag, interruptible, listed
 from kempe.description.source import expanded
+from kempe.kinematics.common.parallel import thread_count
 from kempe.kinematics.common.result import Cells, Report
 from kempe.solvers.common.arguments import seed_number
 from kempe.solvers.common.clock import BROKEN_OFF, TimeLimit, partial

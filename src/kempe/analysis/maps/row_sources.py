@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -85,7 +86,7 @@ def open_rows(path: str | Path, columns: Sequence[str] | None = None) -> RowSour
     except KempeError:
         raise
     except UNREADABLE as error:
-        kind = "Zarr" if reader is _zarr else path.suffix
+        kind = "Zarr" if reader is _zarr else path.suffix or "a folder of .parquet files"
         raise InputError(f"{path}: this cannot be read as {kind}: {error}") from error
     if columns is not None and source.names is None:
         if source.tail != (len(columns),):
@@ -107,9 +108,11 @@ def _of_folder(path: Path) -> Callable[[Path, Sequence[str] | None], RowSource]:
 def _chosen(path: Path, has: Sequence[str], columns: Sequence[str] | None) -> tuple[str, ...]:
     """The columns that count, of those that a file has. Errors: `InputError`, `UnknownNameError`."""
     names = tuple(has if columns is None else columns)
+    given, wanted = Counter(has), Counter(names)
     for name in names:
-        known("column", name, has, str(path))
-        if names.count(name) > 1 or list(has).count(name) > 1:
+        if name not in given:
+            known("column", name, has, str(path))
+        if wanted[name] > 1 or given[name] > 1:
             raise InputError(f"{path}: a column {name!r} appears twice")
     return names
 
@@ -130,13 +133,15 @@ def _steps(n: int, step: int) -> list[int]:
 def _npy(path: Path, columns: Sequence[str] | None) -> RowSource:
     """Arrays of numpy, of which only what is read comes into memory."""
     try:
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
+        array: Any = np.load(path, mmap_mode="r", allow_pickle=False)
     except ValueError as error:
         if "Python objects" in str(error):
             raise InputError(f"{path}: it holds Python objects; it must hold an array of real numbers") from None
         if "pickle" in str(error):  # of which numpy says how to run code that may be in the file
             raise ValueError("it does not begin as such a file does") from None
         raise
+    if not isinstance(array, np.ndarray):
+        raise InputError(f"{path}: this is a .npz archive of arrays, whatever its name says; save one array as .npy")
     return _of_array(path, array, [0, len(array)] if array.ndim else [0])
 
 
@@ -198,7 +203,7 @@ def _parquet(path: Path, columns: Sequence[str] | None) -> RowSource:
     except ImportError:
         raise MissingExtraError("pyarrow", "scale") from None
     arrow: Any = parquet
-    paths = sorted(path.rglob("*.parquet")) if path.is_dir() else [path]
+    paths = sorted(p for p in path.rglob("*.parquet") if p.is_file()) if path.is_dir() else [path]
     files: list[Any] = [arrow.ParquetFile(p) for p in paths]
     if not files:
         raise InputError(f"{path}: this folder holds no .parquet files")
@@ -237,7 +242,8 @@ def _csv(path: Path, columns: Sequence[str] | None) -> RowSource:
             at += len(line)
     chosen = None if names is None else _chosen(path, names, columns)
     places.append((at, 0))
-    pick: Any = slice(None) if names is None or chosen is None else [names.index(name) for name in chosen]
+    at_name = {name: i for i, name in enumerate(names or ())}
+    pick: Any = slice(None) if chosen is None else [at_name[name] for name in chosen]
 
     def block(k: int) -> Array:
         with open(path, "rb") as stream:

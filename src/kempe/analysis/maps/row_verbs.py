@@ -18,6 +18,7 @@ from kempe.kernels.compiled import VARIANT
 from kempe.kinematics.configuration import as_q, as_start, has_loops, q_from_dict
 from kempe.model.tree.coordinates import units
 from kempe.solvers.common.target_columns import PLACE, QUATERNION, poses_of_columns, said_columns
+from kempe.solvers.common.targets import task_of
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.version import __version__
@@ -106,6 +107,8 @@ class RowJob:
             return X
         X, position = poses_of_columns(self.system.dim, rows, self.columns, self.degrees)
         task = self.options.get("task")
+        if isinstance(task, str):
+            task_of(task, position, False)
         if position and task not in (None, "position"):
             raise InputError(f"task {task!r} needs targets with an orientation; they have x, y, z only")
         return np.ascontiguousarray(X[:, : self.system.dim, 3]) if position else X
@@ -199,8 +202,12 @@ def job_of(
         raise InputError("assemble needs no frame: known are coordinates")
     if chosen.needs_frame and frame is None:
         raise InputError(f"{verb} needs a frame")
-    if given.get("start") is not None and np.ndim(as_start(system, given["start"])) != 1:
-        raise InputError(f"start must be one configuration ({system.nq},)")
+    if given.get("start") is not None:
+        start = as_start(system, given["start"])
+        if np.ndim(start) != 1:
+            raise InputError(f"start must be one configuration ({system.nq},)")
+        if not np.isfinite(start).all():
+            raise InputError(f"start is {start.tolist()}; its numbers must be finite")
     name = None if frame is None else system.structure.frame_name(frame)
     job = RowJob(system, verb, name, given, source.tail, source.names, degrees, rng)
     job.said()

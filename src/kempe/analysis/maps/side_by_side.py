@@ -9,9 +9,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from typing import Any, Protocol, TypeVar
 
 from kempe.calls import quiet
-from kempe.errors import InputError, shown
-from kempe.kinematics.common.parallel import Stopped, processors, stopped_by
-from kempe.reals import is_whole
+from kempe.kinematics.common.parallel import Stopped, stopped_by
 from kempe.solvers.common.clock import BROKEN_OFF
 
 Task = TypeVar("Task")
@@ -134,10 +132,3 @@ def finished(
         raise
     finally:
         workers.give_up(list(running))
-
-
-def thread_count(threads: Any) -> int:
-    """How many threads are wanted. Errors: `InputError`."""
-    if threads is not None and (not is_whole(threads) or threads < 1):
-        raise InputError(f"threads is {shown(threads)}; it must be None (all) or a whole number, at least 1")
-    return int(threads or processors())

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from kempe.budget import checks, look, watched_by
 from kempe.calls import quiet
-from kempe.errors import InputError
+from kempe.errors import InputError, shown
 from kempe.reals import is_whole
 
 if TYPE_CHECKING:
@@ -49,9 +49,23 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_begin_anew)
 
 
+MOST_THREADS = 4096
+"""Threads of one call at most: each takes memory, and more than there are processors bring nothing."""
+
+
 def processors() -> int:
     """Processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def thread_count(threads: Any) -> int:
+    """How many threads are wanted. Errors: `InputError`."""
+    if threads is not None and not (is_whole(threads) and 1 <= threads <= MOST_THREADS):
+        raise InputError(
+            f"threads is {shown(threads)}; it must be None (all processors) or a whole number, at least 1 and at most "
+            f"{MOST_THREADS}"
+        )
+    return int(threads or processors())
 
 
 def over_chunks(
@@ -64,11 +78,11 @@ def over_chunks(
     The calling thread works too. Each thread takes the next chunk when it is done with one, so a thread that gets no
     processor holds nobody up for longer than a chunk. If one fails or is interrupted, no further chunk is begun.
     """
-    if threads is not None and (not is_whole(threads) or threads < 1):
-        raise InputError(f"threads is {threads!r}; it must be None (all processors) or a whole number, at least 1")
+    few = threads is None and chunk is not None and count < serial_below  # nobody needs to ask the system
+    most = 1 if few else thread_count(threads)
     if chunk is None:
-        chunk = max(serial_below, -(-count // int(threads or processors())))
-    n = 1 if count < serial_below else min(int(threads or processors()), -(-count // chunk))
+        chunk = max(serial_below, -(-count // most))
+    n = 1 if count < serial_below else min(most, -(-count // chunk))
     if n == 1:
         piece = max(chunk, serial_below)  # between two of them Python sees an interrupt
         total = 0

@@ -19,10 +19,15 @@ if TYPE_CHECKING:
     from kempe.model.system import System
 
 
-def start_count(starts: object) -> int:
+DRAWN = 10**6
+"""Starts of a search that draws them all before it begins, at most."""
+
+
+def start_count(starts: object, most: int = 2**62 - 1) -> int:
     """The number of starts. Errors: `InputError`."""
-    if not is_whole(starts) or not 1 <= starts < 2**62:
-        raise InputError(f"starts is {shown(starts)}; it must be a whole number, at least 1")
+    if not is_whole(starts) or not 1 <= starts <= most:
+        above = f" and at most {most}" if most == DRAWN else ""
+        raise InputError(f"starts is {shown(starts)}; it must be a whole number, at least 1{above}")
     return int(starts)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from kempe import spatial
 from kempe.errors import InputError
 from kempe.spatial import Array
-from kempe.words import counted
+from kempe.words import counted, listed
 
 PLACE, TURNED, QUATERNION = ("x", "y", "z"), ("roll", "pitch", "yaw"), ("qw", "qx", "qy", "qz")
 COLUMNS = {
@@ -37,7 +37,7 @@ def poses_of_columns(
     width = values.shape[-1]
     order = next((c for c in COLUMNS[dim] if (len(c) == width if names is None else sorted(c) == sorted(names))), None)
     if order is None:
-        has = counted(width, "number") if names is None else f"the columns {', '.join(names)}"
+        has = counted(width, "number") if names is None else f"the columns {listed(names, 12)}"
         raise InputError(f"the target has {has}; it must be {said_columns(dim)}")
     if names is not None:
         values = values[..., [list(names).index(name) for name in order]]

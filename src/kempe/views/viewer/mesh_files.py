@@ -20,8 +20,9 @@ from kempe import spatial
 from kempe.description.limited import last_words, run_limited
 from kempe.description.meshes import resolve_mesh
 from kempe.description.urdf.xml import parse_xml
-from kempe.errors import KempeError, requirement
+from kempe.errors import KempeError, requirement, shown
 from kempe.spatial import Array
+from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.description.urdf.xml import XmlElement
@@ -35,6 +36,8 @@ MEMORY = 2 * 2**30
 """Bytes of memory that may be used to read one mesh."""
 EACH, ALL = 20, 120.0
 """Seconds of processor time for one mesh, and seconds for all of a model, at most."""
+FARTHEST = 1e9
+"""Bound of the sizes, places and scales of shapes [m]: pages hold them with 32 bits."""
 TEXTURE = 2048
 """Pixels of a texture along an edge; larger ones are made smaller."""
 READERS = {".dae": {"collada": "pycollada"}, ".zae": {"collada": "pycollada"},
@@ -140,13 +143,13 @@ def _of_visual(text: str, roots: tuple[str, ...]) -> Iterator[Any]:
     for geometry in visual.of("geometry"):
         for mesh in geometry.of("mesh"):
             path = resolve_mesh(mesh.attributes.get("filename", ""), roots)
-            yield _File(path.name, path, _numbers(mesh.attributes.get("scale"), 3, 1.0), X)
+            yield _File(path.name, path, _numbers(mesh.attributes.get("scale"), 3, 1.0, "the scale of a mesh"), X)
         for box in geometry.of("box"):
-            yield _placed(trimesh.creation.box(_numbers(box.attributes.get("size"), 3)), X)
+            yield _placed(trimesh.creation.box(_sizes(box, "size", 3)), X)
         for ball in geometry.of("sphere"):
-            yield _placed(trimesh.creation.icosphere(2, _numbers(ball.attributes.get("radius"), 1)[0]), X)
+            yield _placed(trimesh.creation.icosphere(2, _sizes(ball, "radius")[0]), X)
         for tube in geometry.of("cylinder"):
-            radius, length = (_numbers(tube.attributes.get(key), 1)[0] for key in ("radius", "length"))
+            radius, length = (_sizes(tube, key)[0] for key in ("radius", "length"))
             yield _placed(trimesh.creation.cylinder(radius, length, 24), X)
 
 
@@ -226,11 +229,23 @@ def _origin(element: XmlElement | None) -> Array:
     return X
 
 
-def _numbers(text: str | None, n: int, default: float | None = None) -> Array:
+def _sizes(element: XmlElement, key: str, n: int = 1) -> Array:
+    """The lengths (n,) of a box, a sphere or a cylinder, in metres. Errors: ValueError."""
+    what = f"the {key} of a {element.tag}"
+    values = _numbers(element.attributes.get(key), n, None, what)
+    if not (values > 0.0).all():
+        raise ValueError(f"{what} is {shown(element.attributes[key])}; it must be positive")
+    return values
+
+
+def _numbers(text: str | None, n: int, default: float | None = None, what: str = "a place") -> Array:
     """The numbers (n,) in a text. Errors: ValueError."""
     if text is None and default is not None:
         return np.full(n, default)
-    values = np.array([float(x) for x in (text or "").split()])
-    if len(values) != n or not np.isfinite(values).all():
-        raise ValueError(f"{text!r} are not {n} numbers")
+    try:
+        values = np.array([float(x) for x in (text or "").split()])
+    except ValueError:
+        values = np.empty(0)
+    if len(values) != n or not (np.abs(values) < FARTHEST).all():
+        raise ValueError(f"{what} is {shown(text)}; it must be {counted(n, 'number')} below {FARTHEST:g} in size")
     return values

@@ -21,7 +21,7 @@ from kempe.kinematics.configuration import has_loops, random, winding_angles
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.singular_values import svd
 from kempe.solvers.assembly.idle import moved_by_spins
-from kempe.solvers.common.arguments import start_count
+from kempe.solvers.common.arguments import DRAWN, start_count
 from kempe.solvers.common.clock import TIME_LIMIT, TimeLimit, TimeUp, partial, time_limited, time_of
 from kempe.spatial import Array
 from kempe.status import Status
@@ -283,7 +283,7 @@ def _inside(system: System, home: Array, spend: Budget) -> bool:
     manifold = Manifold(system, 1)
     if manifold.inside(home[None]).any():
         return True
-    found = system.assemble(None, random(system, np.random.default_rng(spend.rng), start_count(spend.starts)))
+    found = system.assemble(None, random(system, np.random.default_rng(spend.rng), start_count(spend.starts, DRAWN)))
     ok = np.asarray(found.success, dtype=bool)
     return bool(ok.any() and manifold.inside(found.q[ok]).any())
 
@@ -375,7 +375,7 @@ def _starts(system: System, home: Array, spend: Budget) -> Array:
     """Closed configurations (k, nq) within all limits: near home, random ones, and assembly modes of a closed form."""
     rng = np.random.default_rng(spend.rng)
     manifold, found = Manifold(system, 1), [home[None]]
-    q = manifold.drawn(rng, start_count(spend.starts))
+    q = manifold.drawn(rng, start_count(spend.starts, DRAWN))
     found.append(q)
     for name in system.coordinate_names if system.dim == 2 else ():
         k = system.coordinate_names.index(name)

@@ -17,7 +17,7 @@ from kempe.errors import InputError, shown
 from kempe.kinematics.common.result import Cells, Report
 from kempe.kinematics.configuration import has_loops, one_finite, random
 from kempe.kinematics.tasks.packed import count, jacobian, units
-from kempe.solvers.common.arguments import start_count
+from kempe.solvers.common.arguments import DRAWN, start_count
 from kempe.solvers.common.clock import SHORT, time_limited, time_of
 from kempe.spatial import Array
 from kempe.status import Status
@@ -132,7 +132,7 @@ def task_space(
     spend = USUAL.of(budget)
     wanted, name, frame = _wanted(system, tasks, task)
     rng = generator(spend.rng)
-    drawn = _drawn(system, start_count(spend.starts) or 1, rng)
+    drawn = _drawn(system, start_count(spend.starts, DRAWN), rng)
     at = drawn[0] if q is None else one_finite(system, q)
     every, m = np.concatenate([at[None], drawn]), sum(count(system, t) for t in wanted)
     metres = np.array([unit == "m" for t in wanted for unit in units(system, t)])

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 OF_FRAMES = ("pose", "position", "orientation", *PLANES, DIRECTION)
 """Tasks of frames: "xy" is the position along x and y, "direction" that of the frame's z axis."""
+RANKED = 1000
+"""Starts of which generic ranks are read, and between which sets are looked for, at most."""
 GENERIC = 256
 """Random configurations of which some have the rank of almost all."""
 PARTS, HALVED, NEARLY = 8, 8, 24
@@ -80,12 +82,14 @@ class RankQuestions:
         self.rows = [r for r in twist_rows(words, system.dim) if r in kept]
         self.twists = np.eye(len(self.rows))
         if frame is not None:
-            seen = self.task_jacobians(self.starts).swapaxes(1, 2).reshape(-1, len(self.rows))
+            seen = self.task_jacobians(self.starts[:RANKED]).swapaxes(1, 2).reshape(-1, len(self.rows))
             _, s, Vt = svd(seen, full_matrices=False)
             self.twists = Vt[: int(np.sum(s > ZERO * max(s.max(initial=0.0), 1e-300)))].T
             if not self.twists.size:
                 raise InputError(f"frame {frame!r} of {system.name} does not move: nothing of it can be lost")
-        moving = np.abs(self.task_jacobians(self.starts)).max(axis=(0, 1)) > 0.0 if frame is not None else False
+        moving = (
+            np.abs(self.task_jacobians(self.starts[:RANKED])).max(axis=(0, 1)) > 0.0 if frame is not None else False
+        )
         self.frame_rank = 0 if frame is None else max(self._rank_of_frame(q) for q in self.starts[:GENERIC])
         self.columns = np.arange(system.nv) if self.loops else np.flatnonzero(moving)
 
@@ -96,7 +100,7 @@ class RankQuestions:
         that have none, as they are not square, the least singular values are taken. Sets that are met from afar seldom,
         where limits are narrow, are so from there.
         """
-        own, t = self.starts[inside_limits(self.system, self.starts)], np.arange(PARTS + 1) / PARTS
+        own, t = self.starts[inside_limits(self.system, self.starts)][:RANKED], np.arange(PARTS + 1) / PARTS
         if not len(own):
             return dict.fromkeys(problems, own)
         q, ok = self._between(np.repeat(own, len(t), axis=0), np.repeat(np.roll(own, 1, axis=0), len(t), axis=0),
@@ -174,7 +178,7 @@ class RankQuestions:
             if self.inputs is not None:
                 found[TYPE_2] = self._with_inputs
             found[CONSTRAINT] = self.closures
-        return {kind: RankLoss(self.system, f, generic_rank(f(self.starts)), self.columns, self.unit)
+        return {kind: RankLoss(self.system, f, generic_rank(f(self.starts[:RANKED])), self.columns, self.unit)
                 for kind, f in found.items()}  # fmt: skip
 
     def in_si(self, twists: Array) -> Array:
@@ -220,7 +224,7 @@ def _led_inside(system: System, q: Array) -> Array:
 
     From far outside Newton's method rarely comes to the part of a singular set that is inside.
     """
-    q, out = q.copy(), np.flatnonzero(~inside_limits(system, q))
+    q, out = q.copy(), np.flatnonzero(~inside_limits(system, q))[:RANKED]
     if len(out):
         found = system.assemble(None, q[out])
         ok = np.asarray(found.success, dtype=bool)

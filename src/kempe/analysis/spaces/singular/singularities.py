@@ -21,7 +21,7 @@ from kempe.errors import InputError, Interrupted
 from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import by_short_turns, circles, has_loops, one_finite
 from kempe.late import late
-from kempe.solvers.common.arguments import start_count
+from kempe.solvers.common.arguments import DRAWN, start_count
 from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp, begun_within, partial
 from kempe.spatial import Array
 from kempe.status import Status
@@ -220,7 +220,7 @@ def singularities(
     Sets are distinguished by the coordinates that decide, and of six-joint arms by the names of their branches. With
     `limits` only configurations inside them count, which hold the one-sided constraints, too; with closed loops they
     are then looked for from nearly singular ones between the starts, besides. Of the `budget` are read:
-    starts (64), rng (0), time_limit (120 s), and progress(starts done, all).
+    starts (64, at most a million), rng (0), time_limit (120 s), and progress(starts done, all).
     Errors: `InputError`, `UnknownNameError`.
     """
     spend, limits = USUAL.of(budget), flag(limits, "limits")
@@ -287,7 +287,7 @@ def _questions_of(
 
     Its pose has three equations, and so lacks a direction everywhere.
     """
-    loops, starts = has_loops(system), start_count(spend.starts)
+    loops, starts = has_loops(system), start_count(spend.starts, DRAWN)
     word = _task(system, frame, task, loops)
     questions = RankQuestions(system, frame, word, driving, generator(spend.rng), starts, limits)
     if task is None and loops and system.dim == 2 and questions.frame_rank == 2:

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from kempe.analysis.maps.side_by_side import ThreadWorkers, finished, thread_count
+from kempe.analysis.maps.side_by_side import ThreadWorkers, finished
 from kempe.analysis.spaces.workspace.recipe import Recipe
+from kempe.kinematics.common.parallel import thread_count
 from kempe.solvers.common.clock import BROKEN_OFF, TimeLimit
 
 SHARED_BYTES = 256 * 2**20
