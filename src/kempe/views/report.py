@@ -161,7 +161,7 @@ def _headline(data: dict[str, Any]) -> Text:
     return Text.assemble((clean(data["name"]), "bold green"), f": {counts}, {place}; {data['kind']}")
 
 
-def _overview(data: dict[str, Any]) -> Table:
+def _overview(data: dict[str, Any]) -> Table | Text:
     space, loops, dof = data["configuration_space"], len(data["closures"]), str(data["dof_of_tree"])
     declared, equations = sum(c["equations"] > 0 for c in data["constraints"]), space["constraints"]
     if equations:
@@ -194,7 +194,7 @@ def _overview(data: dict[str, Any]) -> Table:
     return grid
 
 
-def _bodies(data: dict[str, Any]) -> Table:
+def _bodies(data: dict[str, Any]) -> Table | Text:
     joints = {j["name"]: j for j in data["joints"]}
     by_name = {c["name"]: c for c in data["coordinates"]}
     names = [b["name"] for b in data["bodies"]]
@@ -234,7 +234,7 @@ def _bound(x: float | None, missing: str) -> str:
     return missing if x is None else f"{x:.5g}"
 
 
-def _loops(data: dict[str, Any]) -> Table | None:
+def _loops(data: dict[str, Any]) -> Table | Text | None:
     joints = {j["name"]: j for j in data["joints"]}
     by_name = {c["name"]: c for c in data["coordinates"]}
     lines = [(j["name"], _kind(j), f"{j['parent']} - {j['child']}", *_of_joint(j, by_name))
@@ -243,7 +243,7 @@ def _loops(data: dict[str, Any]) -> Table | None:
     return table(columns, lines, "Loops, closed by the joints that the tree leaves out") if lines else None
 
 
-def _constraints(data: dict[str, Any]) -> Table | None:
+def _constraints(data: dict[str, Any]) -> Table | Text | None:
     lines: list[tuple[Any, str, str, Any]] = []
     for c in data["constraints"]:
         sided = ", one-sided" if c["one_sided"] else ""
@@ -336,7 +336,9 @@ def poses(system: System, frame: str | None, X: spatial.Array, degrees: bool = F
     return Group(title, "", _pose_table(labels, (">q", ">#", "body"), X.reshape(-1, 4, 4), degrees))
 
 
-def _pose_table(labels: Sequence[tuple[Any, ...]], columns: tuple[str, ...], X: spatial.Array, degrees: bool) -> Table:
+def _pose_table(
+    labels: Sequence[tuple[Any, ...]], columns: tuple[str, ...], X: spatial.Array, degrees: bool
+) -> Table | Text:
     places = 4 if degrees else 6
     cells = [
         (*label, *(number(x) for x in r[:3]), *(number(x, places) for x in r[3:]))
@@ -396,7 +398,7 @@ def rows_text(numbers: Sequence[int]) -> str:
     return f"row{'s' * (len(numbers) > 1)} {', '.join(map(str, numbers[:12]))}{more}"
 
 
-def _configurations(coordinates: list[dict[str, Any]], q: spatial.Array, answer: Answer) -> Table:
+def _configurations(coordinates: list[dict[str, Any]], q: spatial.Array, answer: Answer) -> Table | Text:
     columns = (
         ">target",
         "reached",
