@@ -11,12 +11,9 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import Any
 
 from kempe.late import call_late
-
-if TYPE_CHECKING:
-    from kempe.description.mechanism import Mechanism
 
 _ROOT = re.compile(r"(?>[^<]*(?:<!--.*?-->|<\?.*?\?>|<![^->][^>]*>))*+[^<]*<([A-Za-z_][\w.:-]*)", re.DOTALL)
 
@@ -34,9 +31,9 @@ class Format:
     """Its name in messages."""
     endings: tuple[str, ...]
     """Endings of file names, with their dots, in lower case."""
-    read: Callable[..., Mechanism] | None = None
+    read: Callable[..., Any] | None = None
     """Text -> mechanism; None where the format is only known by name."""
-    write: Callable[[Mechanism], str] | None = None
+    write: Callable[[Any], str] | None = None
     """Mechanism -> text; None where it is not written."""
     recognises: Callable[[str], bool] = lambda start: False
     """Whether a text that begins so, blanks left out, is in this format whatever its file is called."""

@@ -14,6 +14,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from kempe.description.formats import HEAD, named, other_kind, read_by
 from kempe.errors import (
     PROBLEM_LIMIT,
     DescriptionError,
@@ -206,8 +207,6 @@ def refuse_other_kinds(data: bytes | str, name: str) -> None:
 
     Errors: `DescriptionError` that says what the file is, and what to do.
     """
-    from kempe.description.formats import HEAD, other_kind
-
     if kind := other_kind(data):
         start = data[:HEAD] if isinstance(data, str) else data[:200].decode("ascii", "replace")
         line = "".join(c if c.isprintable() else "\ufffd" for c in _LINE_END.split(start)[0][:200])
@@ -225,8 +224,6 @@ def decode(data: bytes | str, name: str, declared: re.Pattern[bytes] | None = No
     text = data if isinstance(data, str) else _text_of(data, name, declared)
     text = text.removeprefix("\ufeff")
     if not text.strip():
-        from kempe.description.formats import named, read_by
-
         what = "empty" if not text else "nothing but blanks"
         raise fail(f"the file is {what}", Where(name), f"it must hold a description ({named(read_by())})")
     return text

@@ -10,6 +10,7 @@ import numpy as np
 
 from kempe import library
 from kempe.calls import explained
+from kempe.description.read import read
 from kempe.errors import InputError, KempeError
 from kempe.joints import TYPES
 from kempe.kinematics.configuration import has_loops
@@ -200,15 +201,13 @@ def plot_joints(names: Sequence[str] = ()) -> tuple[Axes, ...]:
     shown = [n for n in TYPES if TYPES[n]().dof()] if not len(names) else list(names)
     if unknown := [n for n in shown if f"joint_{n}" not in library.names()]:
         raise InputError(f"names has {unknown[0]!r}; there are: {', '.join(TYPES)}")
-    import kempe
-
     columns = min(3, len(shown))
     rows = -(-len(shown) // columns)
     figure = page.new_figure(3.4 * columns, 3.2 * rows)
     axes: list[Axes] = []
     for k, name in enumerate(shown):
         ax: Any = figure.add_subplot(rows, columns, k + 1, projection="3d")
-        system = kempe.load(f"joint_{name}")
+        system = read(f"joint_{name}").build()
         system.plot(motion=True, labels=False, ax=ax)
         ax.set_box_aspect([np.ptp(x) for x in (ax.get_xlim(), ax.get_ylim(), ax.get_zlim())], zoom=1.25)
         ax.set_axis_off()

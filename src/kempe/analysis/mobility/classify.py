@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from kempe.budget import Budget, TimeUp, Usual
 from kempe.calls import explained, explained_methods, generator
 from kempe.description.parts import ReadOnlyDict
 from kempe.errors import InputError, shown
-from kempe.kinematics.common.result import Worded
+from kempe.kinematics.common.result import Worded, Words
 from kempe.kinematics.configuration import one_finite
 from kempe.kinematics.velocity.velocity import tangent_rows
 from kempe.reals import is_real
@@ -127,10 +126,10 @@ class Classification(Worded):
             return Status.OUT_OF_TIME
         return Status.UNDETERMINED if self.why and self.growth is None else Status.SOLVED
 
-    def _words(self) -> ModuleType:
-        from kempe.analysis.mobility import classify_text
+    def _words(self) -> Words:
+        from kempe.analysis.mobility.classify_text import data, lines, sentence
 
-        return classify_text
+        return Words(sentence, lines, data)
 
 
 USUAL = Usual("classify", time_limit=SHORT)

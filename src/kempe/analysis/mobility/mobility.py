@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,7 +25,7 @@ from kempe.budget import Budget, Usual
 from kempe.calls import explained, explained_methods, generator
 from kempe.errors import InputError
 from kempe.kinematics.ball_angles import regular_chart
-from kempe.kinematics.common.result import Worded
+from kempe.kinematics.common.result import Worded, Words
 from kempe.kinematics.configuration import as_q, home_of
 from kempe.model.tree.own_tree import own_tree
 from kempe.solvers.assembly.ideal import tolerant
@@ -182,10 +181,10 @@ class Mobility(Worded):
         found = relative_motion(self.wrenches.system, self.wrenches.q, body, to)
         return replace(found, within=found.within or self.within)
 
-    def _words(self) -> ModuleType:
-        from kempe.analysis.mobility import mobility_text
+    def _words(self) -> Words:
+        from kempe.analysis.mobility.mobility_text import data, lines, sentence
 
-        return mobility_text
+        return Words(sentence, lines, data)
 
 
 USUAL = Usual("mobility", time_limit=SHORT)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -134,12 +133,20 @@ class Report(Result):
         return paragraphs([self._headline()]) + topics_html(topics) if topics else super()._repr_html_()
 
 
+class Words(NamedTuple):
+    """Functions that put a report into words: one sentence, reasons as (title, lines), and data."""
+
+    sentence: Callable[[Any], str]
+    lines: Callable[[Any], list[tuple[str, list[str]]]]
+    data: Callable[[Any], dict[str, Any]]
+
+
 class Worded(Report):
-    """A report by `name` whose words stand in a module of their own: functions `sentence`, `lines` and `data` of it."""
+    """A report by `name` that functions put into words."""
 
     name: str
 
-    def _words(self) -> ModuleType:
+    def _words(self) -> Words:
         raise NotImplementedError
 
     @property
