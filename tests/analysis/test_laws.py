@@ -8,7 +8,7 @@ from scipy.integrate import quad, solve_ivp
 
 import kempe
 from kempe import constraints as C
-from kempe.errors import UnsupportedError
+from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.measure import judge
 
 
@@ -192,6 +192,12 @@ def test_equations_in_time(branching: bool):
     motion = s.drive({}, times=times, start=[0.0, 0.0])
     assert motion.success and motion.q.shape == (9, 2) and motion.system is s
     np.testing.assert_allclose(motion.q, np.stack([2 * times, 0.1 * np.sin(2 * times)], axis=1), atol=1e-8)
+
+
+def test_time_is_no_input_of_a_motion():
+    """One sample at time 0 was the answer to a hundred times given as an input."""
+    with pytest.raises(InputError, match="'t' is the time and no input; give it by `times`"):
+        cam().build().drive({"t": np.linspace(0.0, 2.0, 100)})
 
 
 def test_time_and_inputs_together():

@@ -476,3 +476,32 @@ def test_sentence_of_a_chain_with_few_joints():
 
 def test_sentence_of_a_planar_system():
     assert "outside the plane of the system by 0.1 m" in status(planar_arm(0.5, 0.5).ik_all([0.3, 0.2, 0.1], "tip"), 0)
+
+
+def leg(lengths, knee):
+    """A leg: three axes of a hip that meet, a knee, two axes of an ankle that meet."""
+    m = kempe.Mechanism("leg")
+    below = m.ground
+    axes, heights = [(0, 0, 1), (1, 0, 0), (0, 1, 0), (0, 1, 0), (0, 1, 0), (1, 0, 0)], [0, 0, 0, *lengths, 0]
+    for i, (axis, height) in enumerate(zip(axes, heights, strict=True)):
+        body = m.body(f"b{i}")
+        limits = knee if i == 3 else (-2.5, 2.5)
+        m.revolute(f"j{i}", below, body, at=(0, 0, -height), axis=axis, limits=limits)
+        below = body
+    m.frame("sole", below, at=(0, 0, -0.1))
+    return m.build()
+
+
+def test_a_double_root_at_a_limit_is_inside_it(hunt):
+    """A stretched leg whose knee ends there: rounding moves the two roots, which are one, beyond the limit."""
+    rng = hunt.rng()
+    for _ in range(hunt.cases(40)):
+        end = rng.choice([0.0, np.pi])
+        system = leg(rng.uniform(0.2, 0.6, 2), (end, end + 2.0) if rng.random() < 0.5 else (end - 2.0, end))
+        q = rng.uniform(-1.0, 1.0, 6)
+        q[3] = end
+        answer = system.ik_all(system.fk(q, "sole"), "sole", limits=True)
+        assert len(answer) >= 1, answer.status
+        assert np.abs(answer.q - q).max(axis=1).min() < 1e-6
+        assert np.all((answer.q >= system.lower) & (answer.q <= system.upper))
+        assert np.abs(system.fk(answer.q, "sole") - system.fk(q, "sole")).max() < 1e-9

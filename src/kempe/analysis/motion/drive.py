@@ -233,6 +233,8 @@ def _in_time(
     budget: Budget | None,
 ) -> Drive:  # fmt: skip
     """The motion where equations depend on time, which is driven as a coordinate of its own."""
+    if TIME in inputs and TIME not in system.coordinate_names:
+        raise InputError(f"{TIME!r} is the time and no input; give it by `times`")
     clock, _ = _samples({**inputs, TIME: 0.0}, times)
     found = until_interrupt(drive, clocked(system), {**inputs, TIME: clock}, clock, _with_time(system, start, clock),
                             hold=hold, toward=toward, limits=limits, budget=budget)  # fmt: skip

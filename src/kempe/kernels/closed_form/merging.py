@@ -8,7 +8,7 @@ from typing import NamedTuple
 from kempe.kernels.base._jit import device, routine
 from kempe.kernels.base.scratch import beyond
 from kempe.kernels.closed_form.analytic_layout import CODE, FACTOR, HIGH, INFO, JOINT_FLOATS, LOW, OFFSET
-from kempe.kernels.closed_form.polish import Model, error_at, polish, sharpen, weakest
+from kempe.kernels.closed_form.polish import Model, error_at, polish, sharpen, tangent, weakest
 from kempe.kernels.forward.table_layout import SLIDE
 
 EQUAL, SAME, NEAR, INDISTINCT = 1e-9, 1e-6, 2e-3, 1e-15
@@ -30,7 +30,8 @@ ROOT, AGAIN, SAMPLED, OPENED = 0, 1, 2, 3
 joint that is nearly free: a sample if it is on target as it is, else it may lead to a root."""
 
 EDGE = 1e-10
-"""How far beyond a limit rounding may push a coordinate: it is put on the limit."""
+"""How far beyond a limit rounding may push a coordinate: it is put on the limit. Where roots merge rounding may push it
+by up to SAME: there the solution is led back to the limit if it reaches the target so."""
 
 TWO_PI = 2.0 * math.pi
 
@@ -185,33 +186,74 @@ def drop(found, count, k):
 
 
 @device
-def coordinate(slides, theta, numbers, near):
-    """(q, inside): the coordinate of a variable, of all turns the one inside the limits and nearest to `near`."""
+def coordinate(slides, theta, numbers, near, edge):
+    """(q, inside): the coordinate of a variable, of all turns the one inside the limits and nearest to `near`.
+
+    What is beyond a limit by no more than `edge` is put on it.
+    """
     q = (theta - numbers[OFFSET]) / numbers[FACTOR]
     low, high = numbers[LOW], numbers[HIGH]
     if not slides:
         period = TWO_PI / abs(numbers[FACTOR])
         q += period * math.floor((near - q) / period + 0.5)
-        if q > high + EDGE:
-            q -= period * math.ceil((q - high - EDGE) / period)
-        elif q < low - EDGE:
-            q += period * math.ceil((low - EDGE - q) / period)
-        if not low - EDGE <= q <= high + EDGE:  # no turn fits: the one nearest to `near`
+        if q > high + edge:
+            q -= period * math.ceil((q - high - edge) / period)
+        elif q < low - edge:
+            q += period * math.ceil((low - edge - q) / period)
+        if not low - edge <= q <= high + edge:  # no turn fits: the one nearest to `near`
             q += period * math.floor((near - q) / period + 0.5)
             return q, False
-    elif not low - EDGE <= q <= high + EDGE:
+    elif not low - edge <= q <= high + edge:
         return q, False
     return min(max(q, low), high), True
 
 
 @routine
-def coordinates(m, joints, row, near, q):
-    """Whether all are inside the limits; writes the coordinates of one solution."""
+def within(m, joints, row, near, edge, q):
+    """Whether all are inside the limits, or beyond by `edge`; writes the coordinates of one solution."""
     inside = True
     for i in range(m.n):
-        q[i], fits = coordinate(m.kinds[i] == SLIDE, row[SOLUTION + i], beyond(joints, JOINT_FLOATS * i), near[i])
+        slides, numbers = m.kinds[i] == SLIDE, beyond(joints, JOINT_FLOATS * i)
+        q[i], fits = coordinate(slides, row[SOLUTION + i], numbers, near[i], edge)
         inside = inside and fits
     return inside
+
+
+@routine
+def onto_limits(found, joints, row, near, q, out):
+    """Whether a double root nearer than SAME to the limits reaches the target inside them; writes that solution to out.
+
+    The tip does not feel a motion along its tangent: along it goes what is farthest beyond its limit, all the way.
+    """
+    m, theta = found.model, beyond(out, SOLUTION)
+    if not within(m, joints, row, near, SAME, q):
+        return False
+    error_at(m, beyond(row, SOLUTION))
+    if not tangent(m, theta):
+        return False
+    farthest, way = 0.0, 0.0
+    for i in range(m.n):
+        limit = joints[JOINT_FLOATS * i + FACTOR] * q[i] + joints[JOINT_FLOATS * i + OFFSET]
+        d = gap(m.kinds[i] == SLIDE, limit, row[SOLUTION + i])
+        if abs(d) > farthest and abs(theta[i]) > SAME:
+            farthest, way = abs(d), d / theta[i]
+    for i in range(m.n):
+        theta[i] = row[SOLUTION + i] + way * theta[i]
+    linear, angular = error_at(m, theta)
+    out[ERROR], out[ERROR + 1] = linear, angular
+    return linear <= found.linear and angular <= found.angular and within(m, joints, out, near, EDGE, q)
+
+
+@routine
+def coordinates(found, joints, row, near, q):
+    """Whether all are inside the limits; writes the coordinates of one solution."""
+    m, spare = found.model, beyond(found.rows, (SOLUTION + found.model.n) * MOST_SOLUTIONS)
+    if within(m, joints, row, near, EDGE, q):
+        return True
+    if row[WEAKEST] < MERGED and onto_limits(found, joints, row, near, q, spare):
+        row[ERROR], row[ERROR + 1] = spare[ERROR], spare[ERROR + 1]
+        return True
+    return within(m, joints, row, near, EDGE, q)
 
 
 @device

@@ -166,7 +166,7 @@ def write_out(found, floats, joints, count, near, out, slots, placed):
                 at = (at + 1) % slots
             placed[at] = 1
             q = beyond(out, width * at)
-            inside = coordinates(m, joints, row, near, q)
+            inside = coordinates(found, joints, row, near, q)
             code = MULTIPLICITY_UNIT * row[TURNS] + SLOT_UNIT * (max(row[SIGNS] + 1.0, 0.0) if sampled == 0 else 0.0)
             code += (INSIDE_BIT if inside else 0.0) + (WEAK_BIT if row[WEAKEST] < WEAK else 0.0)
             q[m.n + ERROR_AT] = math.hypot(row[ERROR] * floats[LENGTH], row[ERROR + 1])
