@@ -268,7 +268,7 @@ def test_a_coordinate_is_the_turn_inside_the_limits_that_is_nearest(seed, slides
     factor, offset = float(rng.choice([1.0, -1.0, 0.5, 2.0])), float(rng.normal())
     numbers[[A.FACTOR, A.OFFSET, A.LOW, A.HIGH]] = factor, offset, low, low + rng.uniform(0.5, 9.0)
     theta, near = rng.uniform(-np.pi, np.pi), float(rng.uniform(-9.0, 9.0))
-    q, inside = merging.coordinate(slides, theta, Pointer(numbers), near)
+    q, inside = merging.coordinate(slides, theta, Pointer(numbers), near, merging.EDGE)
     every = (theta - offset + 2.0 * np.pi * (np.zeros(1) if slides else np.arange(-9, 10))) / factor
     fitting = every[(every >= numbers[A.LOW]) & (every <= numbers[A.HIGH])]
     assert inside == bool(len(fitting))
