@@ -142,3 +142,17 @@ def test_freedoms_are_the_least_of_all_configurations(name):
     """Singular configurations among those that were drawn have more; the least is what the linkage has: one."""
     system = kempe.load(name)
     assert system.task_space(system.body_names[-1]).n == 1
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
+def test_a_small_body_that_floats_far_off_is_closed(size):
+    """A free body pinned in one point: random starts are thousands of its lengths away where it is small."""
+    m = kempe.Mechanism("pinned")
+    body = m.body("body")
+    m.free("F", m.ground, body)
+    m.frame("pin", body, at=(size, 0, 0))
+    m.constrain(kempe.constraints.Position("pin", (0, 0, size)))
+    system = m.build()
+    assert system.task_space("pin", task="position").generic_rank == 0
+    assert system.task_space("body", task="position").generic_rank == 2
+    assert system.configuration_space.dimension == 3

@@ -27,7 +27,7 @@ CLOSED = 1e-9
 REGULAR = 1e-6
 """Singular value, as a part of the largest, below which a constraint counts as dependent on others."""
 TRIES, STEEP = 30, 0.5
-"""Steps of a search for the manifold, and the longest."""
+"""Steps of a search for the manifold, and the longest: that of starts many lengths away is not bounded."""
 NEWTON, EXACT, LONGEST, NEARER = 8, 1e-11, 10.0, 0.7
 """Steps of Newton's method, the norm of the equations at which it ends, that from which it does not begin, and the part
 of it that is left after a step, at most."""
@@ -69,14 +69,17 @@ class Manifold:
         """Whether (k,) limits and one-sided constraints hold at q (k, nq)."""
         return np.asarray((self.one_sided.beyond(q) <= 0.0).all(axis=-1))
 
-    def closed(self, q: Array) -> tuple[Array, np.ndarray]:
+    def closed(self, q: Array, longest: float = STEEP) -> tuple[Array, np.ndarray]:
         """Closed configurations (k, nq) near q (k, nq), by steps of least size, and whether (k,) they are closed."""
-        out = gauss_newton_of_many(lambda x, _: self.equations(x), q, TRIES, longest=STEEP, move=self.move)
+        out = gauss_newton_of_many(lambda x, _: self.equations(x), q, TRIES, longest=longest, move=self.move)
         return out, self._met(out)
 
     def drawn(self, rng: np.random.Generator, count: int) -> Array:
         """Closed configurations (k, nq), those to which so many random ones lead; limits are not looked at."""
-        q, ok = self.closed(random(self.system, rng, count))
+        starts = random(self.system, rng, count)
+        q, ok = self.closed(starts)
+        if not ok.any():
+            q, ok = self.closed(starts, np.inf)
         return q[ok]
 
     def frames(self, q: Array) -> Frames:
