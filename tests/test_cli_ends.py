@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 import signal
@@ -15,6 +16,7 @@ from command import Result
 from hunts import some
 
 import kempe
+from kempe import calls
 from kempe.description.read import check, read
 from kempe.description.urdf.xacro import expand_xacro
 from kempe.description.write import write
@@ -316,3 +318,36 @@ def test_long_words_do_not_make_long_messages(words, json):
 def test_an_equation_that_is_a_coordinate_alone_is_zero():
     alone = Result("assemble", "four_bar", "--where", "A", "--where", "A", "--json")
     assert alone.code == 0 and abs(alone.json()["q"]["A"]) < 1e-12
+
+
+@pytest.mark.parametrize("columns", ["0", "1", "-7", "99999999999", "9" * 5000, "wide", "\u0663"])
+def test_help_is_whole_in_any_width(columns):
+    """A width of 0 printed nothing, and a wide one took all memory."""
+    environment = {**os.environ, "COLUMNS": columns, "TERMINAL_WIDTH": ""}
+    done = subprocess.run(command("fk", "--help"), capture_output=True, text=True, timeout=300, env=environment)
+    assert done.returncode == 0 and "--posture" in done.stdout and "Traceback" not in done.stderr, done.stderr
+
+
+def test_names_of_files_with_a_zero_byte_are_refused(tmp_path):
+    """They ended in a ValueError of the operating system's interface."""
+    robot, name = kempe.load("two_link"), f"{tmp_path}/a\0b"
+    answer = robot.ik([0.6, 0.3, 0.0], "e")
+    for call in (
+        lambda: answer.save(f"{name}.csv"), lambda: robot.save_html(f"{name}.html"), lambda: kempe.open_workspace(name),
+        lambda: robot.workspace("e", n=1000, path=name), lambda: kempe.map_file(robot, "fk", f"{name}.csv", name, "e"),
+        lambda: kempe.load(name),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match="holds a zero byte"):
+            call()
+
+
+def test_lists_of_names_and_budgets_are_read_to_an_end(tmp_path, monkeypatch):
+    """A list of names that is made while it is read took all memory; a time of 10**400 s raised OverflowError."""
+    monkeypatch.setattr(calls, "MOST_NAMES", 100)
+    robot = kempe.load("two_link")
+    np.save(tmp_path / "q.npy", np.zeros((3, 2)))
+    with pytest.raises(InputError, match="columns has more than 100 names"):
+        kempe.map_file(robot, "fk", tmp_path / "q.npy", tmp_path / "x.zarr", "e", columns=itertools.repeat("q1"))
+    assert robot.ik([0.6, 0.3, 0.0], "e", budget=kempe.Budget(time_limit=10**400))
+    with pytest.raises(InputError, match="progress is 3"):
+        robot.singularities("e", budget=kempe.Budget(progress=3))

@@ -94,6 +94,8 @@ class Usual:
             return self.budget
         if not isinstance(budget, Budget):
             raise InputError(f"budget is {shown(budget)}; it must be a kempe.Budget, such as Budget({self._such()})")
+        if budget.progress is not None and not callable(budget.progress):
+            raise InputError(f"progress is {shown(budget.progress)}; it must be a function of how much is done")
         given = {f.name: x for f in fields(Budget) if (x := getattr(budget, f.name)) is not None}
         for name in given:
             if name not in self.reads:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
@@ -246,14 +247,20 @@ def known(kind: str, name: object, names: Iterable[str], owner: str = "") -> str
     raise UnknownNameError(kind, name, names, owner)
 
 
+MOST_NAMES = 10**6
+"""Names of a list at most: one that is made while it is read may have no end."""
+
+
 def listed(names: object, what: str) -> tuple[str, ...]:
     """Names given as a list, or a single name. Errors: `InputError`."""
     if isinstance(names, str):
         return (names,)
     try:
-        out: tuple[Any, ...] = tuple(names)  # type: ignore[arg-type]
+        out: tuple[Any, ...] = tuple(itertools.islice(names, MOST_NAMES + 1))  # type: ignore[arg-type]
     except TypeError:
         out = (None,)
+    if len(out) > MOST_NAMES:
+        raise InputError(f"{what} has more than {MOST_NAMES} names")
     if not all(isinstance(name, str) for name in out):
         raise InputError(f"{what} is {shown(names)}; it must be a list of names")
     return out  # type: ignore[return-value]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -11,6 +12,8 @@ from scipy.integrate import solve_ivp
 
 import kempe
 from kempe import Mechanism, constraints
+from kempe.analysis.simulation import bounces
+from kempe.budget import TimeUp
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 
 G = 9.81
@@ -432,3 +435,19 @@ def test_planes_that_move_are_refused_where_they_bend():
     m.equation("rail", "t*at.y = 0", time=True)
     with pytest.raises(UnsupportedError, match="'rail'.*would push"):
         m.build().simulate(1.0)
+
+
+def test_bounces_end_by_the_time_limit_with_those_that_were_computed(monkeypatch):
+    """Between planes that do not move nobody asked the clock: 100 000 s of bounces without loss took minutes."""
+    calls = itertools.count(1)
+
+    def asked():
+        if next(calls) == 51:
+            raise TimeUp
+
+    monkeypatch.setattr(bounces, "look", asked)
+    ball = kempe.load("ball")
+    part = ball.simulate(1e5, start={"flight.z": 1.1}, restitution=1.0, budget=kempe.Budget(time_limit=1000.0))
+    first, each = np.sqrt(2.0 / 9.81), np.sqrt(8.0 / 9.81)  # a fall of 1 m, and between two bounces twice its time
+    assert not part and part.late and len(part.events) == 50
+    assert part.t[-1] == pytest.approx(first + 49 * each) and abs(part.q[-1, 2] - 0.1) < 1e-6

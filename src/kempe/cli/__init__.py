@@ -7,6 +7,7 @@ numbers); 2 the question could not be posed (wrong usage, unknown name, a file t
 from __future__ import annotations
 
 import io
+import os
 import sys
 
 from kempe.cli import system_commands  # isort: skip, the commands are listed in this order
@@ -21,6 +22,8 @@ from kempe.cli import library_commands  # isort: skip
 from kempe.cli.app import app
 
 __all__ = [
+    "NARROWEST",
+    "WIDEST",
     "app",
     "file_commands",
     "inverse_commands",
@@ -35,9 +38,23 @@ __all__ = [
 ]
 
 
+NARROWEST, WIDEST = 40, 1000
+"""Columns of help and tables at least and at most, where COLUMNS names a width."""
+
+
 def main() -> None:
     """Run the command `kempe`."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+    _bound_width()
     app(prog_name="kempe")
+
+
+def _bound_width() -> None:
+    """Let COLUMNS, by which help and tables are made, be a width that can be read and held in memory."""
+    asked = os.environ.get("COLUMNS", "")
+    if asked.isdecimal() and len(asked) < 100:
+        os.environ["COLUMNS"] = str(min(max(int(asked), NARROWEST), WIDEST))
+    elif asked:
+        del os.environ["COLUMNS"]

@@ -184,6 +184,8 @@ def expanded(path: str | Path) -> Path:
     text: object = os.fspath(path) if isinstance(given, os.PathLike) else given
     if not isinstance(text, str):
         raise InputError(f"path is {shown(given)}; it must be the path of a file, as text or a Path")
+    if "\0" in text:
+        raise InputError(f"{shown(text)} holds a zero byte, which no name of a file has")
     scheme = _SCHEME.match(text)
     if scheme:
         url = shorten(text if "://" in text else text.replace(":/", "://", 1), 200)  # a Path keeps one slash

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.calls import explained
+from kempe.description.source import expanded
 from kempe.errors import InputError, UnsupportedError, shown
 from kempe.kinematics.configuration import has_loops, interpolate
 from kempe.model.plot_options import PlotOptions
@@ -32,7 +33,7 @@ def film_file(file: str | Path) -> Path:
     """The path of a film. Errors: `InputError` for other endings, `UnsupportedError` where its writer is missing."""
     from matplotlib import animation
 
-    path = Path(file)
+    path = expanded(file)
     writer = ENDINGS.get(path.suffix.lower())
     if writer is None:
         raise InputError(f"{path}: moving pictures are {', '.join(ENDINGS)} files")

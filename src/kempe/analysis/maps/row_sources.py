@@ -140,7 +140,7 @@ def _npy(path: Path, columns: Sequence[str] | None) -> RowSource:
         if "pickle" in str(error):  # of which numpy says how to run code that may be in the file
             raise ValueError("it does not begin as such a file does") from None
         raise
-    if not isinstance(array, np.ndarray):
+    if not hasattr(array, "shape"):
         raise InputError(f"{path}: this is a .npz archive of arrays, whatever its name says; save one array as .npy")
     return _of_array(path, array, [0, len(array)] if array.ndim else [0])
 

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 
+from kempe.budget import look
 from kempe.singular_values import svd
 from kempe.solvers.common.clock import TimeLimit
 from kempe.spatial import Array
@@ -107,20 +108,22 @@ class Flight:
         self.offsets = np.array([p.offset for p in planes])
         self.arcs: list[Parabola] = []
         self.impacts: list[Impact] = []
-        self.broken, self._largest = False, 0.0
+        self.broken, self._largest, self.known = False, 0.0, 0.0
 
     def gaps(self, y: Array) -> Array:
         """How far (m,) a place (k,) is above each plane."""
         return self.N @ y + self.offsets
 
     def run(self, y: Array, v: Array, duration: float) -> None:
-        """Compute arcs and impacts from a place and a velocity (k,) on, for a duration [s]."""
+        """Compute arcs and impacts from a place and a velocity (k,) on, for a duration [s]; `known` up to a time."""
         time, again = 0.0, 0
         touching = set(np.flatnonzero(self.gaps(y) <= TOUCH).tolist())
         while True:
             v = self._impact(time, y, v, touching, again > AGAIN)
             v, a, held = self._pressed(v, touching)
             self.arcs.append(Parabola(time, y, v, a))
+            self.known = time
+            look()
             step, hit = self._next(y, v, a, touching, held)
             settling = self._settling(y, v, a, touching - held, held)
             if settling is not None and time + settling[0] < duration:

@@ -167,7 +167,7 @@ def simulate(
     reverses the rate of the gap, and a body that rests on a plane moves with it as long as the plane pushes. With
     planes that move, times of impacts are found numerically, from the gaps at 1024 places of the duration.
 
-    Of the `budget` are read: points (200) and time_limit (600 s, with `inputs` or planes that move). `t` are so many
+    Of the `budget` are read: points (200) and time_limit (600 s). `t` are so many
     evenly spread times, and those of all events. Errors: `UnsupportedError` with the reason; `InputError`, also
     for a start inside a plane, with the distance; `UnknownNameError`.
     """
@@ -195,8 +195,13 @@ def simulate(
     broken: BaseException | None = None
     if fall.moving is None:
         flight = Flight(fall.planes, gravity, float(restitution))
-        flight.run(*first, float(duration))
-        end = flight.impacts[-1].time if flight.broken else float(duration)
+        end = float(duration)
+        try:
+            with limit:
+                flight.run(*first, float(duration))
+        except BROKEN_OFF as error:
+            broken, end = error, flight.known
+        end = flight.impacts[-1].time if flight.broken else end
         reason = f"broken off after {MOST} events" if flight.broken else ""
     else:
         flight = MovingFlight(fall.moving, gravity, float(restitution), limit)

@@ -38,6 +38,10 @@ def step_count(iterations: object) -> int:
     return int(iterations)
 
 
+LONGEST = 1e15
+"""Seconds above which a time limit is none."""
+
+
 def deadline(time_limit: Any) -> float:
     """When a search that begins now must end, by the clock `time.monotonic`; never without a limit [s].
 
@@ -47,7 +51,7 @@ def deadline(time_limit: Any) -> float:
         return math.inf
     if isinstance(time_limit, bool) or not isinstance(time_limit, (int, float)) or not time_limit > 0.0:
         raise InputError(f"time_limit is {shown(time_limit)}; it must be a positive number of seconds, or None")
-    return time.monotonic() + time_limit
+    return time.monotonic() + (math.inf if time_limit > LONGEST else float(time_limit))
 
 
 def seed_number(rng: object) -> int:

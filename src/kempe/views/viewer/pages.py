@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.description.source import expanded
 from kempe.errors import InputError, shown, warn
 from kempe.reals import reals
 from kempe.views.viewer.scene_nodes import Drawn, Nodes
@@ -57,7 +58,7 @@ def page_file(file: Any) -> Path:
     """The path of a page. Errors: `InputError` for other endings and folders that do not exist."""
     if not isinstance(file, (str, Path)):
         raise InputError(f"file is {shown(file)}; it must be the name of a file")
-    out = Path(file)
+    out = expanded(file)
     if out.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{out}: a page ends in .html")
     if not out.parent.is_dir():

@@ -27,6 +27,7 @@ from kempe.analysis.spaces.workspace.sample_parts import SampleParts
 from kempe.analysis.spaces.workspace.workspace import Workspace, of_stored
 from kempe.budget import Budget, Usual
 from kempe.calls import explained, interruptible
+from kempe.description.source import expanded
 from kempe.errors import DamagedError, InputError, shown
 from kempe.reals import is_real
 from kempe.solvers.common.arguments import seed_number
@@ -90,7 +91,7 @@ def workspace(
     try:
         with begun_within(USUAL, clock):
             recipe = recipe_of(system, name, seed_number(spend.rng), cells, box, question)
-        store = _Memory(recipe) if path is None else _Disk(recipe, Path(path))
+        store = _Memory(recipe) if path is None else _Disk(recipe, expanded(path))
         return _answer(recipe, store, int(n or recipe.usual), client, spend, clock)
     finally:
         if own and client is not None:

@@ -32,6 +32,7 @@ from kempe.analysis.spaces.workspace.map_files import Stored, read_map, write_ma
 from kempe.analysis.spaces.workspace.outer_bounds import outer_measure, possible_cells
 from kempe.analysis.spaces.workspace.recipe import closed_configurations
 from kempe.calls import explained, explained_methods
+from kempe.description.source import expanded
 from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.common.result import Cells, Report
 from kempe.late import late
@@ -292,7 +293,7 @@ class Workspace(Report):
 
     def save(self, path: str | Path) -> Path:
         """The path, to which the map is written as Zarr: `kempe.open_workspace` and xarray read it."""
-        path = Path(path)
+        path = expanded(path)
         toml = description_of(self.system)
         write_map(path, Stored(self.map, self.samples, self.outside, self.left_out, self.said, toml))
         return path
@@ -366,7 +367,7 @@ def open_workspace(path: str | Path, system: System | None = None) -> Workspace:
     The system is read from the map itself, or given. Errors: `InputError` where there is no map, where it is of another
     system, or where it has none in it and none is given; `DamagedError` where the file is not what was written.
     """
-    stored = read_map(Path(path))
+    stored = read_map(expanded(path))
     if system is None:
         if stored.toml is None:
             raise InputError(f"{path} does not hold its system, which no file can describe: give it, too")
