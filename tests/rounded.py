@@ -15,12 +15,17 @@ from kempe.placement import Placement, place, placement_of_pose
 from kempe.spatial import rot_x, rot_y, rot_z, xyz_rpy_from_pose
 
 
-def rounded(system: System, digits: int, rng: np.random.Generator) -> System:
-    """The system with the frames of its bodies anywhere, and its numbers rounded to so many decimals."""
+def rounded(system: System, digits: int, rng: np.random.Generator, ground: np.ndarray | None = None) -> System:
+    """The system with the frames of its bodies anywhere, and its numbers rounded to so many decimals.
+
+    With a pose (4, 4) of the `ground` the frames of bodies stay, and the mechanism as a whole is there.
+    """
     m, at = system.mechanism, {}
     for body in m.bodies:
         at[body] = np.eye(4)
-        if body != m.ground.name:
+        if ground is not None:
+            at[body] = np.linalg.inv(ground) if body == m.ground.name else at[body]
+        elif body != m.ground.name:
             turn = rot_z(rng.uniform(-3, 3))
             at[body][:3, :3] = turn if m.dim == 2 else turn @ rot_y(rng.uniform(-1, 1)) @ rot_x(rng.uniform(-3, 3))
             at[body][: m.dim, 3] = rng.uniform(-0.3, 0.3, m.dim)

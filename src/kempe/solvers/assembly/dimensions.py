@@ -411,7 +411,7 @@ def _fit(
         if not np.isfinite(left) or np.abs(p * shape.unit).max() > 3.0 * most:
             return p, q, np.inf
         before.append(left)
-        if np.abs(p - at).max() > 1e-6:
+        if np.abs(p - at).max() > (1e-6 if damped else 0.0):  # the last digits count where roots are nearly double
             P, at = shape.derivative(p, q), p
             H = also.derivative(p) if also is not None else H
         U = svd(J)[0][:, :, rank:]

@@ -419,12 +419,40 @@ def _of_part(
     equations = full(system, True)
     if not 0 < system.nv <= MOST or not len(equations.names) or any(t.function is not None for t in equations.ties):
         return None
-    for rank, q in _starts(system, home, scaled):
+    starts = _starts(system, home, scaled)
+    moving = [(rank, q) for rank, q in starts if rank < system.nv]
+    found = _first(system, moving, most, scaled, thorough, time)
+    if found is not None or len(moving) == len(starts):
+        return found
+    rigid = _first(system, [(rank, q) for rank, q in starts if rank == system.nv], most, scaled, thorough, time)
+    return None if rigid is None or _moves_within_more(system, home, most, time) else rigid
+
+
+def _first(
+    system: System, starts: Sequence[tuple[int, Array]], most: float, scaled: float, thorough: bool, time: TimeLimit
+) -> _Found | None:  # fmt: skip
+    """What a part becomes with the first of the ranks, and about the first of the places, that lead to something."""
+    for rank, q in starts:
         time.check()
         found = _with_rank(system, rank, q, most, scaled, thorough, time)
         if found is not None:
             return found
     return None
+
+
+def _moves_within_more(system: System, home: Array, most: float, time: TimeLimit) -> bool:
+    """Whether larger changes than those allowed, up to the largest tolerance, make a part close and move.
+
+    Rounded loops of a mechanism nearly close at single places, where small changes close them. They make a structure of
+    it, which says nothing of the mechanism that was meant.
+    """
+    size = characteristic_length(system)
+    widest = WIDEST * min(size, 1.0)
+    if most >= widest:
+        return False
+    scaled = widest / size + widest
+    moving = [(rank, q) for rank, q in _starts(system, home, scaled) if rank < system.nv]
+    return _first(system, moving, widest, scaled, False, time) is not None
 
 
 def _closes_anyway(system: System, most: float) -> bool:
