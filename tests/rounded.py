@@ -20,7 +20,8 @@ def rounded(system: System, digits: int, rng: np.random.Generator, ground: np.nd
 
     With a pose (4, 4) of the `ground` the frames of bodies stay, and the mechanism as a whole is there.
     """
-    m, at = system.mechanism, {}
+    m = system.mechanism
+    at: dict[str, np.ndarray] = {}
     for body in m.bodies:
         at[body] = np.eye(4)
         if ground is not None:
