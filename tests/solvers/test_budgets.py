@@ -14,14 +14,16 @@ from test_tasks import inside, two_arms
 
 import kempe
 from kempe import Mechanism, spatial, tasks
+from kempe.budget import watched_by
 from kempe.errors import InputError, NoSolutionError
 from kempe.kernels.compiled import fallback
-from kempe.kinematics.common import parallel
+from kempe.kinematics.common import gauss_newton, parallel
+from kempe.kinematics.common.gauss_newton import least_squares_of_many
 from kempe.solvers.analytic import ik_all, start_search, through_loops
 from kempe.solvers.analytic.plans import question
 from kempe.solvers.common import arguments, clock
 from kempe.solvers.one_frame import multi_start
-from kempe.solvers.tasks import effort, ik_tasks
+from kempe.solvers.tasks import effort, explain_tasks, ik_tasks
 from kempe.status import Status
 
 ROUNDING = 1e-12
@@ -433,6 +435,31 @@ def test_turns_that_a_function_tells_apart_are_limits_not_a_matter_of_starts():
     wanted = [tasks.Position(hand, s.fk(s.mid, hand)[:3, 3]), tasks.Function(lambda q: q[0] - 5.0)]
     answer = s.ik(wanted, budget=kempe.Budget(starts=20))
     assert not answer and "more starts" not in answer.status and "the limits of 'panda_joint1'" in answer.status
+
+
+def test_sentences_about_large_systems_take_no_dense_decompositions(monkeypatch):
+    """Freedoms that are left are counted up to a number of coordinates, for a sentence would take minutes beyond."""
+    s = kempe.load("panda")
+    good, bad = s.fk(s.mid, HAND)[:3, 3], np.array([3.0, 0.0, 0.0])
+    asked = [lambda p=p: s.ik([tasks.Position(HAND, p)]).status for p in (good, bad)]
+    assert "4 freedoms left" in asked[0]()
+    monkeypatch.setattr(explain_tasks, "MOST_COORDINATES", s.nv - 1)
+    monkeypatch.setattr(explain_tasks, "Local", None)
+    monkeypatch.setattr(explain_tasks, "analyse", None)
+    assert "all hard tasks hold: errors up to" in asked[0]() and "freedom" not in asked[0]()
+    assert "not reached" in asked[1]()
+
+
+def test_the_clock_is_looked_at_between_large_systems_of_equations(monkeypatch):
+    """The answers of many are those of each, and of large ones a few are solved at a time."""
+    rng, looks = np.random.default_rng(0), []
+    A, b = rng.normal(size=(9, 80, 90)), rng.normal(size=(9, 80))
+    whole = least_squares_of_many(A, b)
+    monkeypatch.setattr(gauss_newton, "WORK", 2.0 * 80 * 90 * 80)
+    with watched_by(lambda: looks.append(1)):
+        parts = least_squares_of_many(A, b)
+    np.testing.assert_array_equal(parts, whole)
+    assert len(looks) == 5
 
 
 # ---- the time of batches out of reach

@@ -16,7 +16,7 @@ import numpy as np
 from kempe.budget import look
 from kempe.kernels.compiled import lie_brackets
 from kempe.kinematics.velocity.velocity_rows import VelocityRows
-from kempe.singular_values import svd
+from kempe.singular_values import LARGE, svd
 from kempe.spatial import Array
 
 ROUNDING = 30.0
@@ -113,6 +113,8 @@ def _pivots(matrix: Array, count: int) -> np.ndarray:
     rest = matrix.copy()
     taken: list[int] = []
     for _ in range(count):
+        if rest.size > LARGE:
+            look()
         lengths = np.sum(rest * rest, axis=0)
         lengths[taken] = -1.0
         k = int(np.argmax(lengths))

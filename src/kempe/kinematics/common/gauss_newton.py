@@ -27,6 +27,8 @@ NOTHING = 1e-15
 """A step up to this length is rounding: it is not taken."""
 LARGE = 60
 """Equations from which on normal equations are solved in place of singular value decompositions, where both will do."""
+WORK = 2e8
+"""Products of numbers between two looks at the clock, about 0.1 s."""
 WELL = 1e7
 """Size of a solution of normal equations with a right-hand side of size 1 below which they are far from singular."""
 
@@ -60,8 +62,14 @@ def least_squares_of_many(A: Array, b: Array, cut: float = CUT) -> Array:
     """`least_squares` of many A (k, m, n) and b (k, m): the normal equations, where these are far from singular.
 
     Of the first kind, or of the second where there are fewer equations than unknowns. A second right-hand side, in no
-    special direction, tells how near to singular they are.
+    special direction, tells how near to singular they are. Of large ones a few are solved at a time.
     """
+    k, m, n = A.shape
+    most = max(1, int(WORK / max(1, m * n * min(m, n))))
+    if k > most:
+        return np.concatenate([least_squares_of_many(A[i : i + most], b[i : i + most], cut) for i in range(0, k, most)])
+    if m > LARGE:
+        look()
     At, wide = np.swapaxes(A, -1, -2), A.shape[-2] < A.shape[-1]
     G = A @ At if wide else At @ A
     n = G.shape[-1]

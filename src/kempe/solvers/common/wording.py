@@ -52,8 +52,9 @@ def reached(place: float | None, turn: float | None, steps: int, starts: int) ->
 
 
 def hard_tasks_hold(place: float | None, turn: float | None, how: str, freedoms: str) -> str:
-    """That all hard tasks hold, with the largest errors and the freedoms that are left."""
-    return f"all hard tasks hold: errors up to {errors(place, turn, '.1e', '.1e')} ({how}); {freedoms}"
+    """That all hard tasks hold, with the largest errors and, where they are known, the freedoms that are left."""
+    left = f"; {freedoms}" if freedoms else ""
+    return f"all hard tasks hold: errors up to {errors(place, turn, '.1e', '.1e')} ({how}){left}"
 
 
 def not_lowered(limit: float | None) -> str:

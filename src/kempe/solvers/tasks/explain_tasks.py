@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from kempe.kinematics.tasks.task import Task
     from kempe.solvers.tasks.ik_tasks import Demands
 
+MOST_COORDINATES = 400
+"""Velocity coordinates up to which a sentence counts freedoms: it takes about forty dense decompositions."""
 MOST_PAIRS = 45
 """Pairs of tasks that are tried before they are no longer requested."""
 
@@ -56,9 +58,8 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
         if not hard:
             said = "no hard tasks" if cut else "lowered as far as the system allows"
             return wording.failed("", f"{said} ({work})", cut, soft)
-        local, worst = Local(problem, q), np.max([misses[t.label] for t in hard], axis=0)
-        first = local.left.shape[1]
-        left = wording.freedoms_left(first, local.finite if first else 0, local.m, local.n)
+        worst = np.max([misses[t.label] for t in hard], axis=0)
+        left = _left(problem, q)
         return wording.failed("", wording.hard_tasks_hold(*_counting(hard, worst), work, left), cut, soft)
     failing = [t for t in hard if not _within(problem, t, misses[t.label])]
     what = ", ".join(f"{t.label!r} is missed by {_off(t, misses)}" for t in failing)
@@ -75,6 +76,15 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
         why += [rounded(float(worst[0]), float(worst[1]), characteristic_length(problem.system))]
     still = immovable(problem.system)
     return wording.failed(wording.given_up("reached", starts), what, *why, near, soft, still)
+
+
+def _left(problem: Demands, q: Array) -> str:
+    """How many freedoms the hard tasks leave; '' for large systems."""
+    if problem.system.nv > MOST_COORDINATES:
+        return ""
+    local = Local(problem, q)
+    first = local.left.shape[1]
+    return wording.freedoms_left(first, local.finite if first else 0, local.m, local.n)
 
 
 def _counting(tasks: Sequence[Task], error: Array) -> tuple[float | None, float | None]:
@@ -180,7 +190,9 @@ def _alone(problem: Demands, q: Array, i: int, among: bool) -> Evidence:
 
 
 def _rank(problem: Demands, q: Array, tasks: list[int]) -> Evidence | None:
-    """Whether tasks have more equations than the system has freedoms."""
+    """Whether tasks have more equations than the system has freedoms; None for large systems, too."""
+    if problem.system.nv > MOST_COORDINATES:
+        return None
     equations, freedoms = analyse(problem.only(tasks), q)[:2]
     return evidence("rank", equations=equations, freedoms=freedoms) if freedoms < equations else None
 
