@@ -505,3 +505,25 @@ def test_a_double_root_at_a_limit_is_inside_it(hunt):
         assert np.abs(answer.q - q).max(axis=1).min() < 1e-6
         assert np.all((answer.q >= system.lower) & (answer.q <= system.upper))
         assert np.abs(system.fk(answer.q, "sole") - system.fk(q, "sole")).max() < 1e-9
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1000.0])
+def test_a_slide_at_its_limit_is_inside_it_whatever_the_size_of_the_arm(size, hunt):
+    """Rounding grows with the lengths: a slide of an arm of 1000 m was 1.07e-10 m beyond the limit at which it was."""
+    rng = hunt.rng()
+    for _ in range(hunt.cases(40)):
+        m = kempe.Mechanism()
+        body = m.ground
+        for k, kind in enumerate(rng.permutation(["revolute"] * 4 + ["prismatic"] * 2).tolist()):
+            at, axis = tuple(size * rng.uniform(-1.0, 1.0, 3)), tuple(rng.normal(size=3))
+            limits = (-2.0, 2.0) if kind == "revolute" else (-0.3 * size, 0.4 * size)
+            child = m.body(f"b{k}")
+            getattr(m, kind)(f"q{k}", body, child, at=at, axis=axis, limits=limits)
+            body = child
+        m.frame("tip", body, at=tuple(size * rng.uniform(-1.0, 1.0, 3)))
+        system = m.build()
+        q, slides = system.random(rng), system.upper != 2.0
+        q[slides] = [rng.choice([system.lower[i], system.upper[i]]) for i in np.flatnonzero(slides)]
+        answer = system.ik_all(system.fk(q, "tip"), "tip", limits=True)
+        assert len(answer), answer.status
+        assert np.abs((answer.q - q) / np.where(slides, size, 1.0)).max(axis=1).min() < 1e-5

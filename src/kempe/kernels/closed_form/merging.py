@@ -189,10 +189,13 @@ def drop(found, count, k):
 def coordinate(slides, theta, numbers, near, edge):
     """(q, inside): the coordinate of a variable, of all turns the one inside the limits and nearest to `near`.
 
-    What is beyond a limit by no more than `edge` is put on it.
+    What is beyond a limit by no more than `edge` is put on it; slides of a chain that is longer than 1 by as much more
+    as the chain is longer, since rounding is.
     """
     q = (theta - numbers[OFFSET]) / numbers[FACTOR]
     low, high = numbers[LOW], numbers[HIGH]
+    if slides:
+        edge *= max(1.0, 1.0 / abs(numbers[FACTOR]))
     if not slides:
         period = TWO_PI / abs(numbers[FACTOR])
         q += period * math.floor((near - q) / period + 0.5)
