@@ -60,6 +60,15 @@ def test_four_bars_are_counted_by_grashofs_rule(hunt):
         assert not isinstance(loop, str) and loop.count == grashof(lengths)
 
 
+@pytest.mark.parametrize("more", [0.0, 1e-13, 1e-9])
+def test_lengths_that_are_taken_to_be_equal_are_named(more):
+    """By Grashof's rule two components as soon as one bar is longer; what decides below 1e-12 is said."""
+    bars = polygon([0.4, 0.2, 0.4, 0.2 + more])
+    answer = bars.configuration_space.components()
+    assert (answer.count == 2) == (more == 1e-9)
+    assert ("sums that differ by 5e-14 m are taken to be equal" in answer.status) == (more == 1e-13)
+
+
 def test_five_bars_are_counted_as_a_grid_counts_them(hunt):
     rng, seen = hunt.rng(), set()
     for _ in range(hunt.cases(40)):

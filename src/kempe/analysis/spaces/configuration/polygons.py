@@ -64,7 +64,10 @@ class Polygon:
         said = "three long bars" if self.count == 2 else "no three long bars"
         sign = ">" if self.count == 2 else "<="
         sums = f"{longest[1]:.6g} + {longest[2]:.6g} {sign} {0.5 * total:.6g} m"
-        return (f"{said} (the longest are {names}; {sums}, half of all: Kapovich and Millson, 1995)")  # fmt: skip
+        more = max(longest[1] + longest[2], longest[0]) - 0.5 * total
+        taken = self.count == 1 and more > 8.0 * np.finfo(float).eps * total
+        equal = f"; sums that differ by {more:.1g} m are taken to be equal" if taken else ""
+        return f"{said} (the longest are {names}; {sums}, half of all: Kapovich and Millson, 1995{equal})"
 
     def side(self, q: Array) -> np.ndarray:
         """Which of two components (k,) configurations (k, nq) are on: 1 or -1; 0 where there is only one."""
