@@ -450,6 +450,16 @@ def test_sentences_about_large_systems_take_no_dense_decompositions(monkeypatch)
     assert "not reached" in asked[1]()
 
 
+def test_targets_of_a_path_are_read_where_it_comes_to_them(looks, monkeypatch):
+    """A path of many targets that ends early has not prepared them all."""
+    s, read, of = kempe.load("panda"), [], ik_tasks.Demands.of
+    X = s.fk(s.mid + np.linspace(0.0, 0.5, 900)[:, None], HAND)
+    monkeypatch.setattr(ik_tasks.Demands, "of", lambda self, i: read.append(i) or of(self, i))
+    looks(9)
+    path = s.ik_path(X, HAND, s.mid, budget=kempe.Budget(time_limit=5.0))
+    assert path.late and 0 < path.success.sum() < 100 and len(read) < 100
+
+
 def test_the_clock_is_looked_at_between_large_systems_of_equations(monkeypatch):
     """The answers of many are those of each, and of large ones a few are solved at a time."""
     rng, looks = np.random.default_rng(0), []

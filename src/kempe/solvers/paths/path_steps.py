@@ -6,6 +6,7 @@ on as before where it can, and a turn of joints that leaves the targets' way alo
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -66,6 +67,19 @@ class Order(NamedTuple):
     """The length of what is missing."""
 
 
+class _Targets:
+    """The problems of the single targets of a path, which are made where they are needed: there may be a million."""
+
+    def __init__(self, problem: Demands):
+        self.count, self._of = problem.lead[0], functools.lru_cache(8)(problem.of)
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __getitem__(self, i: int) -> Demands:
+        return self._of(i)
+
+
 class PathSteps:
     """The targets of a path, those interpolated between them, and steps from one to the next."""
 
@@ -77,7 +91,7 @@ class PathSteps:
         self.given = min(problem.tolerance)
         self.calm = CALM if self.given > TOLERANCE else 0.0
         self.system, self.scale, self.progress = problem.system, problem.packed.scale, progress
-        self.rows = [self.problem.of(i) for i in range(problem.lead[0])]
+        self.rows = _Targets(self.problem)
         packed = problem.packed
         equal = np.repeat([not t.bounds for t in packed.loops.ties], [len(t.rows) for t in packed.loops.ties])
         hard = [i for i, t in enumerate(tasks) if t.weight is None]
