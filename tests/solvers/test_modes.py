@@ -506,3 +506,22 @@ def test_a_search_among_thousands_of_modes_ends():
 def test_a_system_without_coordinates_has_one_mode():
     modes = kempe.load("joint_fixed").assembly_modes({})
     assert modes.q.shape == (1, 0)
+
+
+@pytest.mark.parametrize("t", [0.0, 0.3, -1.0])
+def test_modes_at_a_time(t):
+    """Crank 0.1, rod 0.3, driven by A = 2 t: the slide is at 0.1 cos(2 t) +- sqrt(0.09 - 0.01 sin^2(2 t))."""
+    m = kempe.Mechanism("crank", dim=2)
+    crank, rod, slide = m.body("crank"), m.body("rod"), m.body("slide")
+    m.revolute("A", m.ground, crank)
+    m.revolute("B", crank, rod, at=(0.1, 0))
+    m.revolute("C", rod, slide, at=(0.3, 0))
+    m.prismatic("D", m.ground, slide, axis="x")
+    m.constrain(kempe.constraints.Equation("A - 2*t", time=True), "drive")
+    found = m.build().assembly_modes({"t": t})
+    there = 0.1 * np.cos(2.0 * t) + np.array([-1.0, 1.0]) * np.sqrt(0.09 - 0.01 * np.sin(2.0 * t) ** 2)
+    np.testing.assert_allclose(np.sort(found.q[:, 3]), there, atol=1e-9)
+    np.testing.assert_allclose(found.q[:, 0], 2.0 * t, atol=1e-9)
+    assert np.all(found.judged.holds)
+    with pytest.raises(InputError, match="t is .*; it must be one time"):
+        m.build().assembly_modes({"t": [0.0, t]})

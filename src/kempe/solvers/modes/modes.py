@@ -10,10 +10,12 @@ import numpy as np
 
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.calls import brief, explained, explained_methods, flag, generator, interruptible
+from kempe.constraints.tape import TIME
 from kempe.errors import InputError
 from kempe.kinematics.common.result import Cells
 from kempe.kinematics.configuration import as_start, home_of, refuse_far
 from kempe.kinematics.one_sided import one_sided_rows
+from kempe.model.clocked import known_time
 from kempe.model.kept import kept
 from kempe.model.tree.own_tree import own_tree
 from kempe.reals import within_range
@@ -141,6 +143,7 @@ def assembly_modes(
 ) -> Modes:  # fmt: skip
     """All configurations found that close the mechanism with the `known` coordinates (or frames) held.
 
+    The time of equations in time is known as "t", one number (default 0).
     Planar mechanisms made of dyads are solved in closed form: then `complete` is True, but where a branch is left
     undetermined, by centres that coincide, links without length, parallel slides, roots that merge before others, or
     whole turns that move what is geared to them; the status names the dyad, and least squares look for what closes
@@ -157,6 +160,8 @@ def assembly_modes(
     given: Mapping[str, Any] = {} if known is None else known
     if not isinstance(given, Mapping):
         raise InputError(f"known is {type(given).__name__}; it must be a dict of values by coordinate or frame name")
+    if TIME in given:
+        system, given = known_time(system, given)
     base = None if start is None else as_start(system, start)
     if base is not None and refuse_far(system, base, "start").ndim != 1:
         raise InputError(f"start has shape {base.shape}; it must be one configuration ({system.nq},)")
