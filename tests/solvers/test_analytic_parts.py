@@ -16,7 +16,9 @@ import kempe
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.solvers.analytic import further
 from kempe.solvers.analytic.answers import families, nearest
+from kempe.solvers.analytic.answers.explain_ik_all import ROW
 from kempe.solvers.analytic.answers.family_curves import Samples, TolerantMotion
+from kempe.solvers.analytic.answers.solutions import Solutions
 from kempe.solvers.analytic.plans import choice
 from kempe.solvers.analytic.plans.plan import spread
 from kempe.solvers.analytic.redundant.arm_angle import reference_plane
@@ -125,8 +127,8 @@ def test_families_are_not_looked_for_where_nothing_is_singular(monkeypatch):
     arm = kempe.load("puma560")
     q = np.array([0.3, -0.7, 0.4, 0.5, 0.9, -0.2])
     calls = []
-    whole = families.families_of
-    monkeypatch.setattr(families, "families_of", lambda *given: calls.append(given) or whole(*given))
+    row = replace(ROW, families=lambda *given: calls.append(given) or ROW.families(*given))
+    monkeypatch.setattr(Solutions, "_row", row)
     assert arm.ik_all(arm.fk(q, "tool"), "tool").families == [] and not calls
     q[4] = 0.0  # the axes of the wrist line up
     assert arm.ik_all(arm.fk(q, "tool"), "tool").families and calls
