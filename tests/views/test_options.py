@@ -44,6 +44,7 @@ NOT_OF_COMMANDS = {
     "solvers/analytic/redundant/redundancy.py": "`ik_all`",
     "solvers/assembly/charts.py": "no choice of coordinates",
     "solvers/paths/self_motion.py": "`direction`",
+    "analysis/motion/drive.py": "give it by `times`",
     "solvers/velocity/servo_closed.py": "robot.assemble(start=q)",
     "solvers/tasks/ik_tasks.py": "a task of kempe.tasks or a list",
     "views/plots.py": "as `system`",

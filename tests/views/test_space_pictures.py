@@ -10,7 +10,7 @@ from two_freedoms_in_space import between, directions, lengths_of_pointer, point
 import kempe
 from kempe import Budget
 from kempe.calls import until_interrupt
-from kempe.errors import InputError, UnknownNameError, UnsupportedError
+from kempe.errors import InputError, TimeLimitError, UnknownNameError, UnsupportedError
 
 pytest.importorskip("matplotlib")
 from kempe.analysis.spaces.configuration import two_freedoms as spaces
@@ -442,7 +442,7 @@ def test_a_picture_shows_what_was_done_until_an_interrupt_and_says_so():
     modes = shades(left)[1]
     assert "interrupted: this is the part that was done" in artists(left)["partial"][0].get_text()
     assert seen[:4] == sorted(seen[:4]) and 0 < (modes > 0).sum()
-    with pytest.raises(UnsupportedError, match="was found inside the limits .*time limit"):
+    with pytest.raises(TimeLimitError, match="plot_spaces: the time limit of 0.0001 s was over before anything"):
         system.plot_spaces("tip", task="direction", resolution=24, budget=Budget(time_limit=1e-4))
 
 

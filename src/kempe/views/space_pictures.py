@@ -16,7 +16,7 @@ from kempe.analysis.spaces.configuration.two_freedoms import NEEDED, TwoFreedoms
 from kempe.budget import Budget, Usual
 from kempe.calls import explained, flag, numbers, until_interrupt
 from kempe.constraints.flat_tasks import FlatTask, flat_task
-from kempe.errors import InputError, Interrupted, UnsupportedError, shown
+from kempe.errors import InputError, Interrupted, TimeLimitError, UnsupportedError, shown
 from kempe.kinematics.configuration import has_loops
 from kempe.model.tree.coordinates import units
 from kempe.reals import is_whole
@@ -156,7 +156,10 @@ def _singular_curves(space: TwoFreedoms) -> Any:
             raise UnsupportedError(on_curve + hint)
         return None
     kind = task.name if system.dim == 3 else "position"
-    found = system.singularities(name, kind, inputs=space.names, budget=Budget(time_limit=space.clock.left))
+    try:
+        found = system.singularities(name, kind, inputs=space.names, budget=Budget(time_limit=space.clock.left))
+    except TimeLimitError:
+        raise TimeLimitError(USUAL.verb, space.clock.limit) from None
     if found.questions.frame_rank < 2:
         raise UnsupportedError(on_curve + hint)
     if min((s.dimension for s in found.sets), default=0) > 1:  # where all is singular there are no lines

@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from kempe.errors import KempeError, shortened
+from kempe.errors import KempeError, TimeLimitError, shortened
 
 COMPLETE, INCOMPLETE, REFUSED, INTERRUPTED = 0, 1, 2, 130
 """Exit codes: complete answer; no solution or problems found; question that could not be posed; Ctrl-C."""
@@ -54,12 +54,18 @@ def leave(answer: Any) -> None:
 
 
 def guarded(function: Callable[..., None]) -> Callable[..., None]:
-    """The command with its errors made one sentence (or JSON, by its option `json`) and exit code 2."""
+    """The command with its errors made one sentence (or JSON, by its option `json`) and exit code 2.
+
+    Where the time limit was over before anything was known, it is 1: the question stands.
+    """
 
     @functools.wraps(function)
     def run(*args: Any, **options: Any) -> None:
         try:
             function(*args, **options)
+        except TimeLimitError as error:
+            say_error(error, options.get("json", False))
+            raise typer.Exit(INCOMPLETE) from None
         except KempeError as error:
             refuse(error, options.get("json", False))
         except BrokenPipeError:
