@@ -22,8 +22,6 @@ from kempe.cli import library_commands  # isort: skip
 from kempe.cli.app import app
 
 __all__ = [
-    "NARROWEST",
-    "WIDEST",
     "app",
     "file_commands",
     "inverse_commands",

@@ -190,7 +190,6 @@ class Mobility(Worded):
 USUAL = Usual("mobility", time_limit=SHORT)
 
 
-@explained
 def _counted(time: TimeLimit, system: System, q: Any = None, *_: Any, **__: Any) -> Mobility:
     """The count alone: the time was up before more was known."""
     given, tree = None if q is None else _given(system, q), own_tree(system)
@@ -199,6 +198,7 @@ def _counted(time: TimeLimit, system: System, q: Any = None, *_: Any, **__: Any)
     return replace(_open(tree, system, at), late=True)
 
 
+@explained
 @time_limited(USUAL, _counted)
 @tolerant()
 def mobility(

@@ -167,9 +167,9 @@ def simulate(
     reverses the rate of the gap, and a body that rests on a plane moves with it as long as the plane pushes. With
     planes that move, times of impacts are found numerically, from the gaps at 1024 places of the duration.
 
-    Of the `budget` are read: points (200) and time_limit (600 s). `t` are so many
-    evenly spread times, and those of all events. Errors: `UnsupportedError` with the reason; `InputError`, also
-    for a start inside a plane, with the distance; `UnknownNameError`.
+    Of the `budget` are read: points (200) and time_limit (600 s). `t` are so many evenly spread times, and those of all
+    events. Errors: `UnsupportedError` with the reason; `InputError`, also for a start inside a plane, with the
+    distance; `UnknownNameError`.
     """
     if not is_real(duration) or not 0.0 < duration < math.inf:
         raise InputError(f"duration is {duration!r}; it must be a time in seconds, positive and finite")

@@ -196,7 +196,9 @@ def coordinate(slides, theta, numbers, near, edge):
     low, high = numbers[LOW], numbers[HIGH]
     if slides:
         edge *= max(1.0, 1.0 / abs(numbers[FACTOR]))
-    if not slides:
+        if not low - edge <= q <= high + edge:
+            return q, False
+    else:
         period = TWO_PI / abs(numbers[FACTOR])
         q += period * math.floor((near - q) / period + 0.5)
         if q > high + edge:
@@ -206,8 +208,6 @@ def coordinate(slides, theta, numbers, near, edge):
         if not low - edge <= q <= high + edge:  # no turn fits: the one nearest to `near`
             q += period * math.floor((near - q) / period + 0.5)
             return q, False
-    elif not low - edge <= q <= high + edge:
-        return q, False
     return min(max(q, low), high), True
 
 

@@ -14,6 +14,7 @@ from kempe.kernels.closed_form import analytic_layout as A
 from kempe.solvers.analytic.ik_all import TOLERANCE, attainable, chain_lines, plan_for, solve, solve_held
 from kempe.solvers.analytic.plans.plan import ChainPlan
 from kempe.solvers.analytic.plans.question import Question, Watch
+from kempe.solvers.common.clock import TimeLimit
 from kempe.solvers.one_frame.inverse import run
 from kempe.solvers.one_frame.multi_start import FrameProblem, misses
 from kempe.spatial import Array
@@ -78,9 +79,11 @@ def _solved(
 ) -> tuple[Array, Array, np.ndarray]:  # fmt: skip
     """The nearest solutions (n, k) to `near` (1 or n, nq), their errors (n, 2), and where there are any (n,)."""
     n, chain = len(task.targets), task.chain
-    within, watch = min(*task.tolerance, TOLERANCE), Watch(task.time_limit, n)
-    watch.limit.end = task.end
-    question = Question(task.system, task.frame, task.name, task.axis, task.targets, (n,), within, watch=watch)
+    within, limit = min(*task.tolerance, TOLERANCE), TimeLimit(task.time_limit)
+    limit.end = task.end  # that of the whole batch
+    question = Question(
+        task.system, task.frame, task.name, task.axis, task.targets, (n,), within, watch=Watch(limit, n)
+    )
     found = solve(question, plan, near, {}, threads)
     own, inside = found._rows[..., : len(plan.lines)], found.inside
     unit = np.abs(plan.lines.multiplier)

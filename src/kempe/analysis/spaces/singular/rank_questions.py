@@ -81,15 +81,14 @@ class RankQuestions:
         kept = PLANES[task][:2] if task in PLANES else range(6)
         self.rows = [r for r in twist_rows(words, system.dim) if r in kept]
         self.twists = np.eye(len(self.rows))
+        few, moving = self.starts[:RANKED], np.zeros(system.nv, dtype=bool)
         if frame is not None:
-            seen = self.task_jacobians(self.starts[:RANKED]).swapaxes(1, 2).reshape(-1, len(self.rows))
+            seen = self.task_jacobians(few).swapaxes(1, 2).reshape(-1, len(self.rows))
             _, s, Vt = svd(seen, full_matrices=False)
             self.twists = Vt[: int(np.sum(s > ZERO * max(s.max(initial=0.0), 1e-300)))].T
             if not self.twists.size:
                 raise InputError(f"frame {frame!r} of {system.name} does not move: nothing of it can be lost")
-        moving = (
-            np.abs(self.task_jacobians(self.starts[:RANKED])).max(axis=(0, 1)) > 0.0 if frame is not None else False
-        )
+            moving = np.abs(self.task_jacobians(few)).max(axis=(0, 1)) > 0.0
         self.frame_rank = 0 if frame is None else max(self._rank_of_frame(q) for q in self.starts[:GENERIC])
         self.columns = np.arange(system.nv) if self.loops else np.flatnonzero(moving)
 

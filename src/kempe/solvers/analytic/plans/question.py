@@ -27,11 +27,10 @@ ANGULAR = 1e-6
 
 
 class Watch:
-    """The time limit of a call [s], and the targets whose work it ended, `late` (N,). Errors: `InputError`."""
+    """The time limit of a call, and the targets whose work it ended, `late` (N,)."""
 
-    def __init__(self, limit: TimeLimit | float | None, count: int):
-        self.limit = limit if isinstance(limit, TimeLimit) else TimeLimit(limit)
-        self.late = np.zeros(count, dtype=bool)
+    def __init__(self, limit: TimeLimit, count: int):
+        self.limit, self.late = limit, np.zeros(count, dtype=bool)
 
     @property
     def over(self) -> bool:
