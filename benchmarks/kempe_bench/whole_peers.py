@@ -11,7 +11,7 @@ import numpy as np
 
 import kempe
 from kempe import tasks
-from kempe.solvers.tasks.ik_tasks import STARTS
+from kempe.solvers.tasks.demands import STARTS
 from kempe.spatial import Array
 from kempe_bench import peers
 from kempe_bench.whole_robots import BASE, Body, mujoco_body, pinocchio_body

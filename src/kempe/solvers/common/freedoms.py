@@ -20,7 +20,7 @@ from kempe.singular_values import svd
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.solvers.tasks.ik_tasks import Demands
+    from kempe.solvers.tasks.demands import Demands
 
 RANK_TOLERANCE = 1e-8
 """Singular values below this fraction of the largest count as zero."""

@@ -31,7 +31,8 @@ from kempe.solvers.common.serial_chain import of_loops, shared_by
 from kempe.solvers.common.slip import rolls
 from kempe.solvers.common.targets import Z_AXIS, parse_targets
 from kempe.solvers.paths.path_steps import DEPTH, SINGULAR, STAYS, TOLERANCE, WEAK, PathSteps
-from kempe.solvers.tasks.ik_tasks import STARTS, Demands, judge, pose_problem
+from kempe.solvers.tasks.demands import STARTS, Demands
+from kempe.solvers.tasks.ik_tasks import judge, pose_problem
 from kempe.solvers.tasks.reached import demands_of
 from kempe.solvers.tasks.uninvolved import apart
 from kempe.spatial import Array

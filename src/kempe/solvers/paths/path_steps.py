@@ -18,7 +18,8 @@ from kempe.kernels.base.search_layout import SOLVED
 from kempe.singular_values import svd
 from kempe.solvers.common.clock import TimeLimit
 from kempe.solvers.common.serial_chain import inside
-from kempe.solvers.tasks.ik_tasks import Demands, judge
+from kempe.solvers.tasks.demands import Demands
+from kempe.solvers.tasks.ik_tasks import judge
 from kempe.solvers.tasks.uninvolved import apart
 from kempe.spatial import Array
 

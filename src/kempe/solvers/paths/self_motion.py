@@ -34,7 +34,7 @@ from kempe.words import counted, joined
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
-    from kempe.solvers.tasks.ik_tasks import Demands
+    from kempe.solvers.tasks.demands import Demands
 
 USUAL = Usual("self_motion", points=200, step=0.05, time_limit=TIME_LIMIT, progress=None)
 TOLERANCE = 1e-10

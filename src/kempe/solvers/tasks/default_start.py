@@ -17,7 +17,7 @@ from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-    from kempe.solvers.tasks.ik_tasks import Demands
+    from kempe.solvers.tasks.demands import Demands
 
 FAR = 10.0
 """Characteristic lengths from a frame to its target from which on a base is moved before the first start."""

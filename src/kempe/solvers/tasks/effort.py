@@ -16,15 +16,16 @@ import numpy as np
 from kempe.kernels.base import search_layout as S
 from kempe.kernels.constraints import loop_layout as L
 from kempe.solvers.common.clock import EndReached
+from kempe.solvers.tasks.contradictions import contradictory
+from kempe.solvers.tasks.demands import FIRST, Demands
+from kempe.solvers.tasks.reach_bounds import unreachable
 from kempe.spatial import Array
+from kempe.status import Status
 
 if TYPE_CHECKING:
     from kempe.kinematics.tasks.packed import Packed
     from kempe.model.system import System
-    from kempe.solvers.tasks.ik_tasks import Demands
 
-FIRST = 60
-"""Starts after which one looks whether more are worth their time."""
 EACH, MOST, HOPELESS = 30, 15_000, 10
 """Starts by the square of the number of limited coordinates that the tasks move, their largest number, and the part of
 them that is tried where no answer without limits is found either. With 30, 1470 are for an arm with seven joints."""
@@ -102,6 +103,16 @@ def most_starts(system: System, packed: Packed) -> int:
     return found
 
 
+def proofs_of(problem: Demands) -> np.ndarray:
+    """Codes (N,) of the problems that are proven to have no answer, 0 of others. Kept with the problem."""
+    found: np.ndarray | None = problem.kept.get(proofs_of)
+    if found is None:
+        against = np.where(contradictory(problem), Status.CONTRADICTORY, 0)
+        found = np.where(unreachable(problem), Status.OUT_OF_REACH, against).ravel()
+        problem.kept[proofs_of] = found
+    return found
+
+
 def search(problem: Demands, base: Array, threads: int | None = 1) -> tuple[Array, np.ndarray]:
     """As `Demands.run`, with as many starts as each problem deserves: `FIRST` first, then up to those of the problem.
 
@@ -113,7 +124,7 @@ def search(problem: Demands, base: Array, threads: int | None = 1) -> tuple[Arra
     left = np.flatnonzero(info[:, 0] == S.NOT_FOUND)
     if not left.size or problem.starts <= FIRST:
         return q, info
-    left = left[problem.proofs[left] == 0]
+    left = left[proofs_of(problem)[left] == 0]
     if not left.size:
         return q, info
     open_ = replace(problem, limits=False, mode=S.NOTHING)

@@ -24,7 +24,8 @@ from kempe.solvers.one_frame.explain_ik import rounded
 from kempe.solvers.one_frame.inverse import chosen
 from kempe.solvers.one_frame.solution import SolutionRow
 from kempe.solvers.tasks.contradictions import contradictions
-from kempe.solvers.tasks.ik_tasks import STARTS, judge
+from kempe.solvers.tasks.demands import STARTS
+from kempe.solvers.tasks.ik_tasks import judge
 from kempe.solvers.tasks.reach_bounds import beyond
 from kempe.solvers.tasks.reached import Reached, analyse
 from kempe.spatial import Array
@@ -32,7 +33,7 @@ from kempe.status import Status
 
 if TYPE_CHECKING:
     from kempe.kinematics.tasks.task import Task
-    from kempe.solvers.tasks.ik_tasks import Demands
+    from kempe.solvers.tasks.demands import Demands
 
 MOST_COORDINATES = 400
 """Velocity coordinates up to which a sentence counts freedoms: it takes about forty dense decompositions."""

@@ -4,40 +4,32 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.budget import Usual, checks, watched_by
+from kempe.budget import Usual
 from kempe.constraints.base import Constraint
 from kempe.errors import InputError, shown
 from kempe.kernels.base import search_layout as S
-from kempe.kernels.compiled import task_search as kernel
-from kempe.kinematics.common.parallel import over_chunks
 from kempe.kinematics.configuration import as_start, home_of, refuse_far
-from kempe.kinematics.tasks.packed import Packed, lead_of, refuse
-from kempe.kinematics.tasks.task import Goals, Task
+from kempe.kinematics.tasks.packed import lead_of, refuse
+from kempe.kinematics.tasks.task import Task
 from kempe.kinematics.tasks.task_classes import task_of
-from kempe.model.closures.callback import Callback
-from kempe.model.kept import keep, kept
+from kempe.model.kept import kept
 from kempe.reals import is_sequence, is_whole
 from kempe.solvers.assembly.assembler import TOLERANCE as CLOSED
-from kempe.solvers.assembly.assembler import limitless
 from kempe.solvers.assembly.ideal import decided_within
 from kempe.solvers.common.arguments import seed_number, start_count, step_count, tolerances
-from kempe.solvers.common.clock import EndReached, TimeLimit, clock, up_at
+from kempe.solvers.common.clock import TimeLimit
 from kempe.solvers.common.problem import Problem
-from kempe.solvers.common.serial_chain import inside
 from kempe.solvers.tasks import effort
-from kempe.solvers.tasks.contradictions import contradictory
 from kempe.solvers.tasks.default_start import near_target
-from kempe.solvers.tasks.effort import most_starts
-from kempe.solvers.tasks.levels import KEPT, level_of, packed_for, solve
-from kempe.solvers.tasks.reach_bounds import unreachable
+from kempe.solvers.tasks.demands import STARTS, STEPS, Demands
+from kempe.solvers.tasks.effort import most_starts, proofs_of
+from kempe.solvers.tasks.levels import packed_for, solve
 from kempe.solvers.tasks.reached import Reached
-from kempe.solvers.tasks.uninvolved import apart
 from kempe.spatial import Array
 from kempe.status import MEMBERS, Status
 
@@ -46,11 +38,6 @@ if TYPE_CHECKING:
 
 TOLERANCE = (1e-6, 1e-6)
 """Largest error in metres and radians of a hard task that has no tolerance of its own."""
-STARTS = effort.FIRST
-"""Starts before tasks are given up that are requested beside something else, as along a path."""
-STEPS = 60
-"""Steps of one start; those that succeed need 5 to 20."""
-CHUNK, SERIAL_BELOW = 16, 32
 SLACK = 1.0 + 1e-6
 """By which part of a tolerance the check by the forward model may differ from the solver's own: rounding."""
 PREFERRED = ("nearest", "mid", "manipulability")
@@ -59,154 +46,6 @@ SINGLE = 30.0
 """Seconds that the answer for one problem may take, unless the caller says otherwise."""
 USUAL = Usual("ik", starts=None, iterations=STEPS, time_limit=SINGLE, rng=0, threads=None)
 BATCH = Usual("ik", starts=None, iterations=STEPS, time_limit=None, rng=0, threads=None)
-
-
-@dataclass(frozen=True, eq=False)
-class Demands:
-    """The tasks of a `Problem`, packed: kept with the answer, so that it can say why it failed.
-
-    `pins` (N or 1, k) are the goals, `use` (tasks,) says which count, `limits` whether limits do.
-    """
-
-    system: System
-    tasks: tuple[Task, ...]
-    packed: Packed = field(repr=False)
-    goals: tuple[Goals, ...] = field(repr=False)
-    pins: Array = field(repr=False)
-    lead: tuple[int, ...]
-    tolerance: tuple[float, float]
-    starts: int
-    rng: int
-    use: tuple[bool, ...]
-    mode: int = S.NOTHING
-    aim: Array | None = field(default=None, repr=False)
-    """Configurations (N or 1, nq) that the last stage leads towards."""
-    callback: Callback | None = field(default=None, repr=False)
-    limits: bool = True
-    one_sided: bool = True
-    """Whether declared one-sided constraints hold."""
-    loose: bool = False
-    """Whether nobody named a start, so that a free base may be moved before the first start."""
-    iterations: int = STEPS
-    time_limit: float | None = None
-    end: float = math.inf
-    """When the time is up, by `time.monotonic`."""
-    effort: effort.Effort | None = field(default=None, repr=False)
-    """How many calls of functions the search may make; None: as many as it takes."""
-    given_up: int = 0
-    """After how many calls of functions the search was given up; 0 where it was not."""
-
-    def tolerance_of(self, task: Task) -> tuple[float, float]:
-        """Largest error of a hard task in metres and radians."""
-        return self.tolerance if task.tolerance is None else tolerances(task.tolerance)
-
-    def of(self, index: int) -> Demands:
-        """The problem of row `index` of a batch."""
-        pins = self.pins[index : index + 1] if len(self.pins) > 1 else self.pins
-        aim = self.aim[index : index + 1] if self.aim is not None and len(self.aim) > 1 else self.aim
-        goals = tuple(_row(g, index, self.lead) for g in self.goals)
-        return replace(self, goals=goals, pins=pins, aim=aim, lead=())
-
-    def only(self, tasks: Sequence[int], limits: bool = True, one_sided: bool = True) -> Demands:
-        """The problem with only these tasks, without preference or time limit, and from at most `STARTS` starts.
-
-        `limits` says whether joint limits count, `one_sided` whether one-sided constraints of the system do.
-        """
-        use = tuple(i in tasks for i in range(len(self.tasks)))
-        few = min(self.starts, STARTS)
-        return replace(
-            self, use=use, limits=limits, one_sided=one_sided, mode=S.NOTHING, end=math.inf, effort=None,
-            starts=few)  # fmt: skip
-
-    def run(
-        self, starts: Array, threads: int | None = 1, *, tries: int | None = None, rows: np.ndarray | None = None
-    ) -> tuple[Array, np.ndarray]:
-        """Configurations (N, nq) and (status, steps, starts) (N, 3) from starts (N or 1, nq), of some `rows` or all.
-
-        `tries` are the starts at most, by default those of the problem.
-        """
-        loops, n = self.packed.loops, math.prod(self.lead) if rows is None else len(rows)
-        stages, strengths, *_ = self.levels
-        weights = loops.weights if self.limits else limitless(self.system, loops)
-        q, info = np.empty((n, self.system.nq)), np.empty((n, 3), dtype=np.int64)
-        aim, pins, stop = (
-            starts if self.aim is None else self.aim,
-            self.pins,
-            clock().address if self.end < math.inf or self.effort is not None or checks() else 0,
-        )
-        if rows is not None:
-            starts, aim, pins = (x[rows] if len(x) > 1 else x for x in (starts, aim, pins))
-        most = self.starts if tries is None else min(tries, self.starts)
-
-        def part(x: Array, i: int, j: int) -> Array:
-            return x[i:j] if len(x) > 1 else x
-
-        def work(i: int, j: int) -> int:
-            with watched_by(up_at(self.end), *(() if self.effort is None else (self.effort,))):
-                left = kernel.solve(
-                    loops.ints, loops.floats, loops.plan, weights, stages, strengths, part(starts, i, j),
-                    part(aim, i, j), part(pins, i, j), most, self.iterations, self.mode, stop, self.loose, self.rng,
-                    q[i:j], info[i:j],
-                )  # fmt: skip
-            error = clock().taken()
-            if error is not None and not isinstance(error, EndReached):  # the time of a verb that asked
-                raise error
-            return left
-
-        over_chunks(work, n, CHUNK, threads, SERIAL_BELOW)
-        callbacks = [t.function for t in loops.ties if t.function is not None] + [self.callback]
-        for callback in callbacks:
-            if isinstance(callback, Callback) and callback.error is not None:
-                error, callback.error = callback.error, None
-                if not isinstance(error, EndReached):
-                    raise error
-        return self._kept(self.packed.inside(q) if self.limits else q, starts), info
-
-    def _kept(self, q: Array, starts: Array) -> Array:
-        """The configurations (N, nq), what no task depends on as in the starts (N or 1, nq), in place."""
-        if self.mode != S.NOTHING:
-            return q
-        untouched = apart(self.packed, self.pins)
-        if untouched.size and not (q[:, untouched] == starts[:, untouched]).all():
-            own = inside(self.system, starts.copy()) if self.limits else starts
-            sound = ~np.isnan(q).any(axis=1)
-            q[np.ix_(sound, untouched)] = (own if len(own) == 1 else own[sound])[:, untouched]
-        return q
-
-    @cached_property
-    def proofs(self) -> np.ndarray:
-        """Codes (N,) of the problems that are proven to have no answer, 0 of others."""
-        against = np.where(contradictory(self), Status.CONTRADICTORY, 0)
-        return np.where(unreachable(self), Status.OUT_OF_REACH, against).ravel()
-
-    @property
-    def levels(self) -> tuple[np.ndarray, Array, list[int], Array]:
-        """For kernels the stage of each tie and whether it is hard (2 ties,), and weight and tolerances (ties, 3); the
-        tasks that are hard, and their tolerances (hard, 2)."""
-        key = (self.use, self.one_sided, self.tolerance, *((t.priority, t.weight, t.tolerance) for t in self.tasks))
-        found = self.packed.stages.get(key)
-        if found is None:
-            hard = [i for i, used in enumerate(self.use) if used and self.tasks[i].weight is None]
-            allowed = np.array([self.tolerance_of(self.tasks[i]) for i in hard]).reshape(-1, 2)
-            found = keep(self.packed.stages, key, (*self._staged(), hard, allowed), KEPT)
-        return found
-
-    def _staged(self) -> tuple[np.ndarray, Array]:
-        keys = [level_of(t) for t in self.tasks]
-        order = sorted({k for k, used in zip(keys, self.use, strict=True) if used})
-        top = {k: max(t.weight or 0.0 for t, key in zip(self.tasks, keys, strict=True) if key == k) for k in keys}
-        ties, length = self.packed.loops.ties, self.packed.loops.length
-        stages, strengths = np.zeros((2, len(ties)), dtype=np.int64), np.ones((len(ties), 3))
-        stages[1], strengths[:, 1:] = 1, CLOSED
-        for k, i in enumerate(self.packed.owner):
-            if i < 0:
-                stages[0, k] = -1 if ties[k].bounds and not self.one_sided else 0
-                continue
-            task, key = self.tasks[int(i)], keys[int(i)]
-            stages[:, k] = order.index(key) + 1 if self.use[i] else -1, task.weight is None
-            linear, angular = self.tolerance_of(task)
-            strengths[k] = 1.0 if task.weight is None else task.weight / top[key], linear / length, angular
-        return stages.ravel(), strengths
 
 
 def reach(problem: Problem) -> Reached:
@@ -333,17 +172,6 @@ def _distinct(wanted: Any, dim: int) -> tuple[Task, ...]:
     return tuple(out.values())
 
 
-def _row(goals: Goals, index: int, lead: tuple[int, ...]) -> Goals:
-    """The goals of one row of a batch."""
-    cores = ((4, 4), (-1,))
-    out: Any = []
-    for pair in goals:
-        row = [None if x is None else np.broadcast_to(x, (*lead, *x.shape[-len(c) :])).reshape(-1, *x.shape[-len(c) :])[
-            index] for x, c in zip(pair, cores, strict=True)]  # fmt: skip
-        out.append(tuple(row))
-    return out
-
-
 def _preferring(problem: Demands, prefer: Any, base: Array) -> Demands:
     """The problem, with what `prefer` minimises as its last level."""
     if prefer == "nearest":
@@ -386,7 +214,8 @@ def judge(problem: Demands, q: Array, info: np.ndarray) -> Reached:
         code = np.where(good.ravel(), Status.SOLVED, np.where(late, Status.OUT_OF_TIME, Status.NOT_FOUND))
         code[bad] = Status.BAD_INPUT
         if problem.limits and np.any(code == Status.NOT_FOUND):
-            code = np.where((code == Status.NOT_FOUND) & (problem.proofs > 0), problem.proofs, code)
+            proofs = proofs_of(problem)
+            code = np.where((code == Status.NOT_FOUND) & (proofs > 0), proofs, code)
     columns = (code == S.SOLVED, code, worst[..., 0], worst[..., 1], info[:, 1], info[:, 2], late)
     fields = [x.reshape(lead) if lead else x.item() for x in columns]
     errors = {t.label: e for t, e in zip(problem.tasks, every, strict=True)}

@@ -20,27 +20,18 @@ from kempe.kinematics.tasks.packed import Packed, lead_of
 from kempe.kinematics.tasks.task import Task
 from kempe.model.kept import keep
 from kempe.solvers.assembly.ideal import ideal_of
-from kempe.solvers.tasks import effort
+from kempe.solvers.tasks.demands import FIRST, KEPT, Demands, Level, level_of
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-    from kempe.solvers.tasks.ik_tasks import Demands
 
-Level = tuple[int, bool]
-Search = Callable[["Demands", Array, "int | None"], tuple[Array, np.ndarray]]
+Search = Callable[[Demands, Array, "int | None"], tuple[Array, np.ndarray]]
 
-KEPT = 64
-"""Structures of tasks whose packed ties a system keeps, and sets of weights and tolerances kept with each."""
 GAIN, LITTLE = 1e-6, 1e-12
 """Part of the square that a level misses by which another must be less to count as lower, and the least difference."""
 MET = 1e-16
 """Square of what a soft level misses up to which it is met."""
-
-
-def level_of(task: Task) -> Level:
-    """What levels of tasks are ordered by: priority, hard before soft."""
-    return int(task.priority), task.weight is not None
 
 
 def packed_for(system: System, tasks: tuple[Task, ...], turns: bool) -> Packed:
@@ -70,7 +61,7 @@ def solve(
     end = _cut(problem, _is_added)
     if end is None:
         few = rows is not None
-        q, info = problem.run(base, threads, tries=effort.FIRST, rows=rows) if few else search(problem, base, threads)
+        q, info = problem.run(base, threads, tries=FIRST, rows=rows) if few else search(problem, base, threads)
         if len(problem.tasks) > 1:
             _compare(problem, base, q, info, search, threads, np.arange(len(q)) if rows is None else rows)
         return q, info

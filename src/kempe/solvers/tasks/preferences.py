@@ -14,7 +14,7 @@ from kempe.singular_values import svd
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.solvers.tasks.ik_tasks import Demands
+    from kempe.solvers.tasks.demands import Demands
 
 SMALL = 1e-24
 """Added to squared singular values, so that the logarithm of none is infinite."""

@@ -21,7 +21,7 @@ from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-    from kempe.solvers.tasks.ik_tasks import Demands
+    from kempe.solvers.tasks.demands import Demands
 
 
 def unreachable(problem: Demands) -> np.ndarray:

@@ -13,7 +13,7 @@ from kempe.solvers.one_frame.solution import Solution
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.solvers.tasks.ik_tasks import Demands
+    from kempe.solvers.tasks.demands import Demands
 
 
 @explained_methods

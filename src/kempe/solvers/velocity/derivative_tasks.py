@@ -19,7 +19,7 @@ from kempe.solvers.velocity.servo_closed import ends_of_rows
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.solvers.tasks.ik_tasks import Demands
+    from kempe.solvers.tasks.demands import Demands
 
 AT_BOUND = 2e-6
 """How near to its bound an inequality holds the answer there, in radians and characteristic lengths."""

@@ -39,7 +39,7 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.kinematics.tasks.packed import Packed
     from kempe.model.system import System
-    from kempe.solvers.tasks.ik_tasks import Demands
+    from kempe.solvers.tasks.demands import Demands
 
 OPEN = 1e-3
 """By how much, in radians and characteristic lengths, loops may be open at first: more is no drift."""
