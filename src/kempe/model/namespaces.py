@@ -182,7 +182,7 @@ class Loops(Namespace):
 
     def assembler(self, known: Iterable[str] = ()) -> Assembler:
         """A reusable `assemble` for these known names; see `kempe.solvers.assembly.assembler.Assembler`."""
-        from kempe.solvers.assembly.assembler import assembler
+        from kempe.solvers.assembly.assembly import assembler
 
         return assembler(self.system, known)
 

@@ -13,7 +13,6 @@ from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-    from kempe.solvers.assembly.assembler import Assembler
     from kempe.status import Status
 
 
@@ -39,7 +38,8 @@ class Assembly(Answer):
     residual: Any = field()
     iterations: Any
     starts: Any
-    assembler: Assembler = field(repr=False)
+    assembler: Any = field(repr=False)
+    """The `Assembler` that answered: the bound form for the names that are known."""
     late: bool = False
     """Whether the time limit ended the search for the nearest mechanism that closes exactly.
 
@@ -51,8 +51,8 @@ class Assembly(Answer):
 
     @classmethod
     def single(
-        cls, q: Array, success: bool, code: Status, residual: float, iterations: int, starts: int, assembler: Assembler
-    ) -> Assembly:  # fmt: skip
+        cls, q: Array, success: bool, code: Status, residual: float, iterations: int, starts: int, assembler: Any
+    ) -> Assembly:
         """The answer for a single set of known values, in a fraction of the time that a frozen class takes."""
         out = object.__new__(cls)
         own = out.__dict__

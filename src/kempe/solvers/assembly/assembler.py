@@ -28,7 +28,6 @@ from kempe.model.tree.own_tree import own_tree
 from kempe.reals import is_real, reals, within_range
 from kempe.rigid import refuse_no_poses
 from kempe.solvers.assembly.assembled import Assembly
-from kempe.solvers.assembly.ideal import ideal_of
 from kempe.solvers.common.arguments import deadline, place_of, seed_number, start_count, with_places
 from kempe.solvers.common.clock import SHORT, TimeLimit, clock
 from kempe.solvers.common.problem import Choice, Problem, chosen_by
@@ -674,18 +673,6 @@ def limitless(system: System, loops: PackedLoops) -> Array:
     weights = loops.weights.copy()
     velocity_lists(weights, system.nv)[1:3] = [[-np.inf], [np.inf]]
     return weights
-
-
-@explained
-def assembler(system: System, known: Iterable[str] = ()) -> Assembler:
-    """The bound form of `assemble` for these known names. Errors: `UnknownNameError`, `InputError`."""
-    return bound(system, listed(known, "known"))
-
-
-@kept
-def bound(system: System, known: tuple[str, ...]) -> Assembler:
-    """The assembler for the mechanism that replaces this one in computations, such as with exact dimensions."""
-    return bare(ideal_of(system), known)
 
 
 def bare(system: System, known: Iterable[str] = ()) -> Assembler:

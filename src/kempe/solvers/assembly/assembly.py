@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kempe.budget import Budget, checks
-from kempe.calls import explained, flag
+from kempe.calls import explained, flag, listed
 from kempe.constraints.tape import TIME
 from kempe.errors import InputError
+from kempe.kinematics.configuration import q_from_dict
 from kempe.kinematics.tasks.functions import held_too
 from kempe.model.clocked import known_time
 from kempe.model.kept import kept
 from kempe.reals import plain
 from kempe.solvers.assembly.assembled import Assembly
-from kempe.solvers.assembly.assembler import LOOSEST, TOLERANCE, USUAL, Assembler, bare, bound
-from kempe.solvers.assembly.ideal import is_known, one_number, within
+from kempe.solvers.assembly.assembler import LOOSEST, TOLERANCE, USUAL, Assembler, bare
+from kempe.solvers.assembly.ideal import ideal_of, is_known, one_number, within
 from kempe.solvers.common.clock import LEAST, TimeLimit, TimeUp
 from kempe.solvers.common.problem import NOTHING, Choice, Problem, Solver, choose, chosen_by, takes_all
 from kempe.status import Status, member
@@ -72,7 +73,7 @@ def assemble(
         except TimeUp:
             if not time.spent:
                 raise
-            q = system.q(branch) if branch is not None and start is None and not signs else start
+            q = q_from_dict(system, branch) if branch is not None and start is None and not signs else start
             problem = Problem(system, "one", given, q, None, limits, TOLERANCE)
             return replace(_unsolved(bare(system, given), problem), late=True, limit=time.limit)
         budget = _left(budget, time)
@@ -86,7 +87,7 @@ def assemble(
     if signs:
         options = {"branch": branch}
     elif branch is not None and start is None:
-        start = system.q(branch)
+        start = q_from_dict(system, branch)
     problem = Problem(system, "one", given, start, prefer, limits, tolerance or TOLERANCE, budget, options)
     return _within_limit(chosen(system, tuple(given), signs)[0].run(problem), time)
 
@@ -125,6 +126,21 @@ def allowing(system: System, tolerance: float | str) -> tuple[System, float]:
     if found is not None:
         return found.system, TOLERANCE
     return system, TOLERANCE if isinstance(tolerance, str) else min(float(one_number(tolerance)), LOOSEST)
+
+
+# ---- the bound form
+
+
+@explained
+def assembler(system: System, known: Iterable[str] = ()) -> Assembler:
+    """The bound form of `assemble` for these known names. Errors: `UnknownNameError`, `InputError`."""
+    return bound(system, listed(known, "known"))
+
+
+@kept
+def bound(system: System, known: tuple[str, ...]) -> Assembler:
+    """The assembler for the mechanism that replaces this one in computations, such as with exact dimensions."""
+    return bare(ideal_of(system), known)
 
 
 # ---- the solvers

@@ -9,10 +9,11 @@ import numpy as np
 
 from kempe.kinematics import closure_rows
 from kempe.kinematics.configuration import random
+from kempe.kinematics.forward import fk
 from kempe.model.immovable import immovable
 from kempe.solvers.assembly.assembled import Assembly
-from kempe.solvers.assembly.assembler import LOOSEST, Assembler, assembler, of_equations
-from kempe.solvers.assembly.ideal import nearly
+from kempe.solvers.assembly.assembler import LOOSEST, Assembler, bare, of_equations
+from kempe.solvers.assembly.ideal import ideal_of, nearly
 from kempe.solvers.common import wording
 from kempe.solvers.common.answer import Row
 from kempe.solvers.common.problem import Choice, choose
@@ -54,7 +55,7 @@ def sentence(answer: Assembly, index: tuple[int, ...]) -> str:
 
 
 def _sentence(answer: Assembly, index: tuple[int, ...]) -> str:
-    bound = answer.assembler
+    bound: Assembler = answer.assembler
     code, residual, steps, starts = (
         np.asarray(x)[index].item() for x in (answer.code, answer.residual, answer.iterations, answer.starts)
     )
@@ -101,7 +102,8 @@ def _left(bound: Assembler, q: Array) -> str:
 def _coinciding(system: System, q: Array) -> list[tuple[str, str]]:
     """Pairs of joints at one place that no body holds there: neither both of them nor others at the same place."""
     joints, number = [*system.mechanism.joints.values()], {b: i for i, b in enumerate(system.body_names)}
-    bodies, m = system.fk(q), system.mechanism
+    bodies = fk(system, q)
+    m = system.mechanism
     places = np.array([bodies[number[j.child]] @ j.X_CM.evaluate(m.parameters)[:, 3] for j in joints])[:, :3]
     cells: dict[tuple[int, ...], list[int]] = {}
     for i, cell in enumerate(np.round(places / (COINCIDE * closure_rows.characteristic_length(system))).tolist()):
@@ -184,7 +186,7 @@ def _limits(bound: Assembler, q: Array) -> Evidence | None:
 
 def _too_many(bound: Assembler) -> Evidence | None:
     """Whether more is given than the system has freedoms where it is closed."""
-    freedoms = assembler(bound.system).freedoms
+    freedoms = bare(ideal_of(bound.system)).freedoms
     if not bound.held or not 0 <= freedoms < len(bound.held):
         return None
     return evidence("too many given", given=len(bound.held), freedoms=freedoms)

@@ -31,6 +31,7 @@ from kempe.model.kept import keep, kept
 from kempe.model.tree.characteristic_length import as_large_as, characteristic_length, origin_of
 from kempe.model.tree.own_tree import own_tree
 from kempe.reals import is_real
+from kempe.solvers.assembly.assembler import bare
 from kempe.solvers.assembly.dimensions import (
     DAMPING,
     ENOUGH,
@@ -169,8 +170,6 @@ class Idealised(Report):
 
         What is farther from closed than the tolerance explains is left as it is.
         """
-        from kempe.solvers.assembly.assembler import bare
-
         q = as_q(self.system, q)
         off = np.linalg.norm(evaluate(self.system, q, False, True)[0], axis=-1)
         length = characteristic_length(self.system)
@@ -478,8 +477,6 @@ def _closes_anyway(system: System, most: float) -> bool:
 
 def _starts(system: System, home: Array, scaled: float) -> list[tuple[int, Array]]:
     """Ranks that the equations may have, the lowest first, and where to look for a motion: first about home."""
-    from kempe.solvers.assembly.assembler import bare
-
     valley, limit = Valley(system, 0), OPEN * scaled
     exact = EXACT + 4.0 * np.finfo(float).eps * float(np.linalg.norm(origin_of(system))) / characteristic_length(system)
     out: list[tuple[int, Array]] = []

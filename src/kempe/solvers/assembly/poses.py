@@ -19,12 +19,13 @@ from kempe.errors import InputError
 from kempe.joints import JointType, P, Q
 from kempe.kinematics.closure_errors import coordinate_value
 from kempe.kinematics.closure_rows import evaluate, full, row_names
-from kempe.kinematics.configuration import as_start, refuse_far
+from kempe.kinematics.configuration import as_start, mid, refuse_far
 from kempe.kinematics.maximal import as_poses, coordinates_of_pose, maximal, maximal_q
 from kempe.model.closures.implicit_form import flat_frame, implicit_form, screw, slides_along_z
 from kempe.placement import Placement, place
 from kempe.rigid import refuse_no_poses
-from kempe.solvers.assembly.assembler import LOOSEST, TOLERANCE, assembler
+from kempe.solvers.assembly.assembler import LOOSEST, TOLERANCE
+from kempe.solvers.assembly.assembly import assembler
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ FULL_TURN = 2.0 * math.pi
 def from_maximal(system: System, poses: ArrayLike, start: Any = None, tolerance: float | None = None) -> Array:
     """Configuration (..., nq) of the poses (..., n_b, 4, 4), each coordinate read off where its joint's bodies are.
 
-    Angles are those nearest to the configuration `start` (default: `system.mid`), and so are the signs of quaternions;
+    Angles are those nearest to the configuration `start` (default: `System.mid`), and so are the signs of quaternions;
     a driver has made the full turns that those which follow it tell. Limits and one-sided rows are not looked at.
     Errors: `InputError` for poses that violate a joint, a constraint or a coupling by more than `tolerance` (metres
     or radians, by default 1e-6), naming it and by how much, and for matrices that are no poses.
@@ -59,7 +60,7 @@ def from_maximal(system: System, poses: ArrayLike, start: Any = None, tolerance:
     _refuse_no_poses(system, poses, tolerance)
     lead = together({"poses": poses.shape[:-3], "start": () if start is None else start.shape[:-1]})
     joints = system.mechanism.joints
-    read = read_joints(system, poses, system.mid if start is None else start, tolerance)
+    read = read_joints(system, poses, mid(system) if start is None else start, tolerance)
     for name, (_, length, angle) in read.items():
         _refuse_far(f"joint {name!r} ({joints[name].type.type_name})", {"m": length, "rad": angle}, tolerance)
     values = {n: x for name, (own, *_) in read.items() for n, x in _by_name(system, name, own).items()}

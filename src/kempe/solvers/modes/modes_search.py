@@ -24,6 +24,7 @@ from kempe.errors import InputError
 from kempe.joints import P
 from kempe.kinematics.closure_rows import RANK_TOLERANCE, evaluate
 from kempe.kinematics.configuration import home_of, random
+from kempe.kinematics.forward import jacobian
 from kempe.model.tree.coordinates import distinct
 from kempe.model.tree.own_tree import own_tree
 from kempe.singular_values import svd
@@ -304,7 +305,7 @@ def _moving(system: System, clusters: Clusters, q: Array, free: list[int], null_
     if not clusters.frames:
         return null_space, np.ones(len(null_space))
     scale = clusters.metric.scale[free]
-    J = np.concatenate([system.jacobian(q, f)[:, free] * scale for f in clusters.frames])
+    J = np.concatenate([jacobian(system, q, f)[:, free] * scale for f in clusters.frames])
     J.reshape(-1, 6, len(free))[:, :3] /= clusters.metric.length
     _, sizes, V = svd(J @ null_space.T)
     moving = sizes > RANK_TOLERANCE * 1e2

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kempe.errors import InputError
+from kempe.kinematics.forward import fk, jacobian
 from kempe.singular_values import svd
 from kempe.solvers.common.targets import Z_AXIS, frame_of
 from kempe.solvers.one_frame.solution import Solution
@@ -29,8 +30,8 @@ def derivative(solution: Solution) -> Array:
         raise InputError(f"the target was not reached, so q does not follow it: {solution.status}")
     system, chain = task.system, task.chain
     q = np.where(good[..., None], solution.q, system.neutral)
-    J = system.jacobian(q, task.frame)[..., chain.v_index]
-    R = system.fk(q, task.frame)[..., :3, :3]
+    J = jacobian(system, q, task.frame)[..., chain.v_index]
+    R = fk(system, q, task.frame)[..., :3, :3]
     if task.axis != Z_AXIS:
         R = R @ frame_of(np.array(task.axis))
     S = np.zeros((*R.shape[:-2], 6, 6))  # from ground axes to those rows in the axes of the tip that count

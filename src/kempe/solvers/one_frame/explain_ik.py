@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from kempe.kinematics.configuration import random
+from kempe.kinematics.forward import jacobian
 from kempe.model.immovable import immovable
 from kempe.singular_values import svd
 from kempe.solvers.common import wording
@@ -118,8 +120,6 @@ def _rows(task: FrameProblem, q: Array, tolerance: float) -> int:
 
     Singular values count from `tolerance` times the largest on.
     """
-    from kempe.kinematics.forward import jacobian  # only here: a success needs no forward kernels
-
     J = jacobian(task.system, q, task.frame, "body")
     J[:, 3:] = frame_of(np.array(task.axis)).T @ J[:, 3:]
     J = J[:, [i for i, used in enumerate(task.mask) if used]]
@@ -133,7 +133,7 @@ def rank_of(task: FrameProblem) -> tuple[int, int]:
     """The equations of a task, and the freedoms in which the chain moves its frame at random configurations."""
     system, rows = task.system, sum(map(bool, task.mask))
     wanted = 2 * bool(any(task.mask[:3])) + bool(any(task.mask[3:])) if system.dim == 2 else rows
-    return wanted, _rows(task, system.random(0, 16), RANK_TOLERANCE)
+    return wanted, _rows(task, random(system, 0, 16), RANK_TOLERANCE)
 
 
 def _over_determined(task: FrameProblem, target: Array) -> Evidence | None:
@@ -183,7 +183,7 @@ def _singular(task: FrameProblem, q: Array) -> bool:
     """Whether the chain moves the frame in fewer freedoms at q (n,) than elsewhere."""
     full = task.chain.base[0].copy()
     full[task.chain.q_index] = q
-    return _rows(task, full[None], NEARLY) < _rows(task, task.system.random(0, 16), NEARLY)
+    return _rows(task, full[None], NEARLY) < _rows(task, random(task.system, 0, 16), NEARLY)
 
 
 def _limits(task: FrameProblem, target: Array, nearest: Array) -> Evidence | None:

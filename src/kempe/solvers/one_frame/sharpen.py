@@ -14,6 +14,7 @@ from kempe import spatial
 from kempe.kernels.base.search_layout import ANSWER, LINEAR, NOT_FOUND, SOLVED, STATUS
 from kempe.kernels.compiled import schedule
 from kempe.kernels.forward.table_layout import tip_of
+from kempe.kinematics.forward import fk, jacobian
 from kempe.solvers.common.serial_chain import moved_by
 from kempe.solvers.common.targets import frame_of, points_along
 from kempe.solvers.one_frame.multi_start import FrameProblem, misses
@@ -98,8 +99,6 @@ def sharpen(task: FrameProblem, targets: Array, q: Array, limits: Array) -> tupl
 
 def _step(task: FrameProblem, targets: Array, q: Array) -> Array:
     """Gauss-Newton steps (N, n), lengths measured by the longest of the chain, columns by themselves."""
-    from kempe.kinematics.forward import fk, jacobian
-
     chain, system, turn = task.chain, task.system, frame_of(np.array(task.axis))
     full = np.repeat(chain.base, len(q), axis=0)
     full[:, chain.q_index] = q

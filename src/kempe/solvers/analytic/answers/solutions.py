@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from kempe.errors import InputError
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.kinematics.common.result import Cells, by_code
+from kempe.kinematics.forward import fk, jacobian
 from kempe.singular_values import svd
 from kempe.solvers.analytic.plans.branch_names import Kind, branch_names, kind_of, named
 from kempe.solvers.analytic.plans.outcome import codes, goals
@@ -26,8 +27,6 @@ from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-    from kempe.solvers.analytic.answers.families import Family
-    from kempe.solvers.analytic.ik_all import BoundIkAll
     from kempe.solvers.analytic.plans.plan import ChainPlan
     from kempe.solvers.analytic.plans.question import Question
 
@@ -40,8 +39,18 @@ class SolutionsRow(Row):
     """Where joints are held, in a sentence."""
     nearest: Callable[[Any, int], tuple[Array, float, float]]
     """What comes nearest to one target."""
-    families: Callable[[Any, int], tuple[list[Family], np.ndarray]]
-    """The self-motions of one target."""
+    families: Callable[[Any, int], tuple[list[Any], np.ndarray]]
+    """The self-motions of one target, a list of `Family`, and for each solution the number of its own."""
+
+
+class Bound(Protocol):
+    """The bound form of a plain call, which tells the problem that was solved for a pose (4, 4)."""
+
+    system: System
+
+    def question(self, target: Array) -> Question:
+        """The problem that was solved."""
+        ...
 
 
 @explained_methods
@@ -58,7 +67,7 @@ class Solutions(ConfigurationList, Answer):
     """
 
     def __init__(
-        self, question: Question | tuple[BoundIkAll, Array], plan: ChainPlan, base: Array, rows: Array,
+        self, question: Question | tuple[Bound, Array], plan: ChainPlan, base: Array, rows: Array,
         counts: np.ndarray, lead: tuple[int, ...] | None, used: int | None = None, locked: Array | None = None,
         first: Array | None = None, tried: np.ndarray | None = None, late: tuple[float, np.ndarray] | None = None,
     ):  # fmt: skip
@@ -234,7 +243,7 @@ class Solutions(ConfigurationList, Answer):
         own = np.where(self._used[..., None], self._rows[..., : len(plan.lines)], 0.0)
         q = np.broadcast_to(self._base[:, None], (*own.shape[:2], self.system.nq)).copy()
         q[..., plan.lines.q_index] = own
-        J = self.system.jacobian(q, question.frame, "body")[..., plan.lines.v_index]
+        J = jacobian(self.system, q, question.frame, "body")[..., plan.lines.v_index]
         if question.axis != Z_AXIS:
             R = frame_of(np.array(question.axis)).T
             J = np.concatenate([R @ J[..., :3, :], R @ J[..., 3:, :]], axis=-2)
@@ -266,7 +275,7 @@ class Solutions(ConfigurationList, Answer):
         J = self.jacobian
         used = self.mask[..., None, None]
         inverse = np.linalg.pinv(np.where(used, J, 0.0), rcond=1e-12)
-        R = self.system.fk(np.where(self.mask[..., None], self.q, 0.0), self.question.frame)[..., :3, :3]
+        R = fk(self.system, np.where(self.mask[..., None], self.q, 0.0), self.question.frame)[..., :3, :3]
         if self.question.axis != Z_AXIS:
             R = R @ frame_of(np.array(self.question.axis))
         R = np.swapaxes(R, -1, -2)
@@ -290,12 +299,11 @@ class Solutions(ConfigurationList, Answer):
         return bool(self._ended[1][0]) if self._lead is None else self._ended[1].reshape(self._lead)
 
     @cached_property
-    def _families(self) -> list[tuple[list[Family], np.ndarray]]:
+    def _families(self) -> list[tuple[list[Any], np.ndarray]]:
         """Families of each target, and the family of each row (-1: none)."""
         spare = self.plan.locked != self.plan.fixed
         weak = [spare or bool(row.any()) for row in self._used & (self._code % 4 >= 2)]
-        empty: list[Family] = []
-        none: tuple[list[Family], np.ndarray] = (empty, np.full(len(self._used.T), -1))
+        none: tuple[list[Any], np.ndarray] = ([], np.full(len(self._used.T), -1))
         return [self._row.families(self, i) if weak[i] else none for i in range(len(weak))]
 
     @property

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from kempe.calls import explained, numbers
 from kempe.errors import InputError, UnsupportedError, shown
+from kempe.kinematics.closure_rows import of_system
 from kempe.kinematics.formulas.derivation import Derivation, FormulaStep
 from kempe.kinematics.formulas.plane_steps import Names, endings
 from kempe.kinematics.formulas.symbolic import SymbolLeaves
@@ -114,7 +115,7 @@ def symbolic_ik(
     (-l1**2 - l2**2 + r2)/(2*l1*l2)
     """
     name = system.structure.frame_name(frame)
-    if system.loops.constraints():
+    if of_system(system):
         raise UnsupportedError(f"formulas for {name!r} need an open chain; ik_all gives numbers")
     leaves = SymbolLeaves(system, symbols or {}, snap)
     joints, tip = joint_lines(system, name, leaves, f"formulas for {name!r} need two or three joints that move it")
