@@ -14,6 +14,7 @@ from rich.text import Text
 
 from kempe import spatial
 from kempe.kinematics.common.tabular import write_table
+from kempe.kinematics.forward import fk
 from kempe.model.tree.coordinates import units
 from kempe.status import named
 from kempe.views import facts, report
@@ -88,7 +89,7 @@ def assembly(answer: Assembly, degrees: bool = False, given: Mapping[str, Any] |
         lines.append((c["name"], report.number(x, 9), c["unit"], "known" if c["name"] in sources else "cut" * cut))
     shown.append(report.table(("coordinate" if answer else "nearest found", ">value", "=unit", ""), lines))
     for name in answer.assembler.frames:
-        at = system.fk(answer.q, name)[: system.dim, 3]
+        at = fk(system, answer.q, name)[: system.dim, 3]
         text = f"{name} is at {', '.join(report.number(x) for x in at.tolist())}"
         missed = float(np.linalg.norm(at - _place((given or {}).get(name, at), system.dim)))
         if missed > facts.CLOSED:

@@ -20,6 +20,7 @@ from kempe.words import counted, cut, image_html
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from kempe.analysis.mobility.mobility import Mobility
     from kempe.model.system import System
 
 MOST_LINES, MOST_DRAWN = 40, 60
@@ -197,6 +198,7 @@ def joint_rows() -> list[dict[str, Any]]:
 def plot_joints(names: Sequence[str] = ()) -> tuple[Axes, ...]:
     """Axes with all joint types, or those that are named: both bodies, an arrow for each freedom, and neighbours."""
     from kempe.views.drawing import page, style
+    from kempe.views.plots import plot
 
     shown = [n for n in TYPES if TYPES[n]().dof()] if not len(names) else list(names)
     if unknown := [n for n in shown if f"joint_{n}" not in library.names()]:
@@ -208,7 +210,7 @@ def plot_joints(names: Sequence[str] = ()) -> tuple[Axes, ...]:
     for k, name in enumerate(shown):
         ax: Any = figure.add_subplot(rows, columns, k + 1, projection="3d")
         system = read(f"joint_{name}").build()
-        system.plot(motion=True, labels=False, ax=ax)
+        plot(system, motion=True, labels=False, ax=ax)
         ax.set_box_aspect([np.ptp(x) for x in (ax.get_xlim(), ax.get_ylim(), ax.get_zlim())], zoom=1.25)
         ax.set_axis_off()
         ax.set_title(f"{name}, {counted(TYPES[name]().dof(), 'freedom')}", size=style.FONT + 1, color=style.INK, y=0.97)
@@ -234,12 +236,23 @@ def notebook_page(system: System) -> str:
 def _freedoms(system: System) -> str:
     """The degrees of freedom in a sentence: of a tree those of its joints, else by counting and by rank."""
     if not has_loops(system):
-        said = f"{counted(system.nv, 'degree')} of freedom, configuration space {system.configuration_space.within}"
+        from kempe.analysis.spaces.configuration.configuration_space import configuration_space
+
+        within = configuration_space(system).within
+        said = f"{counted(system.nv, 'degree')} of freedom, configuration space {within}"
         return said + _of_velocity(system)
     try:
-        return system.mobility(local=False).sentence
+        return _counted(system).sentence
     except KempeError as error:
         return str(error)
+
+
+def _counted(system: System) -> Mobility:
+    """The mobility of a system by counting and by rank."""
+    # Here, as it loads the kernels, which drawing a tree does not need.
+    from kempe.analysis.mobility.mobility import mobility
+
+    return mobility(system, local=False)
 
 
 def _of_velocity(system: System) -> str:
@@ -247,7 +260,7 @@ def _of_velocity(system: System) -> str:
     if not velocity_rows(system).names:
         return ""
     try:
-        return f"; {system.mobility(local=False).velocity_dof} of velocity"
+        return f"; {_counted(system).velocity_dof} of velocity"
     except KempeError:
         return ""
 

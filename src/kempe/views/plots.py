@@ -15,7 +15,14 @@ import numpy as np
 
 from kempe.calls import explained, listed, with_options
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
-from kempe.kinematics.configuration import as_q, distance, has_loops, home_of, integrate
+from kempe.kinematics.configuration import (
+    as_q,
+    distance,
+    has_loops,
+    home_of,
+    integrate,
+    q_from_dict,
+)
 from kempe.kinematics.forward import fk
 from kempe.kinematics.measure import judge
 from kempe.model.plot_options import PlotOptions
@@ -153,7 +160,9 @@ def _workspace(system: System, options: PlotOptions) -> Any:
         return None
     if system.dim == 3:
         raise UnsupportedError("a workspace is shaded in pictures of planar systems; in space see workspace(frame)")
-    return system.reach.planar(options.workspace)
+    from kempe.analysis.spaces.planar.planar_workspace import planar_workspace
+
+    return planar_workspace(system, options.workspace)
 
 
 def _side_by_side(drawing: Any, subjects: list[Subject]) -> tuple[Axes, ...]:
@@ -255,7 +264,7 @@ def _configurations(system: System, q: Any, way: Array | None) -> tuple[Array, t
         return _usual(system, way)[None], ()
     titles = tuple(getattr(q, "titles", ()))
     if isinstance(q, str):
-        q = system.q(q)
+        q = q_from_dict(system, q)
     elif isinstance(getattr(q, "q", None), np.ndarray):
         q = q.q
     given = as_q(system, q)
@@ -319,7 +328,11 @@ def _usual(system: System, configurations: Array | None) -> Array:
     """The configuration that is drawn unless one is given."""
     q = home_of(system)
     if configurations is None:
-        closed = None if judge(system, q) else system.assemble(start=q)
+        if judge(system, q):
+            return q
+        from kempe.solvers.assembly.assembly import assemble
+
+        closed = assemble(system, start=q)
         return closed.q if closed else q
     finite = configurations[np.isfinite(configurations).all(axis=1)]
     return finite[int(np.argmin(distance(system, finite, q)))]

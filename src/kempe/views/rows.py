@@ -11,7 +11,7 @@ from kempe import spatial
 from kempe.description.source import expanded, no_file
 from kempe.errors import UNREADABLE, InputError, UnknownNameError
 from kempe.kinematics.common.tabular import SUFFIXES, as_numbers, header_of, rows_of_text, table_file, write_table
-from kempe.kinematics.configuration import as_q, closed_from, from_home
+from kempe.kinematics.configuration import as_q, closed_from, from_home, mid, q_from_dict
 from kempe.model.tree.coordinates import units
 from kempe.reals import reals
 from kempe.solvers.common.target_columns import poses_of_columns
@@ -51,20 +51,22 @@ def configuration(
     if "=" in text:
         coordinates = _named(system, text, degrees)
         if start:
-            return from_home(system, coordinates) if base is None else system.q(coordinates, base)
+            if base is None:
+                return from_home(system, coordinates)
+            return q_from_dict(system, coordinates, base)
         return closed_from(system, coordinates, base)
     return _radians(system, as_q(system, numbers(text, "q")), degrees)
 
 
 def _posture(system: System, name: str | None) -> spatial.Array:
-    special = {"neutral": system.neutral.copy(), "mid": system.mid.copy()}
+    special = {"neutral": system.neutral.copy(), "mid": mid(system).copy()}
     if name is None:
         return system.neutral.copy()
     if name not in system.structure.posture_names and name in special:
         return special[name]
     if name not in system.structure.posture_names:
         raise UnknownNameError("posture", name, (*system.structure.posture_names, *special), system.name)
-    return system.q(name)
+    return q_from_dict(system, name)
 
 
 def _named(system: System, text: str, degrees: bool) -> dict[str, float]:

@@ -12,10 +12,12 @@ import numpy as np
 from kempe.analysis.spaces.singular.rank_questions import TYPE_1, TYPE_2, LostAndGained
 from kempe.analysis.spaces.singular.singular_sets import SingularSet, changes
 from kempe.errors import InputError
+from kempe.kinematics.forward import fk
 from kempe.solvers.common.clock import partial
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.views.drawing import page, style
+from kempe.views.plots import plot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -60,10 +62,10 @@ def plot_singularities(
     titles = [title for title, _, _ in picks]
     marked = [found.frame] if found.frame in system.body_names else []  # frames of their own are drawn anyway
     show: dict[str, Any] = {"labels": False, "side_by_side": True, "titles": titles, "frames": marked} | options
-    axes = system.plot(q, ax=None if own is None else own[: len(q)], **show)
+    axes = plot(system, q, ax=None if own is None else own[: len(q)], **show)
     if found.frame is not None:
         for one, (_, x, local) in zip(axes, picks, strict=True):
-            _draw_directions(one, system.fk(x, found.frame)[:3, 3], local, flat)
+            _draw_directions(one, fk(system, x, found.frame)[:3, 3], local, flat)
         _legend(axes[-1], picks)
     if more and curves is not None and own is not None:
         axes = (*axes, plot_curves(curves, own[-1]))

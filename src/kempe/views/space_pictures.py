@@ -17,7 +17,9 @@ from kempe.budget import Budget, Usual
 from kempe.calls import explained, flag, numbers, until_interrupt
 from kempe.constraints.flat_tasks import FlatTask, flat_task
 from kempe.errors import InputError, Interrupted, TimeLimitError, UnsupportedError, shown
+from kempe.kinematics.closure_errors import closure_error
 from kempe.kinematics.configuration import has_loops
+from kempe.kinematics.forward import fk, jacobian
 from kempe.model.tree.coordinates import units
 from kempe.reals import is_whole
 from kempe.solvers.common.clock import TIME_LIMIT, TimeLimit, partial
@@ -132,15 +134,18 @@ def nearest(
 ) -> tuple[Array, Array, float]:  # fmt: skip
     """Of configurations q (..., nq) at places p (..., 2) and what `ik` finds from the nearest one: that which is
     nearest to a place (2,), where it is, and how far away."""  # fmt: skip
+    from kempe.solvers.one_frame.inverse import ik
+
     start = q.reshape(-1, system.nq)[int(np.argmin(task.apart(p.reshape(-1, 2), target)))]
-    found = system.ik(task.at(frame, target), start=start).q
-    tries = [(x, task.of(system.fk(x, frame))) for x in (start, found) if np.isfinite(x).all() and _closed(system, x)]
+    found = ik(system, task.at(frame, target), start=start).q
+    finite = (x for x in (start, found) if np.isfinite(x).all())
+    tries = [(x, task.of(fk(system, x, frame))) for x in finite if _closed(system, x)]
     x, at = min(tries, key=lambda row: float(task.apart(row[1], target)))
     return x, at, float(task.apart(at, target))
 
 
 def _closed(system: System, q: Array) -> bool:
-    return float(np.abs(system.loops.closure_error(q)).max(initial=0.0)) < CLOSED
+    return float(np.abs(closure_error(system, q)).max(initial=0.0)) < CLOSED
 
 
 # ---- what is drawn
@@ -155,9 +160,12 @@ def _singular_curves(space: TwoFreedoms) -> Any:
         if np.abs(_area(space, space.grid(COARSEST))).max() < FLAT:
             raise UnsupportedError(on_curve + hint)
         return None
+    from kempe.analysis.spaces.singular.singularities import singularities
+
     kind = task.name if system.dim == 3 else "position"
     try:
-        found = system.singularities(name, kind, inputs=space.names, budget=Budget(time_limit=space.clock.left))
+        budget = Budget(time_limit=space.clock.left)
+        found = singularities(system, name, kind, inputs=space.names, budget=budget)
     except TimeLimitError:
         raise TimeLimitError(USUAL.verb, space.clock.limit) from None
     if found.questions.frame_rank < 2:
@@ -173,7 +181,8 @@ def _singular_curves(space: TwoFreedoms) -> Any:
 
 def _area(space: TwoFreedoms, q: Array) -> Array:
     """Area (...) that the rates of both coordinates of a chain span in the task, with its sign."""
-    return space.task.area(space.system.fk(q, space.frame), space.system.jacobian(q, space.frame))
+    system, name = space.system, space.frame
+    return space.task.area(fk(system, q, name), jacobian(system, q, name))
 
 
 def _shade_task_space(space: TwoFreedoms, ax: Any, p: Array, targets: Array, n: int) -> None:
@@ -250,7 +259,7 @@ def _draw_line(space: TwoFreedoms, left: Any, right: Any, q: Array, gid: str, ma
     turned = _values(space, q)
     jump = np.flatnonzero((np.abs(np.diff(turned, axis=0))[:, space.turns] > np.pi).any(axis=1)) + 1
     left.plot(*np.insert(turned, jump, np.nan, axis=0).T, gid=gid, marker=marker, ms=4, **look)
-    right.plot(*_torn(space, space.task.of(space.system.fk(q, space.frame))).T, gid=gid, **look)
+    right.plot(*_torn(space, space.task.of(fk(space.system, q, space.frame))).T, gid=gid, **look)
 
 
 def _draw_grid(space: TwoFreedoms, left: Any, right: Any) -> None:
@@ -281,7 +290,7 @@ def _draw_singular(space: TwoFreedoms, left: Any, right: Any, grid: Array) -> No
     lines = left.contour(grid[:, 0, 0], grid[0, :, 1], size.T, levels=[0.0], colors=[style.OPEN], linewidths=1.6,
                          zorder=style.PINS)  # fmt: skip
     for k, line in enumerate(np.asarray(x, dtype=float) for x in lines.allsegs[0] if len(x) > 1):
-        p = space.task.of(space.system.fk(line, space.frame))
+        p = space.task.of(fk(space.system, line, space.frame))
         right.plot(*_torn(space, p).T, color=style.OPEN, lw=1.6, gid=f"singular:{k}", zorder=style.PINS)
 
 
@@ -341,12 +350,12 @@ def _draw_arm(space: TwoFreedoms, ax: Any, q: Array, colour: str, gid: str, line
     m, tree = system.mechanism, system.structure.topology
     frame = m.frames.get(name)
     body = name if frame is None else frame.body
-    ends = [system.fk(q, name)[:3, 3]]
+    ends = [fk(system, q, name)[:3, 3]]
     while body != system.body_names[0]:
         at = system.body_names.index(body) - 1
         joint = m.joints[tree.parent_joints[at]]
         own = joint.X_CM if joint.child == body else joint.X_PF
-        ends.append((system.fk(q, body) @ own.evaluate(m.parameters))[:3, 3])
+        ends.append((fk(system, q, body) @ own.evaluate(m.parameters))[:3, 3])
         body = system.body_names[system.parent[at]]
     ax.plot(*np.array(ends)[:, axes].T, color=colour, lw=1.5, ls=line, marker="o", ms=3.5, alpha=0.8, gid=gid,
             zorder=style.POINTS)  # fmt: skip

@@ -16,6 +16,7 @@ from kempe.calls import numbers
 from kempe.errors import InputError, UnsupportedError
 from kempe.spatial import Array
 from kempe.views.drawing import page, shapes, space, style
+from kempe.views.plots import plot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -179,7 +180,8 @@ def plot_reach(study: ReachStudy, ax: Axes | None = None) -> Axes:
     if points.ndim != 2 or points.shape[1] < dim:
         raise UnsupportedError("orientations have no places to draw")
     marked = [study.frame] if study.frame in system.body_names else []  # frames of their own are drawn anyway
-    drawn: Any = system.plot(study.q[int(np.argmax(best))] if study.reached.any() else None, ax=ax, frames=marked)
+    shown = study.q[int(np.argmax(best))] if study.reached.any() else None
+    drawn: Any = plot(system, shown, ax=ax, frames=marked)
     marks = (("reached", "o", study.reached & study.tried), ("not reached", "x", ~study.reached & study.tried),
              ("not tried", "$\\circ$", ~study.tried))  # fmt: skip
     for name, mark, which in marks:

@@ -57,21 +57,32 @@ def motion_from(system: System, path: Any) -> Played | None:
 
 
 def _whole(session: Session) -> Any:
-    return session.system.trace(session.sliders[0].name, session.q, budget=session.budget(PATIENCE))
+    from kempe.analysis.motion.motion import trace
+
+    driver = session.sliders[0].name
+    return trace(session.system, driver, session.q, budget=session.budget(PATIENCE))
 
 
 def _self_motion(session: Session) -> Any:
-    way = session.rng.normal(size=session.system.nv)  # of several freedoms: each search takes another one
+    from kempe.solvers.paths.self_motion import self_motion
+
+    system = session.system
+    way = session.rng.normal(size=system.nv)  # of several freedoms: each search takes another one
     budget = session.budget(PATIENCE)
-    return session.system.inverse.self_motion(session.q, session.frame, task=session.task, direction=way, budget=budget)
+    task = session.task
+    return self_motion(system, session.q, session.frame, task=task, direction=way, budget=budget)
 
 
 def _manoeuvre(session: Session) -> Any:
-    return session.system.manoeuvre(session.home, session.q)
+    from kempe.analysis.manoeuvre.manoeuvre import manoeuvre
+
+    return manoeuvre(session.system, session.home, session.q)
 
 
 def _fall(session: Session) -> Any:
-    return session.system.simulate(FALL, session.q, restitution=LEFT)
+    from kempe.analysis.simulation.simulate import simulate
+
+    return simulate(session.system, FALL, session.q, restitution=LEFT)
 
 
 MOTIONS: dict[str, Callable[[Session], Any]] = {

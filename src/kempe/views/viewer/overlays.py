@@ -16,6 +16,7 @@ import numpy as np
 from kempe.budget import Budget
 from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.configuration import has_loops
+from kempe.kinematics.forward import fk
 from kempe.spatial import Array
 from kempe.views.drawing import shapes
 from kempe.views.drawing.solids import rgb
@@ -77,12 +78,15 @@ def _pairs(points: Array) -> Array:
 
 def _curve(session: Session) -> Iterator[Overlay]:
     """What the frame's origin passes in the motion that is played, else in the whole motion with one freedom."""
+    from kempe.analysis.motion.motion import trace
+
     system, frame = session.system, session.frame
     if session.motion is not None:
-        yield Overlay(f"what {frame} passes", lines=_pairs(system.fk(session.motion.q, frame)[:, :3, 3]))
+        places = fk(system, session.motion.q, frame)[:, :3, 3]
+        yield Overlay(f"what {frame} passes", lines=_pairs(places))
         return
-    motion = system.trace(session.sliders[0].name, session.q, budget=session.budget(PATIENCE))
-    yield Overlay(f"{frame}: {motion.status}", lines=_pairs(system.fk(motion.q, frame)[:, :3, 3]))
+    motion = trace(system, session.sliders[0].name, session.q, budget=session.budget(PATIENCE))
+    yield Overlay(f"{frame}: {motion.status}", lines=_pairs(fk(system, motion.q, frame)[:, :3, 3]))
 
 
 # ---- what is reached
@@ -90,10 +94,13 @@ def _curve(session: Session) -> Iterator[Overlay]:
 
 def _workspace(session: Session) -> Iterator[Overlay]:
     """What the frame reaches: exact for planar chains, else cells of ever finer maps."""
+    from kempe.analysis.spaces.planar.planar_workspace import planar_workspace
+    from kempe.analysis.spaces.workspace.mapping import workspace
+
     system, frame = session.system, session.frame
     if system.dim == 2:
         try:
-            exact = system.reach.planar(frame)
+            exact = planar_workspace(system, frame)
         except UnsupportedError:
             pass
         else:
@@ -102,7 +109,8 @@ def _workspace(session: Session) -> Iterator[Overlay]:
     for k, cells in enumerate(CELLS[system.dim]):
         budget = session.budget(PATIENCE, rng=k)
         n = EACH * cells**system.dim // (10 if has_loops(system) else 1)
-        yield _cells(system.workspace(frame, n=n, cells=cells, budget=budget), float(session.pose[1, 3]))
+        found = workspace(system, frame, n=n, cells=cells, budget=budget)
+        yield _cells(found, float(session.pose[1, 3]))
 
 
 def _regions(found: PlanarWorkspace) -> Overlay:
@@ -171,11 +179,15 @@ def _capability(session: Session) -> Iterator[Overlay]:
     """In how many directions the frame reaches the cells of a box: larger and darker where in more."""
     from matplotlib import colormaps
 
+    from kempe.analysis.spaces.reach.capability import capability_map
+    from kempe.analysis.spaces.workspace.mapping import workspace
+
     system, frame = session.system, session.frame
-    rough = system.workspace(frame, n=20_000, cells=8).map.grid
+    rough = workspace(system, frame, n=20_000, cells=8).map.grid
     box = np.stack([rough.low, rough.high])[:, : system.dim]
     for cells in MAP:
-        found = system.reach.capability(frame, box, cells, 16, budget=session.budget(PATIENCE, starts=4))
+        budget = session.budget(PATIENCE, starts=4)
+        found = capability_map(system, frame, box, cells, 16, budget=budget)
         middles = np.stack(np.meshgrid(*found.axes, indexing="ij"), axis=-1).reshape(-1, system.dim)
         part = np.nan_to_num(found.fraction.ravel())
         some = (part > 0.0) & ((system.dim == 2) | (middles[:, 1] >= session.pose[1, 3]))
@@ -192,6 +204,8 @@ def _capability(session: Session) -> Iterator[Overlay]:
 
 def _singular(session: Session) -> Iterator[Overlay]:
     """Where the frame is at singular configurations that were found, set by set in a colour."""
+    from kempe.analysis.spaces.singular.singularities import singularities
+
     system, frame = session.system, session.frame
     task = None if has_loops(system) else session.task
     held: dict[str, list[Array]] = {}
@@ -200,13 +214,14 @@ def _singular(session: Session) -> Iterator[Overlay]:
         budget = Budget(starts=starts, rng=k)
         total, starts = total + starts, min(2 * starts, 64)
         try:
-            found = system.singularities(frame, task, budget=budget)
+            found = singularities(system, frame, task, budget=budget)
         except InputError:
             if k < ROUNDS - 1 and has_loops(system):  # no start closed the loops
                 continue
             raise
         for one in found.sets:
-            held.setdefault(one.name or " and ".join(one.kinds), []).append(system.fk(one.q, frame)[:, :3, 3])
+            places = fk(system, one.q, frame)[:, :3, 3]
+            held.setdefault(one.name or " and ".join(one.kinds), []).append(places)
         points, colours, said = [np.zeros((0, 3))], [np.zeros((0, 3))], list[str]()
         for (name, several), word in zip(held.items(), itertools.cycle(words)):
             points.append(np.concatenate(several))

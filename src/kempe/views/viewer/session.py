@@ -13,10 +13,11 @@ import numpy as np
 from kempe.budget import Budget
 from kempe.errors import InputError, KempeError
 from kempe.kinematics.closure_rows import evaluate
-from kempe.kinematics.configuration import as_q, distance, has_loops, mid, random
-from kempe.kinematics.forward import fk
+from kempe.kinematics.configuration import as_q, distance, has_loops, mid, q_from_dict, random
+from kempe.kinematics.forward import fk, jacobian
 from kempe.kinematics.measure import judge
 from kempe.model.tree.coordinates import units
+from kempe.solvers.assembly.assembly import assemble
 from kempe.solvers.assembly.charts import Chart, independent
 from kempe.spatial import Array
 from kempe.views.drawing.scene import links_of, look
@@ -81,7 +82,7 @@ class Session:
         self._closes = not self._bare and bool(evaluate(system, system.neutral, False, True)[0].size)
         self._units, self.rng = units(system), np.random.default_rng(0)
         if q is not None and has_loops(system) and not judge(system, self.q):
-            self._take(system.assemble(start=self.q), "closed from the q given")
+            self._take(assemble(system, start=self.q), "closed from the q given")
         self._choose()
         self.frames = _by_use(system)
         self.frame = self.frames[0] if frame is None else system.structure.frame_name(frame)
@@ -197,7 +198,7 @@ class Session:
 
     def _rates(self, q: Array) -> Array:
         """Rates (3 or 6, p) of the frame by the independent coordinates at q."""
-        J = self.system.jacobian(q, self.frame)
+        J = jacobian(self.system, q, self.frame)
         if self.chart is not None and self.chart.dependent:
             J = J @ self.chart.tangent(q)
         return J[[0, 1, 5]] if self.system.dim == 2 else J
@@ -211,16 +212,18 @@ class Session:
     @property
     def pose(self) -> Array:
         """Pose (4, 4) of the frame."""
-        return self.system.fk(self.q, self.frame)
+        return fk(self.system, self.q, self.frame)
 
     def reach(self, X: Array, quick: bool = True) -> bool:
         """Bring the frame to a pose (4, 4) from here, or as near as can be, and say why; whether it is reached.
 
         Loops stay closed and limits hold. `quick`: one search from here only, as while a target is dragged.
         """
+        from kempe.solvers.one_frame.inverse import ik
+
         with self._said():
             budget = QUICK if quick else None
-            answer = self.system.ik(X, self.frame, self.q, task=self.task, budget=budget)
+            answer = ik(self.system, X, self.frame, self.q, task=self.task, budget=budget)
             found = self._take(answer, "reached")
             self.target = None if found else X
             if self.chart is not None and not self.chart.valid(self.q):
@@ -250,15 +253,24 @@ class Session:
         X, system = self.pose, self.system
         if has_loops(system):
             known = {self.frame: X if self.task == "pose" else X[: system.dim, 3]}
-            return np.asarray(system.assembly_modes(known, self.q, budget=self.budget(PATIENCE)).q)
-        return np.asarray(system.ik_all(X, self.frame, task=self.task, limits=True).q)
+            return self._closing(known)
+        from kempe.solvers.analytic.ik_all import ik_all
+
+        return np.asarray(ik_all(system, X, self.frame, task=self.task, limits=True).q)
 
     def _modes(self) -> Array:
         """Configurations (k, nq) with the independent coordinates as they are."""
         if not has_loops(self.system):
             return np.empty((0, self.system.nq))
         known = {s.name: s.value for s in self.sliders if s.name in self.system.coordinate_names}
-        return np.asarray(self.system.assembly_modes(known, self.q, budget=self.budget(PATIENCE)).q)
+        return self._closing(known)
+
+    def _closing(self, known: dict[str, Any]) -> Array:
+        """Configurations (k, nq) that close the loops with the known coordinates or frames."""
+        from kempe.solvers.modes.modes import assembly_modes
+
+        budget = self.budget(PATIENCE)
+        return np.asarray(assembly_modes(self.system, known, self.q, budget=budget).q)
 
     def _apart(self, q: Array) -> Array:
         """Those of configurations (k, nq) that differ from q; of loops those that look different from one another."""
@@ -306,7 +318,7 @@ class Session:
             if judge(self.system, start):
                 self._go(start, "a random configuration")
                 return
-            answer = self.system.assemble(start=start, budget=QUICK)
+            answer = assemble(self.system, start=start, budget=QUICK)
             if answer:
                 self._go(answer.q, "a random configuration")
                 return
@@ -316,10 +328,11 @@ class Session:
     def go(self, name: str) -> None:
         """Go to a posture of the model, or to 'neutral' or 'mid'; loops are closed from there."""
         own = {"neutral": self.system.neutral, "mid": mid(self.system)}
-        q = own[name] if name in own and name not in self.system.structure.posture_names else self.system.q(name)
+        named = name in self.system.structure.posture_names
+        q = own[name] if name in own and not named else q_from_dict(self.system, name)
         if judge(self.system, q):
             self._go(q, f"posture {name}")
-        elif answer := self.system.assemble(start=q):
+        elif answer := assemble(self.system, start=q):
             self._go(answer.q, f"closed from posture {name}")
         else:
             self.status = answer.status
@@ -380,8 +393,10 @@ class Session:
 
     def mobility(self) -> str:
         """Degrees of freedom here, and how they were counted."""
+        from kempe.analysis.mobility.mobility import mobility
+
         with self._said():
-            found = self.system.mobility(self.q)
+            found = mobility(self.system, self.q)
             return f"{found.dof} degree{'s' * (found.dof != 1)} of freedom: {found.status}"
         return ""
 
