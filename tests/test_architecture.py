@@ -52,6 +52,7 @@ LATER = {
     "solvers.one_frame.shut_out": {"analytic"}, "solvers.one_frame.explain_ik": {"tasks"},
     "solvers.tasks.explain_tasks": {"velocity"}, "analysis.mobility.mobility": {"motion"},
     "solvers.analytic.answers.explain_ik_all": {"."},
+    "solvers.paths.following": {"analytic"},
 }  # fmt: skip
 """Modules that import to the right inside functions: another solver answers, or what is required of an answer later."""
 

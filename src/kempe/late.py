@@ -24,6 +24,7 @@ ROWS = {
     "answers of ik, tasks": "kempe.solvers.tasks.explain_tasks:ROW",
     "answers of ik_all": "kempe.solvers.analytic.answers.explain_ik_all:ROW",
     "plots": "kempe.views.plots:",
+    "films": "kempe.views.films:",
     "plots of singularities": "kempe.views.singular_plot:",
     "plots of workspaces": "kempe.views.workspace_plot:",
 }

@@ -16,9 +16,13 @@ from kempe.calls import known
 from kempe.errors import InputError
 from kempe.kernels.compiled import VARIANT
 from kempe.kinematics.configuration import as_q, as_start, has_loops, q_from_dict
+from kempe.kinematics.forward import fk
 from kempe.model.tree.coordinates import units
+from kempe.solvers.analytic.ik_all import ik_all
+from kempe.solvers.assembly.assembly import assemble
 from kempe.solvers.common.target_columns import PLACE, QUATERNION, poses_of_columns, said_columns
 from kempe.solvers.common.targets import task_of
+from kempe.solvers.one_frame.inverse import ik
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.version import __version__
@@ -130,14 +134,14 @@ class Verb(NamedTuple):
 
 
 def _fk(job: RowJob, rows: Array) -> Arrays:
-    X = job.system.fk(job.configurations(rows), job.frame, threads=1, **job.options)
+    X = fk(job.system, job.configurations(rows), job.frame, threads=1, **job.options)
     form = job.options.get("form") or "matrix"
     code = np.where(np.isfinite(X).all(axis=tuple(range(1, X.ndim))), Status.SOLVED, Status.BAD_INPUT)
     return {"pose" if form in ("matrix", "3x4") else form: X, "code": code.astype(np.uint8)}
 
 
 def _ik(job: RowJob, rows: Array) -> Arrays:
-    answer = job.system.ik(job.targets(rows), job.frame, budget=Budget(rng=job.rng, threads=1), **job.options)
+    answer = ik(job.system, job.targets(rows), job.frame, budget=Budget(rng=job.rng, threads=1), **job.options)
     return {"q": answer.q, "code": np.asarray(answer.code, dtype=np.uint8), "position_error": answer.position_error,
             "orientation_error": answer.orientation_error}  # fmt: skip
 
@@ -145,7 +149,7 @@ def _ik(job: RowJob, rows: Array) -> Arrays:
 def _ik_all(job: RowJob, rows: Array) -> Arrays:
     if job.options.get("limits") == "turns":
         raise InputError("limits='turns' gives as many solutions as there are turns; a map has room for one of each")
-    answer: Any = job.system.ik_all(job.targets(rows), str(job.frame), budget=Budget(threads=1), **job.options)
+    answer: Any = ik_all(job.system, job.targets(rows), str(job.frame), budget=Budget(threads=1), **job.options)
     return {"q": answer.q, "code": np.asarray(answer.code, dtype=np.uint8), "residual": answer.residual,
             "inside": answer.inside, "count": answer.mask.sum(axis=-1).astype(np.uint8),
             "complete": np.asarray(answer.complete, dtype=bool)}  # fmt: skip
@@ -155,7 +159,7 @@ def _assemble(job: RowJob, rows: Array) -> Arrays:
     if job.options.get("prefer") == "continuous":
         raise InputError("prefer='continuous' goes row by row; a map has its rows answered side by side")
     budget = Budget(rng=job.rng, threads=1)
-    answer = job.system.assemble(job.by_name(rows), budget=budget, **job.options)
+    answer = assemble(job.system, job.by_name(rows), budget=budget, **job.options)
     return {"q": answer.q, "code": np.asarray(answer.code, dtype=np.uint8), "residual": answer.residual}
 
 

@@ -154,7 +154,7 @@ class Answer(Result, Tabular):
 
     def plot(self, **options: Any) -> Any:
         """Matplotlib axes with its configurations, or its motion, with the options of `System.plot`."""
-        return self.system.plot(self, **options)
+        return late("plots").plot(self.system, self, **options)
 
     def plot_curve(self, names: Sequence[str] = (), ax: Any = None) -> Any:
         """Matplotlib axes with its coordinates over arc length, time, or the numbers of its rows.
@@ -165,7 +165,7 @@ class Answer(Result, Tabular):
 
     def animate(self, file: Any, **options: Any) -> Any:
         """Write its configurations as a moving picture (.gif, .mp4, .html), with the options of `System.animate`."""
-        return self.system.animate(self, file, **options)
+        return late("films").animate(self.system, self, file, **options)
 
     def table(self) -> tuple[list[str], Array]:
         """Names and columns (n, nq) for a file: the coordinates of each row of `q`, in radians and metres."""

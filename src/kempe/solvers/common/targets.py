@@ -57,7 +57,9 @@ def given_target(system: System, target: Any) -> Any:
     name = system.structure.frame_name(target)
     if system.structure.table.path(name):
         raise InputError(f"target is the frame {name!r}, which moves; it must be on the ground, or give its pose")
-    return system.fk(system.neutral, name)
+    from kempe.kinematics.forward import fk
+
+    return fk(system, system.neutral, name)
 
 
 def task_and_axis(task: Any) -> tuple[Any, Any]:

@@ -15,7 +15,7 @@ from kempe.constraints.base import Constraint
 from kempe.constraints.frame_targets import of_target
 from kempe.errors import InputError, UnsupportedError
 from kempe.kernels.base.search_layout import SOLVED
-from kempe.kinematics.configuration import refuse_far
+from kempe.kinematics.configuration import random, refuse_far
 from kempe.kinematics.tasks.packed import refuse
 from kempe.reals import reals
 from kempe.rigid import arrays, refuse_no_poses, sound
@@ -263,7 +263,7 @@ class _FollowedPath(PathSteps):
     def elsewhere(self, i: int, q: Array) -> list[Array]:
         """Configurations found that hold target i, from many starts, the nearest to q first."""
         row = self.rows[i]
-        seeds = np.concatenate([q[None], self.system.random(row.rng, TRIED - 1)])
+        seeds = np.concatenate([q[None], random(self.system, row.rng, TRIED - 1)])
         untouched = apart(row.packed, row.pins)
         seeds[:, untouched] = q[untouched]
         found, info = replace(row, lead=(TRIED,), starts=max(1, row.starts // TRIED)).run(seeds)
@@ -385,8 +385,10 @@ def _all(problem: Problem, row: Demands, begin: int, q: Array) -> list[Array]:
     """What `ik_all` finds for target `begin`, inside the limits; what the target does not ask for is as in q (nq,)."""
     if problem.frame is None or of_loops(problem.system, problem.frame) or shared_by(problem.system, problem.frame):
         return []
+    from kempe.solvers.analytic.ik_all import ik_all
+
     try:
-        found = problem.system.ik_all(reals(problem.targets, "targets")[begin], problem.frame)
+        found = ik_all(problem.system, reals(problem.targets, "targets")[begin], problem.frame)
     except UnsupportedError:
         return []
     starts, untouched = found.q[found.inside], apart(row.packed, row.pins)

@@ -17,6 +17,7 @@ from kempe.constraints.reading import numbers_of
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.kernels.base.search_layout import SOLVED
 from kempe.kinematics.configuration import as_q
+from kempe.kinematics.forward import fk
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.reals import is_whole
 from kempe.solvers.common import wording
@@ -184,7 +185,7 @@ def _wanted(system: System, q: Array, tasks: Any, task: str | None, axis: ArrayL
     kind = task_of(task, False, bool(system.structure.table.at[name][2]))
     if system.dim == 2 and points_along(kind):
         kind = "orientation" if kind == "direction" else "pose"
-    return of_target(name, kind, axis_of(axis), system.fk(q, name))
+    return of_target(name, kind, axis_of(axis), fk(system, q, name))
 
 
 def _begin(system: System, q: Array, wanted: Any) -> tuple[Demands, Array]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from kempe.joints import P
 from kempe.kernels.constraints import loop_layout as L
-from kempe.kinematics.forward import fk
+from kempe.kinematics.forward import fk, jacobian
 from kempe.kinematics.tasks.task import Centred, PlacedTask
 from kempe.model.kept import kept
 from kempe.model.tree.own_tree import own_tree
@@ -38,7 +38,7 @@ def near_target(problem: Demands, home: Array) -> Array:
         placed = task.point and task.weight is None and task.hold(system).a is None
         if not placed:
             continue
-        J = system.jacobian(home, task.hold(system).b)[:3, base]
+        J = jacobian(system, home, task.hold(system).b)[:3, base]
         away = task.goal(system)[..., :3, 3] - task.place(system, partial(fk, system, home))[:3, 3]
         far = np.linalg.norm(away, axis=-1, keepdims=True) > FAR * problem.packed.loops.length
         if not J.any() or not far.any():

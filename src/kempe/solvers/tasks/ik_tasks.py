@@ -13,7 +13,7 @@ from kempe.budget import Usual
 from kempe.constraints.base import Constraint
 from kempe.errors import InputError, shown
 from kempe.kernels.base import search_layout as S
-from kempe.kinematics.configuration import as_start, home_of, refuse_far
+from kempe.kinematics.configuration import as_start, home_of, mid, refuse_far
 from kempe.kinematics.tasks.packed import lead_of, refuse
 from kempe.kinematics.tasks.task import Task
 from kempe.kinematics.tasks.task_classes import task_of
@@ -177,7 +177,7 @@ def _preferring(problem: Demands, prefer: Any, base: Array) -> Demands:
     if prefer == "nearest":
         return replace(problem, mode=S.AHEAD, aim=_home(problem.system)[None] if problem.loose else base)
     if prefer == "mid":
-        return replace(problem, mode=S.AHEAD, aim=problem.system.mid[None])
+        return replace(problem, mode=S.AHEAD, aim=mid(problem.system)[None])
     from kempe.solvers.tasks.preferences import least
 
     callback = least(problem, prefer)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.errors import InputError
+from kempe.kinematics.configuration import random
 from kempe.kinematics.tasks.derivatives import REAL_STEP, checked_value, jacobian_of, way_of
 from kempe.model.closures.callback import Callback
 from kempe.singular_values import svd
@@ -58,7 +59,8 @@ def _with_differences(problem: Demands, function: Callable[[Array], Array]) -> C
 
 
 def _of_user(problem: Demands, function: Callable[[Array], Any]) -> Callable[[Array], tuple[Any, Array]]:
-    layout, q0 = problem.system.structure.layout, problem.system.random(0)
+    layout = problem.system.structure.layout
+    q0 = random(problem.system, 0)
     if checked_value("prefer", function, q0).size != 1:
         raise InputError("what is preferred must be one number: a function of q (nq,) to be made least")
     how = way_of(function, layout, q0)

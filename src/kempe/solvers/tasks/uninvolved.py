@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from kempe.kinematics.configuration import random
 from kempe.kinematics.tasks.packed import Packed
 from kempe.spatial import Array
 
@@ -21,7 +22,7 @@ def apart(packed: Packed, pins: Array) -> np.ndarray:
     if found is None:
         if not len(pins):
             return NONE
-        q = packed.system.random(0, SAMPLES)
+        q = random(packed.system, 0, SAMPLES)
         (_, tasks), (_, loops) = (packed.evaluate(q, pins[:1], c) for c in (False, True))
         if not (np.isfinite(tasks).all() and np.isfinite(loops).all()):
             return NONE

@@ -14,7 +14,7 @@ from kempe.errors import InputError
 from kempe.kernels.forward.table_layout import BALL, TURN
 from kempe.kinematics.common.result import by_code
 from kempe.kinematics.configuration import as_q
-from kempe.kinematics.forward import refuse_bad
+from kempe.kinematics.forward import query, refuse_bad
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.kept import kept
 from kempe.model.tree.characteristic_length import characteristic_length
@@ -115,7 +115,9 @@ class Servo:
     """All of a frame's steps that does not depend on the configuration, looked up once."""
 
     def __init__(self, system: System, frame: str):
-        self.system, self.frame, self.query = system, frame, system.query(frame)
+        self.system = system
+        self.frame = frame
+        self.query = query(system, frame)
         chain = chain_of(system, frame)
         self.v, reach = chain.v_index, min((b.largest for b in chain.bounds), default=math.inf)
         self.near = NEAR * min(1.0, reach) if reach > 0.0 else NEAR
@@ -402,16 +404,17 @@ def _wanted(
         levels, strengths, *_ = problem.levels
         asked = problem.packed, problem.pins.tobytes(), np.asarray(levels).tobytes(), np.asarray(strengths).tobytes()
         return lambda x: stages_of(problem, x, dt), NONE, asked
-    goal, query = _motion(wanted), system.query(frame)
+    goal = _motion(wanted)
+    pose_of = query(system, frame)
 
     def at(x: Array) -> list[Stage]:
-        pose, J = query.pose_and_jacobian(x)
+        pose, J = pose_of.pose_and_jacobian(x)
         if goal.ndim == 1:
             return [closed.twist(J, np.broadcast_to(goal, (*x.shape[:-1], 6)), weights)]
         missing = np.array([error(goal, X) for X in pose.reshape(-1, 4, 4)]).reshape(*x.shape[:-1], 6)
         return [closed.twist(J, missing / dt, weights)]
 
-    return at, query.jacobian(q), (frame, goal.tobytes())
+    return at, pose_of.jacobian(q), (frame, goal.tobytes())
 
 
 @kept

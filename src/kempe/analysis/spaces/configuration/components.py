@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.analysis.continuation.path import Event, Path
+from kempe.analysis.mobility.mobility import mobility
 from kempe.analysis.motion.motion import trace
 from kempe.analysis.spaces.configuration.manifold import Manifold
 from kempe.analysis.spaces.configuration.polygons import polygon_of
@@ -17,12 +18,15 @@ from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods, interruptible, until_interrupt
 from kempe.kinematics.closure_rows import RANK_TOLERANCE
 from kempe.kinematics.common.result import Report
-from kempe.kinematics.configuration import has_loops, random, winding_angles
+from kempe.kinematics.configuration import has_loops, mid, random, winding_angles
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.singular_values import svd
+from kempe.solvers.assembly.assembly import assemble
 from kempe.solvers.assembly.idle import moved_by_spins
 from kempe.solvers.common.arguments import DRAWN, start_count
 from kempe.solvers.common.clock import TIME_LIMIT, TimeLimit, TimeUp, partial, time_limited, time_of
+from kempe.solvers.dyads.dyads import closed_form
+from kempe.solvers.modes.modes import assembly_modes
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import InWords, counted
@@ -248,33 +252,33 @@ def _counted(system: System, spend: Budget, time: TimeLimit) -> Components:
     if not has_loops(system):
         divided = bool(one_sided_rows(system).declared)
         why = "one-sided constraints may divide it" if divided else "a product of circles, intervals and rotations"
-        if divided and not _inside(system, system.mid, spend):
+        if divided and not _inside(system, mid(system), spend):
             return Components(system, 0, False, NONE_INSIDE, None)
         return Components(system, 1, not divided, why, system.nv)
     known, sweep, late = _proven(system, time)
     if known and not known[0]:
         return Components(system, 0, True, known[1], None)
-    mobility = system.mobility()
-    if not mobility.closed or mobility.dof is None:
-        return Components(system, 0, False, mobility.sentence, None, late=late)
-    if mobility.dof == 0 and known is None:
-        modes = system.assembly_modes()
+    freedoms = mobility(system)
+    if not freedoms.closed or freedoms.dof is None:
+        return Components(system, 0, False, freedoms.sentence, None, late=late)
+    if freedoms.dof == 0 and known is None:
+        modes = assembly_modes(system)
         return Components(system, len(modes), modes.complete, f"a structure, {modes.status}", 0)
     polygon = polygon_of(system)
     singular = np.empty((0, system.nq)) if isinstance(polygon, str) else polygon.aligned()
-    if mobility.useful != 1:
-        why = f"no theorem is known here for {counted(mobility.dof or 0, 'freedom')}; one configuration is known"
+    if freedoms.useful != 1:
+        why = f"no theorem is known here for {counted(freedoms.dof or 0, 'freedom')}; one configuration is known"
         least = sweep.count if sweep else 1
-        if known is None and sweep is None and not _inside(system, mobility.q, spend):
-            return Components(system, 0, False, NONE_INSIDE, None, mobility.idle, late=late)
+        if known is None and sweep is None and not _inside(system, freedoms.q, spend):
+            return Components(system, 0, False, NONE_INSIDE, None, freedoms.idle, late=late)
         count, why = known or (least, sweep.reason if sweep and least > 1 else why)
-        return Components(system, count, known is not None, why, mobility.dof, mobility.idle, (), singular, late)
-    found = _traced(system, mobility, sweep, spend, time, known[0] if known else None)
+        return Components(system, count, known is not None, why, freedoms.dof, freedoms.idle, (), singular, late)
+    found = _traced(system, freedoms, sweep, spend, time, known[0] if known else None)
     points = [e.q for part in found.parts for e in part.singular_points] + [*(sweep.crossings if sweep else ())]
     singular = np.array(points).reshape(-1, system.nq)
     singular = singular[_first(system, singular)]
     count, why = _lower_bound(system, found, sweep) if known is None else (known[0], known[1] + found.said(known[0]))
-    return Components(system, count, known is not None, why, mobility.dof, mobility.idle, found.parts, singular,
+    return Components(system, count, known is not None, why, freedoms.dof, freedoms.idle, found.parts, singular,
                       late or found.late, found.interrupted)  # fmt: skip
 
 
@@ -283,7 +287,7 @@ def _inside(system: System, home: Array, spend: Budget) -> bool:
     manifold = Manifold(system, 1)
     if manifold.inside(home[None]).any():
         return True
-    found = system.assemble(None, random(system, np.random.default_rng(spend.rng), start_count(spend.starts, DRAWN)))
+    found = assemble(system, None, random(system, np.random.default_rng(spend.rng), start_count(spend.starts, DRAWN)))
     ok = np.asarray(found.success, dtype=bool)
     return bool(ok.any() and manifold.inside(found.q[ok]).any())
 
@@ -334,16 +338,17 @@ def _lower_bound(system: System, found: Traced, sweep: CurveSweep | None) -> tup
 
 
 def _traced(
-    system: System, mobility: Mobility, sweep: CurveSweep | None, spend: Budget, time: TimeLimit, enough: int | None
+    system: System, freedoms: Mobility, sweep: CurveSweep | None, spend: Budget, time: TimeLimit, enough: int | None
 ) -> Traced:  # fmt: skip
     """All components to which starts lead: those of the sweep first, then random ones unless that was complete."""
     if time.spent:  # the number is proven, and no curves are looked for
         return Traced((), frozenset(), True)
-    still, home = moved_by_spins(system, mobility.q), mobility.q
+    home = freedoms.q
+    still = moved_by_spins(system, home)
     own = np.empty((0, system.nq)) if sweep is None else sweep.starts[np.isfinite(sweep.starts).all(axis=1)]
     whole = sweep is not None and sweep.complete and len(own) == sweep.count
     q = own if whole else np.concatenate([home[None], own, _starts(system, home, spend)])
-    q, several = _of_one_freedom(system, q, mobility.dof or 1)
+    q, several = _of_one_freedom(system, q, freedoms.dof or 1)
     parts, late = list[Component](), False
     while len(q) and len(parts) != enough:
         left = time.left
@@ -352,7 +357,7 @@ def _traced(
         path = until_interrupt(trace, system, start=q[0], ways="branches", budget=Budget(time_limit=left))
         late |= path.late
         part = Component((path, *path.others), still)
-        if part.dimension or (path.success and not system.mobility(q[0]).dof):
+        if part.dimension or (path.success and not mobility(system, q[0]).dof):
             parts.append(part)
         if path.interrupted:
             return Traced(tuple(parts), several, late, True)
@@ -367,7 +372,7 @@ def _of_one_freedom(system: System, q: Array, dof: int) -> tuple[Array, frozense
     s = svd(Manifold(system, 1).equations(q)[1], compute_uv=False)
     left = system.nv - (s > RANK_TOLERANCE * s.max(axis=1, initial=1.0, keepdims=True)).sum(axis=1)
     most = max(dof, int(left.min(initial=system.nv)))
-    others = {system.mobility(q[left == k][0]).dof or 0 for k in np.unique(left) if k > most}
+    others = {mobility(system, q[left == k][0]).dof or 0 for k in np.unique(left) if k > most}
     return q[left <= most], frozenset(others - {0, 1})
 
 
@@ -379,12 +384,12 @@ def _starts(system: System, home: Array, spend: Budget) -> Array:
     found.append(q)
     for name in system.coordinate_names if system.dim == 2 else ():
         k = system.coordinate_names.index(name)
-        if system.loops.closed_form([name]):
+        if closed_form(system, [name]):
             low, high = q[:, k].min(initial=0.0), q[:, k].max(initial=0.0)
             low, high = (
                 (-np.pi, np.pi) if manifold.circle[list(system.structure.layout.vector_q).index(k)] else (low, high)
             )
             for x in low + (np.arange(VALUES) + rng.random()) / VALUES * (high - low):
-                found.append(system.assembly_modes({name: x}).q)
+                found.append(assembly_modes(system, {name: x}).q)
     q = manifold.metric.representatives(np.concatenate(found), None)
     return q[manifold.inside(q)]

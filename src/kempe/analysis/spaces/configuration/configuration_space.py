@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.kinematics.common.result import Report
-from kempe.kinematics.configuration import difference, distance, has_loops, integrate, interpolate, winding_angles
+from kempe.kinematics.configuration import difference, distance, has_loops, integrate, interpolate, mid, winding_angles
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import InWords, counted
@@ -115,7 +115,9 @@ class ConfigurationSpace(Report):
 
     @cached_property
     def _mobility(self) -> Mobility:
-        return self.system.mobility()
+        from kempe.analysis.mobility.mobility import mobility
+
+        return mobility(self.system)
 
     @property
     def dimension(self) -> int | None:
@@ -133,7 +135,7 @@ class ConfigurationSpace(Report):
 
         At a singular point the dimension may differ from that of configurations nearby.
         """
-        return self._mobility.q if has_loops(self.system) else self.system.mid
+        return self._mobility.q if has_loops(self.system) else mid(self.system)
 
     @property
     def within(self) -> str:  # type: ignore[override]

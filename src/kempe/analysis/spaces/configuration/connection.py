@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.analysis.mobility.mobility import mobility
 from kempe.analysis.motion.motion import trace
 from kempe.analysis.spaces.configuration.components import SAME, Component, moved_by_spins
 from kempe.analysis.spaces.configuration.manifold import CLOSED, Manifold
@@ -18,6 +19,7 @@ from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods, generator, interruptible
 from kempe.errors import InputError
 from kempe.kinematics.configuration import has_loops, one_finite
+from kempe.kinematics.limits import with_limits
 from kempe.kinematics.measure import judge
 from kempe.reals import is_real
 from kempe.solvers.common.answer import Configurations
@@ -134,7 +136,7 @@ def _straight(manifold: Manifold, a: Array, b: Array, step: float) -> Array:
 def _closed(
     system: System, a: Array, b: Array, step: float, rng: np.random.Generator, spend: Budget, time: TimeLimit
 ) -> Connection:  # fmt: skip
-    polygon = polygon_of(system.with_limits(dict.fromkeys(system.coordinate_names)) if system.dim == 2 else system)
+    polygon = polygon_of(with_limits(system, dict.fromkeys(system.coordinate_names)) if system.dim == 2 else system)
     if not isinstance(polygon, str):
         sides = polygon.side(np.stack([a, b]))
         if sides[0] != sides[1]:
@@ -144,15 +146,16 @@ def _closed(
     if not isinstance(sweep, str) and (labels := sweep.labels(np.stack([a, b])))[0] != labels[1] and labels.min() >= 0:
         why = f"they are on different components, proven: {sweep.reason}"
         return Connection(_no_way(system), Status.NONE_EXISTS, why, step, system)
-    mobility = system.mobility(a)
+    freedoms = mobility(system, a)
     exact, _ = Manifold(system, 1).closed(np.stack([a, b]))
-    if mobility.useful == 1:
+    if freedoms.useful == 1:
         part = _curve(system, exact[0], spend)
         if (why := _elsewhere(part, exact)) is not None:
             return Connection(_no_way(system), why[0], why[1], step, system, False, part.paths[0].late)
-        if not mobility.idle:
+        if not freedoms.idle:
             return _along_curves(part, exact, step)
-    dim = mobility.generic_rank_dof if mobility.dof is None or mobility.singular else mobility.dof
+    unsure = freedoms.dof is None or freedoms.singular
+    dim = freedoms.generic_rank_dof if unsure else freedoms.dof
     return _by_trees(Manifold(system, dim or 1), exact[0], exact[1], step, rng, spend, time)
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from kempe.analysis.first_order.counting import counting
+from kempe.analysis.mobility.mobility import mobility
 from kempe.calls import explained, explained_methods
 from kempe.errors import InputError
 from kempe.kinematics.common.result import Cells, Report
@@ -105,7 +106,8 @@ def parametrizations(system: System, q: Any = None) -> Parametrizations:
 
     `q` (nq,): where the rank is taken, default as in `mobility`. Errors: as `mobility`.
     """
-    m, count = system.mobility(q), counting(system)
+    m = mobility(system, q)
+    count = counting(system)
     bodies = system.body_names[1:]
     rank = None if m.rank_dof is None else count.free - m.rank_dof
     rows = [Parametrization("pairs (r, R)", count.free, count.taken, rank, bodies)]

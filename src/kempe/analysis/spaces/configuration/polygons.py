@@ -17,6 +17,7 @@ import numpy as np
 
 from kempe.analysis.spaces.curves.loops import loop_of, pin, primitives_of
 from kempe.joints import R
+from kempe.kinematics.forward import fk
 from kempe.model.kept import kept
 from kempe.spatial import Array
 
@@ -74,7 +75,7 @@ class Polygon:
         if self.count < 2:
             return np.zeros(len(q), dtype=int)
         i, j = map(int, np.sort(np.argsort(-self.lengths, kind="stable")[:2]))
-        a, b = (np.einsum("kij,j->ki", self.system.fk(q, self.bodies[k])[:, :2, :2], self.vectors[k]) for k in (i, j))
+        a, b = (np.einsum("kij,j->ki", fk(self.system, q, self.bodies[k])[:, :2, :2], self.vectors[k]) for k in (i, j))
         return np.sign(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).astype(int)
 
     def aligned(self) -> Array:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.analysis.mobility.mobility import mobility
 from kempe.analysis.spaces.configuration.components import components
 from kempe.analysis.spaces.configuration.manifold import Manifold
 from kempe.analysis.spaces.configuration.random_walk import Walkers
@@ -17,8 +18,10 @@ from kempe.errors import InputError, UnsupportedError, shown
 from kempe.kinematics.configuration import circles, has_loops, random
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.reals import is_real
+from kempe.solvers.assembly.assembly import assemble
 from kempe.solvers.common.answer import Configurations
 from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp, time_limited, time_of
+from kempe.solvers.modes.modes import assembly_modes
 from kempe.spatial import Array
 from kempe.words import counted
 
@@ -106,16 +109,16 @@ def sample(
 
     if not has_loops(system):
         return _of_tree(system, n, rng, check)
-    mobility = system.mobility()
-    if not mobility.closed or mobility.dof is None:
+    freedoms = mobility(system)
+    if not freedoms.closed or freedoms.dof is None:
         return _made(
-            system, n, np.empty((0, system.nq)), "no measure", False, f"none is known: {mobility.sentence}", 0.0
+            system, n, np.empty((0, system.nq)), "no measure", False, f"none is known: {freedoms.sentence}", 0.0
         )
-    if mobility.dof == 0:
+    if freedoms.dof == 0:
         return _of_points(system, n, rng)
-    if mobility.dof == 1:
+    if freedoms.dof == 1:
         return _of_curves(system, n, rng, spend)
-    return _by_walk(system, n, rng, mobility.dof, mobility.q, check)
+    return _by_walk(system, n, rng, freedoms.dof, freedoms.q, check)
 
 
 def _of_tree(system: System, n: int, rng: np.random.Generator, check: Callable[[int], None]) -> Sample:
@@ -139,7 +142,7 @@ def _of_tree(system: System, n: int, rng: np.random.Generator, check: Callable[[
 
 
 def _of_points(system: System, n: int, rng: np.random.Generator) -> Sample:
-    modes = system.assembly_modes()
+    modes = assembly_modes(system)
     q = modes.q[rng.integers(len(modes.q), size=n)] if len(modes.q) else modes.q
     how = f"{counted(len(modes.q), 'assembly mode')} of a structure that does not move; {modes.status}"
     return _made(system, n, q, "the count of assembly modes", modes.complete, how)
@@ -215,7 +218,7 @@ def _run_away(system: System) -> list[str]:
         if turning[iv] or (np.isfinite(system.lower[iv]) and np.isfinite(system.upper[iv])):
             continue
         far = [s * FAR * manifold.metric.length for s in (-1.0, 1.0) if system.lower[iv] <= s * FAR <= system.upper[iv]]
-        if any(system.assemble({system.coordinate_names[iq]: x}, limits=False, budget=Budget(starts=4)) for x in far):
+        if any(assemble(system, {system.coordinate_names[iq]: x}, limits=False, budget=Budget(starts=4)) for x in far):
             out.append(names[int(iv)])
     return out
 

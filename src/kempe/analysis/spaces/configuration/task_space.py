@@ -15,7 +15,8 @@ from kempe.constraints import KINDS
 from kempe.constraints.base import Constraint
 from kempe.errors import InputError, shown
 from kempe.kinematics.common.result import Cells, Report
-from kempe.kinematics.configuration import has_loops, one_finite, random
+from kempe.kinematics.configuration import has_loops, mid, one_finite, random
+from kempe.kinematics.forward import fk
 from kempe.kinematics.tasks.packed import count, jacobian, units
 from kempe.solvers.common.arguments import DRAWN, start_count
 from kempe.solvers.common.clock import SHORT, time_limited, time_of
@@ -155,7 +156,7 @@ def task_space(
     if frame is not None:
         seen = drawn if has_loops(system) else np.concatenate([drawn, random(system, rng, SEEN)])
         seen = seen[Manifold(system, 1).inside(seen)]
-        p = system.fk(seen, frame, form="position")
+        p = fk(system, seen, frame, form="position")
     if frame is not None and len(p):
         image = {axis: (float(p[:, i].min()), float(p[:, i].max())) for i, axis in enumerate("xyz"[: system.dim])}
     return TaskSpace(system, name, m, n, rank, generic, at.copy(), image, len(drawn), time.spent)
@@ -176,7 +177,7 @@ def _wanted(system: System, tasks: Any, task: str | None) -> tuple[list[Constrai
     kind = "pose" if task is None else task
     if kind not in OF_FRAMES:
         raise InputError(f"task is {task!r}; it must be one of {', '.join(map(repr, OF_FRAMES))}")
-    X = system.fk(system.mid, frame)
+    X = fk(system, mid(system), frame)
     made: Any = KINDS[kind]
     return [made(frame, X if kind == "pose" else X[:3, 3])], f"{kind} of {frame!r}", frame
 

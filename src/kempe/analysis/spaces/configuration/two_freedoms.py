@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.analysis.first_order.control import driven
+from kempe.analysis.mobility.mobility import mobility
 from kempe.analysis.spaces.configuration.lattices import (
     Missing,
     NodeSolver,
@@ -25,9 +26,11 @@ from kempe.analysis.spaces.configuration.manifold import Manifold
 from kempe.constraints.flat_tasks import FlatTask
 from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.configuration import by_short_turns, circles, has_loops, sampling_box
+from kempe.kinematics.forward import fk
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.tasks.packed import Packed
 from kempe.singular_values import svd
+from kempe.solvers.analytic.ik_all import ik_all
 from kempe.solvers.assembly.charts import tangent_space
 from kempe.solvers.common.clock import TimeLimit
 from kempe.solvers.dyads.dyads import Incomplete, Plan, closed_form
@@ -146,7 +149,7 @@ class TwoFreedoms:
         """How many configurations bring the frame to each place of a lattice x (m,), y (n,)."""
         seeds = self._seeds()
         p = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-        node = nearest_node(x, y, self.task.of(self.system.fk(seeds, self.frame)))
+        node = nearest_node(x, y, self.task.of(fk(self.system, seeds, self.frame)))
         found = flooded(self.solver, self._off_places(p), (len(x), len(y)), seeds, node, self.clock, self.progress)
         self.broken = self.broken or found.broken
         q, mask = self._inside(found.q, found.mask)
@@ -161,7 +164,7 @@ class TwoFreedoms:
         assert self._reaching is not None
         x, y, found, mask = self._reaching
         flat = q.reshape(-1, q.shape[-1])
-        p, count = self.task.of(self.system.fk(flat, self.frame)), mask.sum(axis=1)
+        p, count = self.task.of(fk(self.system, flat, self.frame)), mask.sum(axis=1)
         around = nodes_around(x, y, p)
         out = count[around[:, 0]]
         mixed = np.flatnonzero((count[around] != out[:, None]).any(axis=1))
@@ -223,7 +226,7 @@ class TwoFreedoms:
 
     def places(self, q: Array, mask: np.ndarray) -> Array:
         """What is seen of the frame (..., k, 2) at configurations, NaN where there are none."""
-        X = self.system.fk(np.where(mask[..., None], q, self.system.neutral), self.frame)
+        X = fk(self.system, np.where(mask[..., None], q, self.system.neutral), self.frame)
         return np.where(mask[..., None], self.task.of(X), np.nan)
 
 
@@ -257,16 +260,16 @@ class FlatChain(OpenChain):
 
     def ways(self, q: Array) -> np.ndarray:
         """How many configurations (...) bring the frame to where it is at configurations q (..., nq)."""
-        return np.maximum(self.number(self.task.of(self.system.fk(q, self.frame))), 1)
+        return np.maximum(self.number(self.task.of(fk(self.system, q, self.frame))), 1)
 
     def number(self, p: Array) -> np.ndarray:
         """How many configurations (...) bring the frame to places p (..., 2)."""
-        found = self.system.ik_all(p.reshape(-1, 2), self.frame, task="position", limits=True)
+        found = ik_all(self.system, p.reshape(-1, 2), self.frame, task="position", limits=True)
         return np.asarray(found.mask).sum(axis=1).reshape(p.shape[:-1])  # type: ignore[union-attr]
 
     def solutions(self, p: Array) -> Array:
         """The different configurations (k, nq) that bring the frame to a place (2,)."""
-        return self.system.ik_all(p, self.frame, task="position", limits=True).q
+        return ik_all(self.system, p, self.frame, task="position", limits=True).q
 
 
 class Dyads(TwoFreedoms):
@@ -319,11 +322,11 @@ class Dyads(TwoFreedoms):
 def two_freedoms(system: System, frame: str, task: FlatTask, clock: TimeLimit | None = None) -> TwoFreedoms:
     """The system over two of its coordinates. Errors: `UnsupportedError`, `InputError`; see `TwoFreedoms`."""
     loops, clock = has_loops(system), clock or TimeLimit(None)
-    mobility = system.mobility(local=False) if loops else None
-    freedoms = system.nv if mobility is None else mobility.rank_dof
+    found = mobility(system, local=False) if loops else None
+    freedoms = system.nv if found is None else found.rank_dof
     if freedoms is None:
-        raise UnsupportedError(f"{NEEDED}; of {system.name} they are not known: {mobility and mobility.sentence}")
-    idle = mobility.idle if mobility else 0
+        raise UnsupportedError(f"{NEEDED}; of {system.name} they are not known: {found and found.sentence}")
+    idle = found.idle if found else 0
     if freedoms - idle != 2 or (not loops and len(system.structure.layout.vector_q) != 2):
         what = counted(freedoms - idle, "freedom" if loops else "coordinate")
         left_out = f", {counted(idle, 'idle spin')} left out" if idle else ""

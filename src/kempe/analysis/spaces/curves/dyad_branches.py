@@ -17,7 +17,7 @@ from kempe.analysis.first_order.constraint_graph import structure
 from kempe.analysis.spaces.curves.branch_functions import SOUND, BranchFunctions, Function, within, within_turn
 from kempe.kernels.dyads import dyads_layout as K
 from kempe.kinematics.common.enclosures import Enclosure, constant, cos_sin
-from kempe.kinematics.configuration import circles
+from kempe.kinematics.configuration import circles, mid, q_dict
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.kept import kept
 from kempe.solvers.dyads.assur_groups import Decomposition
@@ -75,7 +75,7 @@ def _aside(system: System) -> list[str]:
 
 
 def _solved(plan: Plan) -> Callable[[Array, Array], Array]:
-    rest = plan.system.q_dict(plan.system.mid)
+    rest = q_dict(plan.system, mid(plan.system))
 
     def at(x: Array, signs: Array) -> Array:
         others = [np.full_like(x, rest[name]) for name in plan.known[1:]]
@@ -103,7 +103,8 @@ class Walk:
         self.registers, self.first = ints[K.N_REGISTERS], ints[K.COORDINATES]
         self.signs = ints[K.SIGNS]
         self.known, *aside = (self.first + slot for slot in given)
-        self.aside = {place: float(system.mid[place - self.first]) for place in aside}
+        middle = mid(system)
+        self.aside = {place: float(middle[place - self.first]) for place in aside}
         layout = system.structure.layout
         bounds = system.structure.limits[layout.vector_v].tolist()
         self.limits = dict(zip(layout.vector_q.tolist(), bounds, strict=True))

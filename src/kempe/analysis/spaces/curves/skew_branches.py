@@ -22,6 +22,7 @@ from kempe.kinematics.configuration import circles
 from kempe.kinematics.measure import motion
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.kept import kept
+from kempe.solvers.modes.modes import assembly_modes
 from kempe.spatial import Array, inverse
 
 if TYPE_CHECKING:
@@ -88,7 +89,7 @@ def _over(system: System, ring: list[str], joints: list[Joint]) -> list[BranchFu
     def at(x: Array, signs: Array) -> Array:
         out = np.full((len(x), system.nq), np.nan)
         for i, (value, sign) in enumerate(zip(x, signs, strict=True)):
-            q = system.assembly_modes({first.name: value}).q
+            q = assembly_modes(system, {first.name: value}).q
             same = q[signs_of(q)[:, 0] * sign[0] >= 0.0]
             out[i] = same[0] if len(same) else np.nan
         return out

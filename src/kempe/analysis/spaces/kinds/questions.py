@@ -20,8 +20,10 @@ from kempe.budget import Budget
 from kempe.calls import known, numbers
 from kempe.errors import InputError, shown
 from kempe.rigid import EXACT, rotation_error
+from kempe.solvers.analytic.ik_all import ik_all
 from kempe.solvers.analytic.ik_analytic import plan_of
 from kempe.solvers.common.targets import Z_AXIS
+from kempe.solvers.one_frame.inverse import ik
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -107,7 +109,7 @@ def reached(system: System, X: Array, frame: str, task: str, seed: int) -> np.nd
         return out
     if not isinstance(plan_of(system, frame, task, Z_AXIS), str):
         goals = X[:, : system.dim, 3] if task == "position" else X
-        every: Any = system.ik_all(goals, frame, task=task, limits=True)
+        every: Any = ik_all(system, goals, frame, task=task, limits=True)
         out = np.asarray(every.mask.any(axis=-1))
         left = ~out & ~np.asarray(every.complete)
         if left.any():
@@ -120,7 +122,7 @@ def searched(system: System, X: Array, frame: str, task: str, seed: int) -> np.n
     """The same, by a search; for places with as many starts as `ik` takes by itself."""
     budget = Budget(rng=seed) if task == "position" else Budget(rng=seed, starts=STARTS)
     goals = X[:, : system.dim, 3] if task == "position" else X
-    return np.asarray(system.ik(goals, frame, task=task, budget=budget).success, dtype=bool)
+    return np.asarray(ik(system, goals, frame, task=task, budget=budget).success, dtype=bool)
 
 
 # ---- orientations

@@ -15,6 +15,7 @@ from kempe.analysis.spaces.planar.planar_parts import RegionOfLegs, in_all_orien
 from kempe.analysis.spaces.planar.planar_platform import PlatformLeg, RegionOfPlatform
 from kempe.analysis.spaces.planar.planar_region import NOTHING, PlanarRegion
 from kempe.errors import InputError, UnsupportedError
+from kempe.kinematics.forward import fk, jacobian
 from kempe.model.tree.primitive_table import local_chain
 from kempe.solvers.common.serial_chain import obstacle
 from kempe.spatial import Array
@@ -65,7 +66,7 @@ def at_zero(system: System) -> Array:
 
 def _turn_at_zero(system: System, frame: str) -> float:
     """The angle by which a frame is turned there."""
-    R = system.fk(at_zero(system), frame)[:2, :2]
+    R = fk(system, at_zero(system), frame)[:2, :2]
     return float(np.arctan2(R[1, 0], R[0, 0]))
 
 
@@ -147,7 +148,8 @@ def planar_chain(system: System, frame: str) -> PlanarChain:
     if len(names) > MOST:
         raise UnsupportedError(f"the chain of {frame!r} has {len(names)} joints; it may have {MOST}")
     q, low, high = at_zero(system), system.lower[v_index], system.upper[v_index]
-    tip, J = complex(*system.fk(q, frame)[:2, 3]), system.jacobian(q, frame)[:, v_index]
+    tip = complex(*fk(system, q, frame)[:2, 3])
+    J = jacobian(system, q, frame)[:, v_index]
     joints: list[PlanarJoint] = []
     for label, a, b, (vx, vy, w) in zip(names, low.tolist(), high.tolist(), J[[0, 1, 5]].T, strict=True):
         if a == b:

@@ -12,6 +12,7 @@ from kempe.analysis.spaces.planar.planar_chain import PlanarChain, PlanarJoint
 from kempe.analysis.spaces.planar.planar_of_systems import MOST, at_zero
 from kempe.analysis.spaces.planar.planar_region import NOTHING
 from kempe.analysis.spaces.planar.swept_solids import Folded, Prism, Revolved, SweptSolid, Turned
+from kempe.kinematics.forward import fk, jacobian
 from kempe.model.tree.primitive_table import local_chain
 from kempe.spatial import Array
 
@@ -59,7 +60,7 @@ def swept_solid(system: System, frame: str) -> SweptSolid | None:
     """The solid that a frame of a chain in space reaches; None where it is of another kind."""
     if (joints := _space_joints(system, frame)) is None:
         return None
-    tip = system.fk(at_zero(system), frame)[:3, 3]
+    tip = fk(system, at_zero(system), frame)[:3, 3]
     for solid in (*_prisms(joints, tip), *_revolved(joints, tip)):
         if solid.section.ends:
             return solid
@@ -74,7 +75,8 @@ def _space_joints(system: System, frame: str) -> list[SpaceJoint] | None:
     if system.mechanism.constraints or system.structure.relations or len(v_index) > 2 * MOST:
         return None
     q = at_zero(system)
-    tip, J = system.fk(q, frame)[:3, 3], system.jacobian(q, frame)[:, v_index]
+    tip = fk(system, q, frame)[:3, 3]
+    J = jacobian(system, q, frame)[:, v_index]
     out: list[SpaceJoint] = []
     for column, low, high in zip(J.T, system.lower[v_index].tolist(), system.upper[v_index].tolist(), strict=True):
         v, w = column[:3], column[3:]

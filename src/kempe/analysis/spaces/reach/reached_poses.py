@@ -14,12 +14,15 @@ from kempe.calls import brief, explained, explained_methods, interruptible, numb
 from kempe.errors import InputError
 from kempe.kinematics.closure_rows import characteristic_length
 from kempe.kinematics.common.result import Report
+from kempe.kinematics.forward import jacobian
 from kempe.late import late
 from kempe.reals import within_range
 from kempe.rigid import refuse_no_poses, sound
+from kempe.solvers.analytic.ik_all import ik_all
 from kempe.solvers.analytic.ik_analytic import plan_of
 from kempe.solvers.common.clock import LONG, partial
 from kempe.solvers.common.targets import axis_for, task_and_axis, task_of, twist_rows
+from kempe.solvers.one_frame.inverse import ik
 from kempe.spatial import Array
 from kempe.status import Status, named
 from kempe.words import counted
@@ -68,7 +71,7 @@ def manipulability(system: System, frame: str, q: Array, task: str) -> Array:
     Of a chain with fewer joints than rows it is sqrt(det(J^T J)). Source: Yoshikawa, Int. J. Robotics Res. 4 (1985).
     """
     axes = twist_rows(task, system.dim)
-    J = system.jacobian(q, frame, "body")[..., axes, :]
+    J = jacobian(system, q, frame, "body")[..., axes, :]
     J[..., np.asarray(axes) < 3, :] /= float(characteristic_length(system))
     J = J[..., np.abs(J).reshape(-1, J.shape[-1]).max(axis=0, initial=0.0) > 0.0]
     wide = J.shape[-1] >= J.shape[-2]
@@ -89,14 +92,14 @@ def margin(system: System, q: Array) -> Array:
 
 def reached(system: System, targets: Array, frame: str, task: Any, budget: Budget) -> ReachedPoses:
     """What is reached of `targets` (n, ...), as `System.ik` takes them."""
-    single = system.ik(targets, frame, task=task, budget=budget)
+    single = ik(system, targets, frame, task=task, budget=budget)
     said, axis = task_and_axis(task)
     particle = bool(system.structure.table.at[frame][2])
     name = task_of(said, targets.shape[-2:] not in ((4, 4), (3, 3)), particle)
     q, mask = single.q[:, None], np.array(single.success)[:, None]
     solutions = np.where(mask[:, 0], UNKNOWN, np.where(np.isin(single.code, PROVEN), 0, UNKNOWN))
     if not isinstance(plan_of(system, frame, name, axis_for(axis, said)), str):
-        every: Any = system.ik_all(targets, frame, task=task, limits=True)
+        every: Any = ik_all(system, targets, frame, task=task, limits=True)
         solutions = np.where(every.complete, every.mask.sum(axis=-1), UNKNOWN)
         q, mask = np.concatenate([q, every.q], axis=1), np.concatenate([mask, every.mask], axis=1)
     w, far = np.full(mask.shape, np.nan), np.full(mask.shape, np.nan)
@@ -173,7 +176,7 @@ class ReachStudy(Report):
         """What blocks a pose, or how it is reached, as the sentence of `System.ik`. Errors: `InputError`."""
         if not 0 <= index < len(self.reached):
             raise InputError(f"index is {index}; there are {counted(len(self.reached), 'pose')}, from 0")
-        return str(self.system.ik(self.targets[index], self.frame, task=self.task, budget=self.budget).status)
+        return str(ik(self.system, self.targets[index], self.frame, task=self.task, budget=self.budget).status)
 
     @property
     def reasons(self) -> dict[int, str]:

@@ -22,7 +22,9 @@ from kempe.constraints.flat_tasks import DIRECTION, PLANES
 from kempe.errors import InputError
 from kempe.kinematics import closure_rows
 from kempe.kinematics.configuration import random
+from kempe.kinematics.forward import fk, jacobian
 from kempe.singular_values import svd
+from kempe.solvers.assembly.assembly import assemble
 from kempe.solvers.common.targets import twist_rows
 from kempe.spatial import Array
 from kempe.words import counted
@@ -117,7 +119,7 @@ class RankQuestions:
     def _between(self, a: Array, b: Array, t: Array) -> tuple[Array, np.ndarray]:
         """Closed configurations (k, nq) near those at parts t (k,) of straight ways, and which (k,) there are."""
         layout = self.system.structure.layout
-        found = self.system.assemble(None, layout.integrate(a, t[:, None] * layout.difference(a, b)))
+        found = assemble(self.system, None, layout.integrate(a, t[:, None] * layout.difference(a, b)))
         ok = np.asarray(found.success, dtype=bool)
         q = np.where(ok[:, None], found.q, self.system.neutral)
         return q, ok & inside_limits(self.system, q)
@@ -134,7 +136,7 @@ class RankQuestions:
     def task_jacobians(self, q: Array) -> Array:
         """Jacobians (k, m, nv) of what counts of the frame, without unit, in the basis of what it can ever do."""
         assert self.frame is not None
-        J = self.system.jacobian(q, self.frame)[:, self.rows] * self.unit
+        J = jacobian(self.system, q, self.frame)[:, self.rows] * self.unit
         if self.of_axis:  # a turn about the axis does not count
             z = self._axes(q)
             J = J - z[..., :, None] * (z[..., None, :] @ J)
@@ -144,7 +146,7 @@ class RankQuestions:
     def _axes(self, q: Array) -> Array:
         """The z axis (..., 3) of the frame at q (..., nq)."""
         assert self.frame is not None
-        return self.system.fk(q, self.frame)[..., :3, 2]
+        return fk(self.system, q, self.frame)[..., :3, 2]
 
     def _rank_of_frame(self, q: Array) -> int:
         """How many independent twists the frame has at a closed configuration (nq,)."""
@@ -225,7 +227,7 @@ def _led_inside(system: System, q: Array) -> Array:
     """
     q, out = q.copy(), np.flatnonzero(~inside_limits(system, q))[:RANKED]
     if len(out):
-        found = system.assemble(None, q[out])
+        found = assemble(system, None, q[out])
         ok = np.asarray(found.success, dtype=bool)
         q[out[ok]] = found.q[ok]
     return q

@@ -21,6 +21,7 @@ from kempe.calls import brief, explained_methods, interruptible, numbers
 from kempe.errors import InputError, shown
 from kempe.kinematics.common.result import Report
 from kempe.kinematics.configuration import by_short_turns, circles
+from kempe.kinematics.forward import fk, jacobian
 from kempe.late import late
 from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp, partial
 from kempe.solvers.common.tracing import Curve, Node, node, step, walk
@@ -149,7 +150,7 @@ def singular_curves(
                 if not any(tracer.on(q, c.q) for c in curves if c.kinds == kinds):
                     sizes.add(size := tracer.dimension(q))
                     way, closed = tracer.traced(q) if size == 1 else (q[None], False)
-                    p = system.fk(way, found.frame)[:, :3, 3] if found.frame is not None else np.zeros((0, 3))
+                    p = fk(system, way, found.frame)[:, :3, 3] if found.frame is not None else np.zeros((0, 3))
                     if len(way) >= FEW:
                         curves.append(SingularCurve(kinds, name, way, p, closed))
                     if tracer.broken is not None:
@@ -194,10 +195,10 @@ def held_equations(
         F = [(q[:, place] - x) / unit[v] for v, place, x in at]
         J = [np.broadcast_to(np.eye(system.nv)[v], (len(q), system.nv)) for v, _, _ in at]
         if angle is not None and found.frame is not None:
-            X = system.fk(q, found.frame)
+            X = fk(system, q, found.frame)
             turned = np.arctan2(X[:, 1, 0], X[:, 0, 0]) - angle
             F.append(np.mod(turned + np.pi, 2.0 * np.pi) - np.pi)
-            J.append(system.jacobian(q, found.frame)[:, 5] * unit)
+            J.append(jacobian(system, q, found.frame)[:, 5] * unit)
         return np.stack(F, axis=1), np.stack(J, axis=1)
 
     return rows, (*values, *(() if angle is None else ("orientation",)))

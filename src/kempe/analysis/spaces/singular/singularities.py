@@ -19,7 +19,8 @@ from kempe.budget import Budget, Usual
 from kempe.calls import brief, explained, explained_methods, flag, generator, interruptible, known, until_interrupt
 from kempe.errors import InputError, Interrupted
 from kempe.kinematics.common.result import Report
-from kempe.kinematics.configuration import by_short_turns, circles, has_loops, one_finite
+from kempe.kinematics.configuration import by_short_turns, circles, has_loops, one_finite, random
+from kempe.kinematics.forward import jacobian
 from kempe.late import late
 from kempe.solvers.common.arguments import DRAWN, start_count
 from kempe.solvers.common.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, TimeUp, begun_within, partial
@@ -306,7 +307,7 @@ def _task(system: System, frame: str | None, task: str | None, loops: bool) -> s
         return known("task", task, OF_FRAMES if system.dim == 3 else OF_FRAMES[:3])
     if frame is None or loops:
         return "pose"
-    joints = np.abs(system.jacobian(system.random(0, 8), frame)).max(axis=(0, 1)) > 0.0
+    joints = np.abs(jacobian(system, random(system, 0, 8), frame)).max(axis=(0, 1)) > 0.0
     return "pose" if joints.sum() >= (3 if system.dim == 2 else 4) else "position"
 
 

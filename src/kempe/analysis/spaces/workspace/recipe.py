@@ -18,11 +18,12 @@ from kempe.analysis.spaces.workspace.cell_map import FEW_CELLS, USUAL_CELLS, Gri
 from kempe.errors import InputError
 from kempe.kernels.compiled import VARIANT, lane_positions
 from kempe.kernels.forward.table_layout import Q_INDEX, rows_of
-from kempe.kinematics.configuration import circles, has_loops, sampling_box
+from kempe.kinematics.configuration import circles, has_loops, mid, random, sampling_box
 from kempe.kinematics.forms import chain_table
 from kempe.kinematics.forward import fk
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.tree.characteristic_length import characteristic_length
+from kempe.solvers.assembly.assembly import assemble
 from kempe.spatial import Array
 from kempe.version import __version__
 from kempe.words import joined
@@ -203,13 +204,13 @@ def slow_positions(system: System, frame: str, seed: int, piece: int) -> Array:
 
 def closed_configurations(system: System, seed: int, piece: int, count: int = SLOW_PIECE) -> tuple[Array, np.ndarray]:
     """Random configurations (count, nq), brought to where loops are closed, and where (count,) all constraints hold."""
-    q = system.random(np.random.Generator(np.random.Philox(key=[seed, piece])), count)
+    q = random(system, np.random.Generator(np.random.Philox(key=[seed, piece])), count)
     good = np.ones(len(q), dtype=bool)
     if has_loops(system):
-        answer = system.assemble(None, q)
+        answer = assemble(system, None, q)
         q, good = answer.q, np.asarray(answer.success, dtype=bool)
     rows = one_sided_rows(system)
-    good &= (rows.beyond(np.where(good[:, None], q, system.mid)) == 0.0).all(axis=1)
+    good &= (rows.beyond(np.where(good[:, None], q, mid(system))) == 0.0).all(axis=1)
     return q, good
 
 

@@ -35,6 +35,7 @@ from kempe.calls import explained, explained_methods
 from kempe.description.source import expanded
 from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.common.result import Cells, Report
+from kempe.kinematics.forward import jacobian
 from kempe.late import late
 from kempe.reals import reals
 from kempe.spatial import Array
@@ -144,7 +145,7 @@ class Workspace(Report):
         q, good = closed_configurations(self.system, self.seed, 0, LOOKED)
         if self.kind != REACHABLE or not good.any():
             return most
-        rates = self.system.jacobian(q[good], self.frame)[..., :3, :]
+        rates = jacobian(self.system, q[good], self.frame)[..., :3, :]
         return min(most, int(image_ranks(self.system, q[good], rates, np.ones(3, dtype=bool))[0].max()))
 
     @property

@@ -16,6 +16,7 @@ from kempe.constraints.frame_targets import AXIS_TASKS, of_target
 from kempe.errors import InputError
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.kinematics.common.result import Cells, by_code
+from kempe.kinematics.forward import fk
 from kempe.kinematics.tasks.task_classes import task_of
 from kempe.reals import reals
 from kempe.solvers.analytic.plans.chain_lines import Lines
@@ -189,7 +190,7 @@ class Sweep(Answer):
 
     def _slice(self, x: Array) -> Slice:
         q, mask, fits = self._sampled(np.atleast_1d(x), False)
-        X = self.system.fk(np.where(mask[..., None], q, self.near), self.frame)
+        X = fk(self.system, np.where(mask[..., None], q, self.near), self.frame)
         turn = log_so3(np.swapaxes(X[..., :3, :3], -1, -2) @ self.target[:3, :3])
         error = np.linalg.norm(np.concatenate([X[..., :3, 3] - self.target[:3, 3], turn], axis=-1), axis=-1)
         error = np.where(mask, error, np.nan)

@@ -11,19 +11,22 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.kinematics.common.gauss_newton import GaussNewtonEnd, gauss_newton_of_many
 from kempe.kinematics.common.roots import sign_change
-from kempe.model.system import System
+from kempe.kinematics.forward import fk, jacobian
 from kempe.solvers.analytic.plans.chain_lines import Lines
 from kempe.solvers.analytic.plans.plan import TASKS
 from kempe.solvers.common.targets import frame_of, points_along
 from kempe.solvers.common.tracing import ACROSS, Curve, Node, node, step, walk
 from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.model.system import System
 
 LONGEST, MOST_STEPS = 0.15, 4000
 """The longest step along a curve [rad, lengths of the chain], and how many a curve may have."""
@@ -100,7 +103,8 @@ class ChainMotion(Curve):
 
         What the task does not ask for is zero.
         """
-        X, turn = self.system.fk(q, self.frame), self.tool
+        X = fk(self.system, q, self.frame)
+        turn = self.tool
         back = np.swapaxes(X[..., :3, :3] @ turn, -1, -2)
         away = np.einsum("...ij,...j->...i", back, self.target[:3, 3] - X[..., :3, 3]) / self.lines.length
         left = back @ (self.target[:3, :3] @ turn)
@@ -112,7 +116,7 @@ class ChainMotion(Curve):
 
     def jacobian(self, x: Array) -> Array:
         """The twist (..., 6, nf) of the tip by x, as in `missing`."""
-        J = self.system.jacobian(self.q(x), self.frame, "body")
+        J = jacobian(self.system, self.q(x), self.frame, "body")
         J = J[..., self.lines.v_index[list(self.free)]] * self.unit
         J = np.concatenate([self.tool.T @ J[..., :3, :] / self.lines.length, self.tool.T @ J[..., 3:, :]], axis=-2)
         return self.rows[:, None] * J
