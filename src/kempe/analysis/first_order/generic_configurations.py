@@ -1,15 +1,23 @@
-"""Closed configurations to read ranks at: one made exact, and others of its branch reached along the null space."""
+"""Closed configurations to read ranks at: one made exact, and others of its branch reached along the null space.
+
+What is idle is read there, too, since an idle freedom is there at the configurations around as well.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe.analysis.first_order.control import driven
+from kempe.analysis.first_order.idle_freedoms import IdleFreedom, idle_freedoms, may_idle
 from kempe.analysis.first_order.rank import Rank, rank_at
 from kempe.budget import Budget
+from kempe.calls import quiet
 from kempe.errors import InputError
+from kempe.kinematics.ball_angles import regular_chart
 from kempe.kinematics.closure_rows import evaluate
 from kempe.kinematics.configuration import refuse_far
 from kempe.kinematics.one_sided import one_sided_rows
@@ -75,6 +83,26 @@ def find_closed(system: System) -> NearestClosed:
 def _residual(system: System, q: Array) -> float:
     values = evaluate(system, q, False, True)[0]
     return float(np.linalg.norm(values))
+
+
+@quiet
+def idle_at(system: System, q: Array) -> tuple[IdleFreedom, ...]:
+    """Idle freedoms at the closed configuration nearest to q (nq,); none where the loops cannot be closed.
+
+    Joints are driven that are marked so. Velocities are those of the angles in which balls are regular there.
+    """
+    at = close(system, q)
+    if not at.closed:
+        return ()
+    system, q, _ = regular_chart(system, at.q)
+    motors = driven(system, None)
+    rank = rank_at(system, q)
+    return idle_freedoms(system, [rank, *around(system, rank, motors, np.random.default_rng(0))], motors)
+
+
+def around(system: System, rank: Rank, motors: Iterable[int] | None, rng: np.random.Generator) -> list[Rank]:
+    """Ranks `nearby`, where these may tell more than that at one configuration; `motors` are driven velocities."""
+    return nearby(system, rank, rng) if rank.dependent or motors or may_idle(system, rank, motors) else []
 
 
 def nearby(system: System, rank: Rank, rng: np.random.Generator) -> list[Rank]:

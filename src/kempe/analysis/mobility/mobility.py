@@ -12,8 +12,8 @@ import numpy as np
 from kempe.analysis.first_order.constraint_graph import ConstraintGraph, called, structure
 from kempe.analysis.first_order.control import Control, control, driven
 from kempe.analysis.first_order.counting import Counting, LoopCount, counting, loop_counts
-from kempe.analysis.first_order.generic_configurations import NearestClosed, close, find_closed, nearby
-from kempe.analysis.first_order.idle_freedoms import IdleFreedom, idle_freedoms, may_idle
+from kempe.analysis.first_order.generic_configurations import NearestClosed, around, close, find_closed
+from kempe.analysis.first_order.idle_freedoms import IdleFreedom, idle_freedoms
 from kempe.analysis.first_order.rank import Rank, rank_at
 from kempe.analysis.first_order.redundant_constraints import Redundancy, redundancy
 from kempe.analysis.first_order.wrenches import Wrenches
@@ -249,7 +249,7 @@ def _found(
     """Everything, at a closed configuration whose coordinates are regular; counted over the tree of `shown`."""
     s, motors = structure(system), driven(system, actuated)
     rank = rank_at(system, at.q)
-    generic = nearby(system, rank, rng) if rank.dependent or motors or may_idle(system, rank, motors) else []
+    generic = around(system, rank, motors, rng)
     truth, late = None, False
     try:
         truth = _local(system, rank, local, rng, time)

@@ -136,7 +136,7 @@ def _moving(problem: Problem) -> str:
     return "loops" if of_loops(problem.system, str(problem.frame)) else "joints that follow others"
 
 
-def _of_chain(problem: Problem) -> Solutions:
+def by_chain(problem: Problem) -> Solutions:
     """The answer for a frame that its own chain moves."""
     system, name, (task, direction), targets = problem.system, str(problem.frame), problem.task, problem.targets
     single = problem.lead == ()
@@ -187,13 +187,13 @@ SOLVERS = (
     Solver("assembly modes", "closed configurations with the frame known, see assembly_modes", _no_loops, _of_loops),
     Solver("closed form, side by side", "subproblems of six turns, many targets at once; what is close is done again",
            _needs("closed", True, "it is for six joints that turn, of which one equation in one unknown is left"),
-           _of_chain),
+           by_chain),
     Solver("closed form", "subproblems of the lines of the chain, and of lines that stand in for what the task leaves",
            _needs("closed", False, "no three neighbouring axes of the chain meet or are parallel, or as it takes"),
-           _of_chain),
+           by_chain),
     Solver("elimination", "sixteen roots of six lines in general", _needs("elimination", False, "its lines are not "
-           "general enough to find random configurations again"), _of_chain),
-    Solver("search", "many starts: what is found, with no claim that it is all", takes_all, _of_chain),
+           "general enough to find random configurations again"), by_chain),
+    Solver("search", "many starts: what is found, with no claim that it is all", takes_all, by_chain),
 )  # fmt: skip
 """Who answers for all configurations of a frame."""
 

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.analysis.first_order.generic_configurations import idle_at
 from kempe.budget import Budget
 from kempe.description.parts import Declared
 from kempe.errors import InputError
@@ -29,6 +30,7 @@ from kempe.model.tree.coordinates import distinct
 from kempe.model.tree.own_tree import own_tree
 from kempe.singular_values import svd
 from kempe.solvers.assembly.assembler import Assembler, of_equations
+from kempe.solvers.assembly.ideal import ideal_of
 from kempe.solvers.common.clock import BROKEN_OFF, ENDLESS, TimeLimit
 from kempe.solvers.modes.mirror_images import mirrored, mixed
 from kempe.solvers.modes.same_configuration import SAME, Clusters
@@ -134,8 +136,8 @@ class ModesSearch:
     def _leave_out_spins(self, q: Array, tolerance: Array) -> None:
         """Count configurations that differ only by idle spins as one, from here on."""
         held = [self.system.structure.velocity_names.index(n) for n in self.bound.held]
-        report = self.system.mobility(self.clusters.q[int(np.argmax(self.free > 0))], local=False)
-        self.spins = tuple(f for f in report.idle_freedoms if not f.velocity[held].any())
+        idle = idle_at(own_tree(ideal_of(self.system)), self.clusters.q[int(np.argmax(self.free > 0))])
+        self.spins = tuple(f for f in idle if not f.velocity[held].any())
         moved = {b for f in self.spins for b in (*f.bodies, *f.links)}
         rest = tuple(b for b in self.system.body_names[1:] if b not in moved)
         if self.spins and rest:

@@ -7,8 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from kempe.calls import quiet
 from kempe.errors import UnsupportedError
 from kempe.kernels.forward.table_layout import KIND, MULTIPLIER, SLIDE, V_INDEX, numbers_of, placements_of, rows_of
+from kempe.rigid import sound
+from kempe.solvers.common.clock import TimeLimit
+from kempe.solvers.common.problem import Problem
 from kempe.solvers.common.proofs import Evidence, evidence
 from kempe.solvers.common.serial_chain import Chain, moved_by, of_loops, shared_by
 from kempe.solvers.one_frame.multi_start import FrameProblem
@@ -19,6 +23,7 @@ CLEAR = 1e-3
 reached within the tolerance, or be rounding where two answers are near each other."""
 
 
+@quiet
 def shut_out(task: FrameProblem, target: Array) -> Evidence | None:
     """What proves that a target (1, 4, 4) has no answer inside the limits; None where that is not proven."""
     return _slides_end(task, target) or _all_outside(task, target)
@@ -30,20 +35,29 @@ def _all_outside(task: FrameProblem, target: Array) -> Evidence | None:
     chain, plain = task.chain, np.all(np.abs(numbers_of(task.chain.ints, task.chain.floats)[:, MULTIPLIER]) == 1.0)
     if max(task.tolerance) > CLEAR * CLEAR or len(chain.q_index) != len(chain.v_index) or not plain:
         return None
-    from kempe.solvers.analytic.answers.solutions import Solutions
-    from kempe.solvers.analytic.ik_all import ik_all
-
     if of_loops(system, task.frame) or shared_by(system, task.frame):
         return None
-    position = task.name == "position"
-    goal = target[0, :3, 3] if position else target[0]
-    if position and system.dim == 2:
-        goal = goal[:2]
+    from kempe.solvers.analytic.ik_all import SINGLE, by_chain
+
+    if task.name == "position":
+        goal = np.eye(4)
+        goal[: system.dim, 3] = target[0, : system.dim, 3]
+    else:
+        goal = sound(target[0], "target")
+    problem = Problem(
+        system,
+        "all",
+        limits=False,
+        options={"time": TimeLimit(SINGLE)},
+        frame=task.frame,
+        task=(task.name, task.axis),
+        targets=goal[None],
+    )
     try:
-        found = ik_all(system, goal, task.frame, task=(task.name, task.axis))
+        found = by_chain(problem)
     except UnsupportedError:
         return None
-    if not isinstance(found, Solutions) or not found.complete or not len(found.q) or found.families:
+    if not found.complete or not len(found.q) or found.families:
         return None
     size = 1.0 + float(np.linalg.norm(target[0, :3, 3]))
     beyond = min(_beyond(chain, q[chain.q_index]) for q in found.q)

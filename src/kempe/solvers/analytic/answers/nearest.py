@@ -10,15 +10,20 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from kempe import spatial
+from kempe.calls import quiet
 from kempe.kernels.base.search_layout import LARGEST
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.solvers.analytic.plans.chain_lines import Lines
 from kempe.solvers.analytic.plans.plan import TASKS, ChainPlan
-from kempe.solvers.common.targets import Z_AXIS, frame_of
+from kempe.solvers.common.problem import Problem
+from kempe.solvers.common.targets import Z_AXIS, frame_of, targets_of
+from kempe.solvers.one_frame.inverse import chosen
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.solvers.analytic.answers.solutions import Solutions
+    from kempe.solvers.analytic.plans.question import Question
+    from kempe.solvers.one_frame.solution import Solution
 
 STARTS, STEPS, BEST = 32, 40, 4
 """Starts of a descent, steps of each, and how many of the best are followed to their minimum."""
@@ -146,6 +151,7 @@ def _rotation_vector(D: Array) -> Array:
 # ---- the nearest configuration
 
 
+@quiet
 def nearest(solutions: Solutions, index: int) -> tuple[Array, float, float]:
     """The configuration (nq,) inside the limits that comes closest to target number `index`, and what it misses.
 
@@ -154,15 +160,13 @@ def nearest(solutions: Solutions, index: int) -> tuple[Array, float, float]:
     and chains with joints held, to descents from several starts (Levenberg, 1944; Byrd, Lu, Nocedal and Zhu, 1995).
     What is found is a local minimum: seldom, another one is closer. NaN for targets that are no poses.
     """
-    from kempe.solvers.one_frame.inverse import ik
-
     question, plan = solutions.question, solutions.plan
     base = solutions._base[index if len(solutions._base) > 1 else 0]
     target = question.targets[index]
     if solutions._counts[index, 0] < 0 or np.abs(target).max() >= LARGEST:
         return np.full(question.system.nq, math.nan), math.nan, math.nan
     if question.task in ("pose", "position") and not fixed_joints(plan):
-        answer = ik(question.system, target if question.task == "pose" else target[:3, 3], question.frame, base)
+        answer = _by_numbers(question, target, base)
         return answer.q, answer.position_error, answer.orientation_error
     aim = aim_of(solutions, index, spare=True)
     theta = _closest(aim, plan.lines.theta(held_coordinates(solutions, index)))
@@ -171,6 +175,15 @@ def nearest(solutions: Solutions, index: int) -> tuple[Array, float, float]:
     R, p, _, _ = aim.sweep(theta[None])
     e = aim.errors(R, p)[0]
     return q, float(np.linalg.norm(e[:3])) * plan.lines.length, float(np.linalg.norm(e[3:]))
+
+
+def _by_numbers(question: Question, target: Array, start: Array) -> Solution:
+    """The answer of `ik` for a target (4, 4) whose pose or position counts; the search begins at `start` (nq,)."""
+    system, task = question.system, (question.task, Z_AXIS)
+    goal = target if question.task == "pose" else target[:3, 3]
+    targets, lead, _ = targets_of(system, goal, question.task, Z_AXIS)
+    solver, _ = chosen(system, question.frame, task, "numeric", False)
+    return solver.run(Problem(system, "one", start=start, frame=question.frame, task=task, targets=targets, lead=lead))
 
 
 def held_coordinates(solutions: Solutions, index: int) -> Array:
