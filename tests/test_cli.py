@@ -15,10 +15,14 @@ import numpy as np
 import pytest
 from command import Result
 from hunts import some
+from typer.main import get_command
 
 import kempe
+from kempe.cli import app
 from kempe.kernels.compiled import VARIANT
 from kempe.library import names as library_models
+from kempe.views.report import in_options
+from kempe.views.terminal import at_home
 
 ARM = """\
 <robot name="arm">
@@ -161,6 +165,76 @@ def test_as_a_process(arm, tmp_path):
         shell=True, capture_output=True, text=True,
     )  # fmt: skip
     assert half.stdout.startswith("arm") and "Traceback" not in half.stderr
+
+
+# ---- options in messages
+
+
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [
+        ("hold 5 of them (hold={name: value}), or", "hold 5 of them (--hold NAME=VALUE), or"),
+        ("the link, with root='an arm'", "the link, with --root an arm"),
+        ("lenient_limits=True reads it so", "--lenient-limits reads it so"),
+        ("load it with xacro=True (", "load it with --xacro ("),
+        ("is 0.1 away: project=True takes it", "is 0.1 away: --project takes it"),
+        ("where tolerance=1e-05 lets it go on", "where --tolerance 1e-05 lets it go on"),
+        ("tolerance=(1e-05, 0.002) accepts it", "--tolerance 1e-05,0.002 accepts it"),
+        ("by columns=(...)", "by --columns"),
+        ("allow more by kempe.Budget(time_limit=...)", "allow more by --time-limit"),
+        ("'A' = 0.3 or A=0.3, angles=True", "'A' = 0.3 or A=0.3, angles=True"),
+    ],
+)
+def test_messages_name_options_of_commands(said: str, words: str):
+    assert in_options(said) == words
+    commands = get_command(app).commands.values()  # type: ignore[attr-defined]
+    options = {option for command in commands for p in command.params for option in p.opts}
+    assert set(re.findall(r"--[a-z-]+", words)) <= options
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("trace puma560", "--hold NAME=VALUE"),
+        ("info SWAPPED", "--lenient-limits reads it so"),
+        ("info XACRO", "--xacro"),
+        ("info CIRCLE", "--root base"),
+        ("ik STILL --frame hand --target 0,0.5,0", "--lenient-limits reads it as unlimited"),
+    ],
+)
+def test_failures_name_the_option_that_helps(words: str, said: str, tmp_path):
+    turns = '<parent link="base"/> <child link="hand"/>'
+    back = '<joint name="k" type="fixed"> <parent link="hand"/> <child link="base"/> </joint>'
+    still = '<limit effort="1" velocity="1"/>'
+    files = {
+        "STILL": f"{turns} {still} </joint>",
+        "SWAPPED": f'{turns} <limit lower="2" upper="1" effort="1" velocity="1"/> </joint>',
+        "XACRO": f'{turns} <limit effort="${{1}}" velocity="1"/> </joint>',
+        "CIRCLE": f"{turns} {still} </joint> {back}",
+    }
+    links = '<link name="base"/> <link name="hand"/>'
+    for name, text in files.items():
+        robot = f'<robot name="r"> {links} <joint name="j" type="revolute"> {text} </robot>'
+        (tmp_path / f"{name}.urdf").write_text(robot)
+    result = Result(*(str(tmp_path / f"{w}.urdf") if w in files else w for w in words.split()))
+    assert result.code and said in result.out + result.err
+
+
+@pytest.mark.parametrize(
+    ("given", "wanted"),
+    [
+        ("~/x.urdf", "HOME/x.urdf"),
+        ("--out=~/x.csv", "--out=HOME/x.csv"),
+        ("~", "HOME"),
+        ("x~/y", "x~/y"),
+        ("--q=a~1", "--q=a~1"),
+        ("A=~1", "A=~1"),
+        ("~nobody-of-this-name/x", "~nobody-of-this-name/x"),
+    ],
+)
+def test_files_of_the_home_folder(given: str, wanted: str, monkeypatch):
+    monkeypatch.setenv("HOME", "HOME")
+    assert at_home(given) == wanted
 
 
 # ---- info

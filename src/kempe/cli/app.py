@@ -187,7 +187,7 @@ def results(path: Path | None, *read: object) -> None:
 
 def remark(text: str) -> None:
     """Say something beside the answer, on standard error."""
-    from kempe.views.options import in_options
+    from kempe.views.report import in_options
 
     print(f"kempe: {in_options(text)}", file=sys.stderr, flush=True)
 

@@ -5,6 +5,7 @@ Print them with `show`, or with any rich console.
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, TextIO
@@ -19,7 +20,6 @@ from kempe import spatial
 from kempe.errors import PROBLEM_LIMIT, DescriptionError, Fault
 from kempe.model.tree.coordinates import units
 from kempe.views import facts
-from kempe.views.options import in_options
 from kempe.words import counted
 
 if TYPE_CHECKING:
@@ -38,6 +38,13 @@ NOTE_LIMIT, REASON_LIMIT = 10, 5
 
 LONG = 1000
 """Lines of a table above which it is plain text."""
+
+_KEYWORD = re.compile(
+    r"kempe\.Budget\((\w+)=\.\.\.\)"
+    r"|\b(columns|hold|lenient_limits|project|root|tolerance|xacro)="
+    r"(True|\{name: value\}|\([^()]*\)|'[^']*'|[\d.e+-]*\d)"
+)
+"""Keyword arguments in messages of the library that options of commands give."""
 
 _CONTROL = {i: f"\\x{i:02x}" for i in (*range(32), *range(127, 160)) if i not in (9, 10)}
 """Control characters, which a name from a file must not send to the terminal."""
@@ -87,8 +94,24 @@ def _needed(renderable: RenderableType) -> int:
     return total
 
 
+def in_options(text: str) -> str:
+    """A message of the library with the options of commands in place of the same keyword arguments.
+
+    `root='base'` becomes `--root base`, which can be typed; the names are the same.
+    """
+
+    def option(found: re.Match[str]) -> str:
+        flag = f"--{(found[1] or found[2]).replace('_', '-')}"
+        if found[3] in (None, "True", "(...)"):
+            return flag
+        value = "NAME=VALUE" if found[3] == "{name: value}" else found[3].strip("()'")
+        return f"{flag} {value.replace(', ', ',')}"
+
+    return _KEYWORD.sub(option, text) if "=" in text else text
+
+
 def clean(text: object) -> str:
-    """`text` with control characters made visible, and in words of the command line."""
+    """`text` with control characters made visible, and options in place of keyword arguments."""
     return in_options(str(text)).translate(_CONTROL)
 
 

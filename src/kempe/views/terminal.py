@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import os
+import re
 import sys
 from collections.abc import Callable
 from typing import Any, NoReturn
@@ -24,8 +26,6 @@ class Commands(TyperGroup):
 
     def main(self, args: Any = None, *rest: Any, standalone_mode: bool = True, **extra: Any) -> Any:
         """Run the command line `args`; ends the process with an exit code unless `standalone_mode` is off."""
-        from kempe.views.options import at_home
-
         args = [at_home(arg) for arg in (sys.argv[1:] if args is None else args)]
         try:
             code = super().main(args, *rest, standalone_mode=False, **extra)
@@ -41,6 +41,17 @@ class Commands(TyperGroup):
         if standalone_mode:
             sys.exit(code or COMPLETE)
         return code
+
+
+def at_home(argument: str) -> str:
+    """An argument with the ``~`` of its file expanded, which a shell leaves alone after ``=``."""
+    option, sign, file = argument.partition("=")
+    if not argument.startswith("--"):
+        option = sign = ""
+        file = argument
+    if not re.match(r"~[\w.-]*(/|$)", file):
+        return argument
+    return option + sign + os.path.expanduser(file)
 
 
 def leave(answer: Any) -> None:
@@ -98,11 +109,10 @@ def say_error(error: BaseException | str, json: bool = False) -> None:
 
 def print_json(data: Any) -> None:
     """Print data as JSON; letters beyond ASCII are escaped where the output cannot show them."""
-    from kempe.views.options import data_in_options
     from kempe.words import json_text
 
     encoding = getattr(sys.stdout, "encoding", None) or "ascii"
-    print(json_text(data_in_options(data), ascii_only=encoding.lower().replace("-", "") != "utf8"))
+    print(json_text(data, ascii_only=encoding.lower().replace("-", "") != "utf8"))
 
 
 def show(renderable: Any) -> None:
