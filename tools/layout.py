@@ -177,7 +177,9 @@ for _new, _text in TABLE["modules"].items():
             SPLIT.update({(_old, name): _new for name in _names.split(",")})
         else:
             REST[_old] = _new
-PLACELESS = [k for k, m in OLD.items() if k not in {*REST, *TABLE["deleted"]} and m.text.count("\n") > 1]
+PLACELESS = [
+    k for k, m in OLD.items() if k not in {*REST, *TABLE["deleted"]} and (len(m.tree.body) > 1 or not m.tree.body)
+]  # the packages' own files have a docstring and nothing else
 for _old in PLACELESS:  # what is new since stays where it is
     REST[_old], PARTS[_old] = _old, [_old]
 SPLIT_MODULES = {old for old, _ in SPLIT}
