@@ -18,7 +18,7 @@ ROWS = {
     "write_toml": "kempe.description.toml.toml_writer:write_toml",
     "write": "kempe.description.write:write",
     "assemble": "kempe.solvers.assembly.assembly:assemble",
-    "way_there": "kempe.solvers.common.slip:way_there",
+    "way_there": "kempe.analysis.manoeuvre.manoeuvre:way_there",
     "answers of assemble": "kempe.solvers.assembly.explain_assembly:ROW",
     "answers of ik": "kempe.solvers.one_frame.explain_ik:ROW",
     "answers of ik, tasks": "kempe.solvers.tasks.explain_tasks:ROW",

@@ -19,11 +19,14 @@ from kempe.analysis.continuation.rolling import slip
 from kempe.analysis.manoeuvre.manoeuvre_path import ExactManoeuvre, Manoeuvre, Piece
 from kempe.analysis.manoeuvre.steering import Plan, Refused, plans
 from kempe.analysis.manoeuvre.wheeled import Wheeled, wheeled
+from kempe.analysis.mobility.classify import classify
 from kempe.budget import Budget, Usual
 from kempe.calls import explained, listed
-from kempe.errors import InputError, UnknownNameError, UnsupportedError
+from kempe.errors import InputError, KempeError, UnknownNameError, UnsupportedError
 from kempe.kinematics.configuration import as_q, has_loops, refuse_far
 from kempe.kinematics.one_sided import one_sided_rows
+from kempe.kinematics.velocity.velocity import row_names
+from kempe.model.kept import kept
 from kempe.reals import is_real, is_whole, named
 from kempe.solvers.common.clock import SHORT, TimeLimit, TimeUp, begun_within
 from kempe.spatial import Array
@@ -241,3 +244,39 @@ def _arrive(car: Wheeled, motion: ExactManoeuvre, x: Array, q: Array, goal: Arra
                                f"it end anywhere (free={[name]!r}), or turn on the spot (radius=0)")  # fmt: skip
     x[0], x[-1] = q, end
     return turns
+
+
+def way_there(system: System) -> str:
+    """End of a sentence about a configuration: whether motions get there, of a system that rolls.
+
+    A manoeuvre is named only where brackets show that motions reach every configuration around.
+    """
+    names = list(dict.fromkeys(name for name, *_ in row_names(system)))
+    said = ", ".join(map(repr, names[:3])) + ", ..." * (len(names) > 3)
+    hold = "holds" if len(names) == 1 else "hold"
+    return f"; {_motions_there(system).format(hold=f'{said} {hold} on the way')}"
+
+
+@kept
+def _motions_there(system: System) -> str:
+    """What is known of motions to other configurations, with a field {hold} for the constraints."""
+    unknown = "{hold}: whether a motion gets there is not known"
+    try:
+        found = classify(system)
+    except KempeError:
+        return unknown
+    if found.doubtful or found.reachable_around is None:
+        return unknown
+    lost = found.position_dof - found.reachable_around
+    if lost > 0:
+        keep = (
+            "1 function of position keeps its value" if lost == 1 else f"{lost} functions of position keep their values"
+        )
+        return f"{{hold}}, where {keep} (system.classify): a motion gets there only if the start has the same"
+    try:
+        manoeuvre(system, found.q, found.q)
+    except UnsupportedError:
+        return "going there takes a motion: {hold}; there are such motions (system.classify), none is known here"
+    except KempeError:
+        pass
+    return "going there is a manoeuvre ({hold}): system.manoeuvre(start, q)"

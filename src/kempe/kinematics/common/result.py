@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,9 +12,6 @@ from kempe.errors import KempeError
 from kempe.reals import plain
 from kempe.status import Status, named
 from kempe.words import by_topic, image_html, json_text, jsonable, paragraphs, table_html, topics_html
-
-if TYPE_CHECKING:
-    from kempe.solvers.assembly.ideal import Idealised
 
 MOST_JUDGED = 1_000_000
 """Coordinates up to which configurations are judged for their `data`."""
@@ -33,8 +30,11 @@ class Result:
     success: Any
     code: Any
     status: Any
-    within: Idealised | None = None
-    """The nearest mechanism that closes exactly, which was solved in place of the given one; None: it was itself."""
+    within: Any = None
+    """The nearest mechanism that closes exactly, which was solved in place of the given one; None: it was itself.
+
+    An `Idealised` (`kempe.solvers.assembly.ideal`).
+    """
     _pictured = False
     """Whether a notebook shows its `plot`, too: where the picture says more than the numbers."""
 

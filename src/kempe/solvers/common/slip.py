@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from kempe.errors import InputError, KempeError, UnsupportedError
+from kempe.errors import InputError
 from kempe.kinematics.velocity.velocity import rates, row_names, velocity_rows
 from kempe.model.kept import kept
 from kempe.spatial import Array
@@ -29,44 +29,6 @@ CONTRADICTION = 1e-9
 def rolls(system: System) -> bool:
     """Whether the system has velocity constraints."""
     return bool(row_names(system))
-
-
-def way_there(system: System) -> str:
-    """End of a sentence about a configuration: whether motions get there; '' without velocity constraints.
-
-    A manoeuvre is named only where brackets show that motions reach every configuration around.
-    """
-    if not rolls(system):
-        return ""
-    names = list(dict.fromkeys(name for name, *_ in row_names(system)))
-    said = ", ".join(map(repr, names[:3])) + ", ..." * (len(names) > 3)
-    hold = "holds" if len(names) == 1 else "hold"
-    return f"; {_reached(system).format(hold=f'{said} {hold} on the way')}"
-
-
-@kept
-def _reached(system: System) -> str:
-    """What is known of motions to other configurations, with a field {hold} for the constraints."""
-    unknown = "{hold}: whether a motion gets there is not known"
-    try:
-        found = system.classify()
-    except KempeError:
-        return unknown
-    if found.doubtful or found.reachable_around is None:
-        return unknown
-    lost = found.position_dof - found.reachable_around
-    if lost > 0:
-        keep = (
-            "1 function of position keeps its value" if lost == 1 else f"{lost} functions of position keep their values"
-        )
-        return f"{{hold}}, where {keep} (system.classify): a motion gets there only if the start has the same"
-    try:
-        system.manoeuvre(found.q, found.q)
-    except UnsupportedError:
-        return "going there takes a motion: {hold}; there are such motions (system.classify), none is known here"
-    except KempeError:
-        pass
-    return "going there is a manoeuvre ({hold}): system.manoeuvre(start, q)"
 
 
 def hard_rows(system: System, q: Array, scale: Array) -> tuple[Array, Array]:

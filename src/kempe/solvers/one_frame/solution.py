@@ -15,6 +15,7 @@ from kempe.kernels.base.search_layout import ANGULAR, ANSWER, LINEAR, STARTS, ST
 from kempe.late import late
 from kempe.reals import plain
 from kempe.solvers.common.answer import Answer, Row
+from kempe.solvers.common.slip import rolls
 from kempe.spatial import Array
 from kempe.status import MEMBERS, PROOFS, Status
 
@@ -214,4 +215,6 @@ class Solution(Answer):
 
     def _way_there(self, index: tuple[int, ...]) -> str:
         """End of a success sentence: under velocity constraints, that driving there needs a manoeuvre; else ''."""
-        return late("way_there")(self.system) if np.asarray(self.success)[index] else ""
+        if not np.asarray(self.success)[index] or not rolls(self.system):
+            return ""
+        return late("way_there")(self.system)

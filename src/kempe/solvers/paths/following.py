@@ -33,7 +33,6 @@ from kempe.solvers.common.targets import Z_AXIS, parse_targets
 from kempe.solvers.paths.path_steps import DEPTH, SINGULAR, STAYS, TOLERANCE, WEAK, PathSteps
 from kempe.solvers.tasks.demands import STARTS, Demands
 from kempe.solvers.tasks.ik_tasks import judge, pose_problem
-from kempe.solvers.tasks.reached import demands_of
 from kempe.solvers.tasks.uninvolved import apart
 from kempe.spatial import Array
 from kempe.status import Status
@@ -95,7 +94,7 @@ class IkPath(Configurations):
         return self.problem.packed.closing
 
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
-        return demands_of(self.problem)
+        return self.problem.hard_tasks
 
     def _data(self) -> dict[str, Any]:
         return {"success": bool(self), "followed": self.success} | super()._data()

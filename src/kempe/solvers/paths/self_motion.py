@@ -29,7 +29,6 @@ from kempe.solvers.common.slip import slip_of
 from kempe.solvers.common.targets import axis_of, points_along, task_and_axis, task_of
 from kempe.solvers.common.tracing import NONE, Node, walk
 from kempe.solvers.tasks.ik_tasks import judge, pose_problem
-from kempe.solvers.tasks.reached import demands_of
 from kempe.spatial import Array, ArrayLike
 from kempe.words import counted, joined
 
@@ -87,7 +86,7 @@ class SelfMotion(Configurations):
         return self.freedoms > 0 and self._broken_off() is None
 
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
-        return [(task, goals, HOLDS) for task, goals, _ in demands_of(self.problem)]
+        return [(task, goals, HOLDS) for task, goals, _ in self.problem.hard_tasks]
 
     def _headline(self) -> str:
         return self.status

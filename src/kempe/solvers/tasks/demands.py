@@ -90,6 +90,12 @@ class Demands:
         """Largest error of a hard task in metres and radians."""
         return self.tolerance if task.tolerance is None else tolerances(task.tolerance)
 
+    @property
+    def hard_tasks(self) -> list[tuple[Task, Goals, tuple[float, float]]]:
+        """The hard tasks that count, with their goals and tolerances."""
+        every = zip(self.tasks, self.goals, self.use, strict=True)
+        return [(task, goals, self.tolerance_of(task)) for task, goals, used in every if used and task.weight is None]
+
     def of(self, index: int) -> Demands:
         """The problem of row `index` of a batch."""
         pins = self.pins[index : index + 1] if len(self.pins) > 1 else self.pins

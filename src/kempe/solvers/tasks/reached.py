@@ -39,7 +39,7 @@ class Reached(Solution):
         return self.problem.packed.closing
 
     def _goals(self) -> Sequence[tuple[Any, Any, Any]]:
-        return demands_of(self.problem)
+        return self.problem.hard_tasks
 
     @cached_property
     def derivative(self) -> dict[str, Array]:
@@ -48,12 +48,6 @@ class Reached(Solution):
         See `kempe.solvers.velocity.derivative_tasks`.
         """
         return self._row.derive(self)
-
-
-def demands_of(problem: Demands) -> list[tuple[Any, Any, Any]]:
-    """The hard tasks of a problem, with their goals and tolerances."""
-    every = zip(problem.tasks, problem.goals, problem.use, strict=True)
-    return [(task, goals, problem.tolerance_of(task)) for task, goals, used in every if used and task.weight is None]
 
 
 def analyse(problem: Demands, q: Array) -> tuple[int, int, int, Array]:
