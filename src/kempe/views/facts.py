@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe import library, spatial
-from kempe.analysis.spaces.configuration.configuration_space import configuration_space
 from kempe.constraints.base import with_numbers
 from kempe.description.parts import Declared, Joint
 from kempe.errors import DescriptionError, Fault, KempeError
@@ -36,6 +35,9 @@ def in_degrees(values: Any, names: Iterable[str], unit: dict[str, str], degrees:
 
 def system_facts(system: System, degrees: bool = False) -> dict[str, Any]:
     """All that `kempe info` says of a system, by topic; limits of angles in radians, or in degrees."""
+    # Here, as only one command needs it.
+    from kempe.analysis.spaces.configuration.configuration_space import configuration_space
+
     space = configuration_space(system)
     closures = set(system.structure.closures)
     return {
