@@ -21,13 +21,13 @@ from kempe.placement import place
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.compiled_system import Compiled
 
 NEAR = 0.1
 """Cosine of the second angle below which angles are measured from here instead."""
 
 
-def regular_chart(system: System, q: Array, held: Collection[str] = ()) -> tuple[System, Array, dict[str, Array]]:
+def regular_chart(system: Compiled, q: Array, held: Collection[str] = ()) -> tuple[Compiled, Array, dict[str, Array]]:
     """The system and q (nq,), with the angles of balls near the singularity of their chart measured from q.
 
     The frame M of such a ball is turned on its child so that the angles are 0 at q; nothing else changes, neither names
@@ -45,14 +45,14 @@ def regular_chart(system: System, q: Array, held: Collection[str] = ()) -> tuple
     for name, turn in turned.items():
         joint: Joint = mechanism.joints[name]
         mechanism.joints[name] = replace(joint, X_CM=joint.X_CM @ place(matrix=turn.T))
-    other = mechanism.build()
+    other = type(system)(mechanism)
     values = np.array(q)
     for name in turned:
         values[_balls(system)[name]] = 0.0
     return other, values, turned
 
 
-def back(system: System, q: Array, turned: dict[str, Array]) -> Array:
+def back(system: Compiled, q: Array, turned: dict[str, Array]) -> Array:
     """The configuration (nq,) in coordinates of the system itself for `q` in the chart of `regular_chart`."""
     q = np.array(q)
     for name, turn in turned.items():
@@ -63,7 +63,7 @@ def back(system: System, q: Array, turned: dict[str, Array]) -> Array:
 
 
 @kept
-def _balls(system: System) -> dict[str, list[int]]:
+def _balls(system: Compiled) -> dict[str, list[int]]:
     """Indices in q of the three angles of each ball joint given by angles, by joint name."""
     names = {n: i for i, n in enumerate(system.coordinate_names)}
     related = {f.source for f in system.structure.couplings.values()} | set(system.structure.couplings)

@@ -13,13 +13,14 @@ from kempe.description.parts import Joint
 from kempe.joints import JointType
 from kempe.kinematics.configuration import as_q
 from kempe.kinematics.forward import fk
+from kempe.model.compiled_system import Compiled
 from kempe.model.tree.coordinates import Follower, coordinate_names
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.compiled_system import Compiled
 
 
-def coordinate_value(system: System, q: spatial.Array, name: str) -> spatial.Array:
+def coordinate_value(system: Compiled, q: spatial.Array, name: str) -> spatial.Array:
     """Value (...) of a joint coordinate at q (..., nq), also of a coupled or locked one."""
     follower: Follower | None = system.structure.couplings.get(name)
     if follower is None:
@@ -29,7 +30,7 @@ def coordinate_value(system: System, q: spatial.Array, name: str) -> spatial.Arr
 
 
 @explained
-def closure_error(system: System, q: Any) -> spatial.Array:
+def closure_error(system: Compiled, q: Any) -> spatial.Array:
     """How far each loop is open (..., len(closures), 6).
 
     For each joint that the tree left out: the twist [v; w] in metres and radians, in axes of its frame M, that leads
@@ -62,4 +63,4 @@ def joint_pose(kind: JointType, q: spatial.Array, dim: int = 3, particle: bool =
     child = mechanism.particle("M") if particle else mechanism.body("M")
     # not by `Mechanism.joint`: a slider of the plane slides along z of its frame F, which is not the plane's z
     mechanism.joints["joint"] = Joint("joint", kind, mechanism.ground.name, child.name)
-    return fk(mechanism.build(), q, "M")
+    return fk(Compiled(mechanism), q, "M")

@@ -22,7 +22,7 @@ from kempe.singular_values import svd
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.compiled_system import Compiled
 
 RANK_TOLERANCE = 1e-8
 """Singular values below this fraction of the largest count as zero."""
@@ -33,7 +33,7 @@ __all__ = [
 ]  # fmt: skip
 
 
-def residual(system: System, q: Any) -> Array:
+def residual(system: Compiled, q: Any) -> Array:
     """Residual (..., m) of all constraint equations at q (..., nq), in metres and radians; zero where all loops close.
 
     For each joint that the tree left out: position and rotation vector of its frame M on the child, in axes of the M
@@ -43,13 +43,13 @@ def residual(system: System, q: Any) -> Array:
     return evaluate(system, q, False)[0]
 
 
-def jacobian(system: System, q: Any) -> Array:
+def jacobian(system: Compiled, q: Any) -> Array:
     """Jacobian (..., m, nv) of `residual` by the velocity coordinates, exact at every q, closed or not."""
     return evaluate(system, q, True)[1]
 
 
 def evaluate(
-    system: System, q: Any, with_jacobian: bool = True, scaled: bool = False, loops: PackedLoops | None = None
+    system: Compiled, q: Any, with_jacobian: bool = True, scaled: bool = False, loops: PackedLoops | None = None
 ) -> tuple[Array, Array]:  # fmt: skip
     """Residual (..., m) and Jacobian (..., m, nv) in one pass; the Jacobian is empty unless requested.
 
@@ -70,18 +70,18 @@ def evaluate(
     return out.reshape(*lead, m), columns.reshape(*lead, m, system.nv) if with_jacobian else columns
 
 
-def row_names(system: System) -> list[tuple[str, str]]:
+def row_names(system: Compiled) -> list[tuple[str, str]]:
     """For each equation the name of its joint, constraint or coupling, and the component: 'x', 'rz', 'distance', ..."""
     return list(full(system, False).names)
 
 
-def full(system: System, scaled: bool) -> PackedLoops:
+def full(system: Compiled, scaled: bool) -> PackedLoops:
     """The packed loops in full form, in metres or `scaled`."""
     tree = own_tree(system) if scaled else system
     return loops_of(tree, frozenset(tree.structure.closures), length=None if scaled else 1.0)
 
 
-def scales(system: System) -> Array:
+def scales(system: Compiled) -> Array:
     """Unit (nv,) of each velocity coordinate: a radian, or the characteristic length for a prismatic one."""
     return full(system, True).scale
 
@@ -107,17 +107,17 @@ class SystemConstraint:
         """Number of rows."""
         return len(self.rows)
 
-    def residual(self, system: System, q: Any) -> Array:
+    def residual(self, system: Compiled, q: Any) -> Array:
         """Residual (..., size) of the constraint at q (..., nq), in metres and radians."""
         return evaluate(system, q, False, loops=self.loops)[0][..., list(self.rows)]
 
-    def jacobian(self, system: System, q: Any) -> Array:
+    def jacobian(self, system: Compiled, q: Any) -> Array:
         """Derivatives (..., size, nv) of the residual by the velocity coordinates, exact for all q."""
         return evaluate(system, q, loops=self.loops)[1][..., list(self.rows), :]
 
 
 @explained
-def of_system(system: System, own: bool = True) -> list[SystemConstraint]:
+def of_system(system: Compiled, own: bool = True) -> list[SystemConstraint]:
     """The constraints of a system: its closures, the declared ones, the relations of several coordinates.
 
     With `own=False` the coordinates of the joints that close loops are left out where nothing else depends on them.
@@ -131,7 +131,7 @@ def of_system(system: System, own: bool = True) -> list[SystemConstraint]:
     return [SystemConstraint(key[0], loops, tuple(rows[key])) for key in order if key in rows]
 
 
-def freedoms_left(system: System, q: Array, held: frozenset[str] = frozenset()) -> int:
+def freedoms_left(system: Compiled, q: Array, held: frozenset[str] = frozenset()) -> int:
     """Nullity of the constraint Jacobian at q over the coordinates that are not held.
 
     The angles of a ball near their own singularity are measured from q, unless some of them are held.

@@ -20,7 +20,7 @@ from kempe.spatial import Array
 from kempe.words import counted
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.compiled_system import Compiled
 
 
 MOST_WOUND = 1e8
@@ -28,7 +28,7 @@ MOST_WOUND = 1e8
 WANTED = "an array of real numbers or a dict by coordinate name"
 
 
-def as_q(system: System, q: Any) -> Array:
+def as_q(system: Compiled, q: Any) -> Array:
     """`q` as an aligned, C-contiguous float64 array (..., nq): the one place where configurations are read.
 
     An array is taken as it is. What is given by names (a dict, a pandas Series or DataFrame, a list of them) is read
@@ -39,7 +39,7 @@ def as_q(system: System, q: Any) -> Array:
     return _read(system, q, closed_from)
 
 
-def as_start(system: System, q: Any) -> Array:
+def as_start(system: Compiled, q: Any) -> Array:
     """Start of a search (..., nq), read as by `as_q`.
 
     Coordinates that are not named are as at home; no loop is closed. A text is the name of a posture.
@@ -49,7 +49,7 @@ def as_start(system: System, q: Any) -> Array:
     return _read(system, q, from_home, "start")
 
 
-def _read(system: System, q: Any, complete: Callable[[System, Mapping[str, Any]], Array], word: str = "q") -> Array:
+def _read(system: Compiled, q: Any, complete: Callable[[Compiled, Mapping[str, Any]], Array], word: str = "q") -> Array:
     if is_plain(q):
         array = converted(q, word, WANTED)
     else:
@@ -69,20 +69,20 @@ def _read(system: System, q: Any, complete: Callable[[System, Mapping[str, Any]]
 
 
 @kept
-def has_loops(system: System) -> bool:
+def has_loops(system: Compiled) -> bool:
     """Whether q has to fulfil equations: of loops, declared constraints, or relations of several coordinates."""
     tied = system.structure.closures or system.structure.relations
     return bool(tied) or any(c.equations(system.dim) for c in system._mechanism.constraints.values())
 
 
-def home_of(system: System) -> Array:
+def home_of(system: Compiled) -> Array:
     """Default start (nq,) of a search: the posture 'closed' if it exists, else a point inside the limits."""
     if "closed" in system.structure.posture_names:
-        return system.q("closed")
-    return system.mid.copy()
+        return q_from_dict(system, "closed")
+    return mid(system).copy()
 
 
-def from_home(system: System, coordinates: Mapping[str, Any]) -> Array:
+def from_home(system: Compiled, coordinates: Mapping[str, Any]) -> Array:
     """Configuration (..., nq) with the named values, perhaps not closed.
 
     Other coordinates are neutral, or as at home where the system has loops.
@@ -90,7 +90,7 @@ def from_home(system: System, coordinates: Mapping[str, Any]) -> Array:
     return q_from_dict(system, coordinates, home_of(system) if has_loops(system) else None)
 
 
-def closed_from(system: System, coordinates: Mapping[str, Any], start: Any = None) -> Array:
+def closed_from(system: Compiled, coordinates: Mapping[str, Any], start: Any = None) -> Array:
     """Configuration (..., nq) with the named values; in a system with loops these are closed.
 
     The search starts at `start`, else at home. Where all coordinates are named nothing is searched for. Errors:
@@ -114,11 +114,11 @@ def closed_from(system: System, coordinates: Mapping[str, Any], start: Any = Non
 
 
 @kept
-def _places(system: System) -> dict[str, int]:
+def _places(system: Compiled) -> dict[str, int]:
     return {n: i for i, n in enumerate(system.coordinate_names)}
 
 
-def _posture(system: System, name: str) -> dict[str, float]:
+def _posture(system: Compiled, name: str) -> dict[str, float]:
     """Values of a named posture, of those coordinates that are in `q`. Errors: `UnknownNameError`."""
     postures = system._mechanism.postures
     index = _places(system)
@@ -126,7 +126,7 @@ def _posture(system: System, name: str) -> dict[str, float]:
 
 
 @explained
-def q_from_dict(system: System, coordinates: Mapping[str, Any] | str, base: ArrayLike | None = None) -> Array:
+def q_from_dict(system: Compiled, coordinates: Mapping[str, Any] | str, base: ArrayLike | None = None) -> Array:
     """Configuration (..., nq) from values by coordinate name, or of the posture of a name.
 
     What is not named is neutral, or as in `base` (..., nq).
@@ -168,12 +168,12 @@ def q_from_dict(system: System, coordinates: Mapping[str, Any] | str, base: Arra
 
 
 @explained
-def q_dict(system: System, q: Any) -> dict[str, float]:
+def q_dict(system: Compiled, q: Any) -> dict[str, float]:
     """Values by coordinate name of one configuration (nq,)."""
     return dict(zip(system.coordinate_names, one(system, q).tolist(), strict=True))
 
 
-def one(system: System, q: Any) -> Array:
+def one(system: Compiled, q: Any) -> Array:
     """The argument as one configuration (nq,). Errors: `InputError`."""
     array = as_q(system, q)
     if array.ndim != 1:
@@ -181,7 +181,7 @@ def one(system: System, q: Any) -> Array:
     return array
 
 
-def one_finite(system: System, q: Any, what: str = "q") -> Array:
+def one_finite(system: Compiled, q: Any, what: str = "q") -> Array:
     """The argument as one configuration (nq,) of numbers that a search can begin with. Errors: `InputError`."""
     array = as_q(system, q)
     if array.shape != (system.nq,):
@@ -189,7 +189,7 @@ def one_finite(system: System, q: Any, what: str = "q") -> Array:
     return refuse_far(system, array, what)
 
 
-def refuse_far(system: System, q: Array, what: str) -> Array:
+def refuse_far(system: Compiled, q: Array, what: str) -> Array:
     """Configurations (..., nq) whose numbers a search can begin with.
 
     Errors: `InputError` that names the first other one.
@@ -201,7 +201,7 @@ def refuse_far(system: System, q: Array, what: str) -> Array:
     return q
 
 
-def refuse_wound(system: System, q: Array, what: str) -> Array:
+def refuse_wound(system: Compiled, q: Array, what: str) -> Array:
     """As `refuse_far`, for a configuration (nq,) in a motion: its angles must be below `MOST_WOUND`."""
     refuse_far(system, q, what)
     layout, turning = system.structure.layout, system.structure.coordinates.turning
@@ -220,7 +220,7 @@ def refuse_wound_angle(angle: float, what: str) -> None:
         )
 
 
-def mid(system: System) -> Array:
+def mid(system: Compiled) -> Array:
     """A configuration (nq,) inside the limits: mid-range; zero, or the nearest allowed, where a limit is missing.
 
     It is read-only: `copy` gives one to change.
@@ -236,7 +236,7 @@ def mid(system: System) -> Array:
 
 
 @explained
-def random(system: System, rng: np.random.Generator | int | None, shape: int | tuple[int, ...] = ()) -> Array:
+def random(system: Compiled, rng: np.random.Generator | int | None, shape: int | tuple[int, ...] = ()) -> Array:
     """Configurations (*shape, nq), uniform inside the limits.
 
     Angles without limits are in [-pi, pi), lengths without limits within 1 m of zero, screws within 1 rad; a
@@ -264,7 +264,7 @@ def random(system: System, rng: np.random.Generator | int | None, shape: int | t
     return q
 
 
-def sampling_box(system: System) -> tuple[Array, Array]:
+def sampling_box(system: Compiled) -> tuple[Array, Array]:
     """Finite bounds (nv,) to draw from: the limits, and where one is missing a turn or a length of 1 m on each side."""
     lower, upper = system.lower, system.upper
     reach = np.where(system.structure.coordinates.turning, math.pi, 1.0)
@@ -275,7 +275,7 @@ def sampling_box(system: System) -> tuple[Array, Array]:
 
 
 @explained
-def integrate(system: System, q: Any, v: ArrayLike) -> Array:
+def integrate(system: Compiled, q: Any, v: ArrayLike) -> Array:
     """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv) in one unit of time."""
     v = numbers(v, "v")
     if v.ndim == 0 or v.shape[-1] != system.nv:
@@ -288,7 +288,7 @@ def integrate(system: System, q: Any, v: ArrayLike) -> Array:
 
 
 @explained
-def difference(system: System, q0: Any, q1: Any) -> Array:
+def difference(system: Compiled, q0: Any, q1: Any) -> Array:
     """Shortest tangent vector (..., nv) from `q0` to `q1`: quaternions and unlimited joints go the short way.
 
     `integrate` leads from `q0` by it to `q1`, up to whole turns of unlimited joints. Turns that a constraint tells
@@ -306,12 +306,12 @@ def by_short_turns(v: Array, circle: np.ndarray) -> Array:
     return v
 
 
-def circles(system: System) -> np.ndarray:
+def circles(system: Compiled) -> np.ndarray:
     """Which velocity coordinates (nv,) are angles without limits, so that a full turn changes nothing."""
     return returning(system._mechanism, system.structure.coordinates)
 
 
-def winding_angles(system: System) -> np.ndarray:
+def winding_angles(system: Compiled) -> np.ndarray:
     """Which velocity coordinates (nv,) are angles without limits of which a constraint tells whole turns apart."""
     coordinates = system.structure.coordinates
     endless = coordinates.turning & np.isinf(system.lower) & np.isinf(system.upper)
@@ -319,7 +319,7 @@ def winding_angles(system: System) -> np.ndarray:
 
 
 @explained
-def interpolate(system: System, q0: Any, q1: Any, t: ArrayLike) -> Array:
+def interpolate(system: Compiled, q0: Any, q1: Any, t: ArrayLike) -> Array:
     """Configuration (..., nq) at fraction `t` (...) of the way; quaternions and unlimited joints go the short way."""
     t, v = numbers(t, "t"), difference(system, q0, q1)
     together({"t": t.shape, "q0 and q1": v.shape[:-1]})
@@ -327,6 +327,6 @@ def interpolate(system: System, q0: Any, q1: Any, t: ArrayLike) -> Array:
 
 
 @explained
-def distance(system: System, q0: Any, q1: Any) -> Array:
+def distance(system: Compiled, q0: Any, q1: Any) -> Array:
     """Euclidean length (...) of the shortest tangent vector, angles in radians and lengths in metres."""
     return np.linalg.norm(difference(system, q0, q1), axis=-1)

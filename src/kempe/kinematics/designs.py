@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Generic
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +13,7 @@ from kempe.calls import explained, explained_methods
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.kernels.compiled import table_sweep
 from kempe.kinematics.configuration import as_q
-from kempe.model.system import FrameLike, System
+from kempe.model.compiled_system import FrameLike, SystemType
 from kempe.model.tree.primitive_table import lower
 from kempe.reals import reals, within_range
 from kempe.spatial import Array
@@ -21,7 +21,7 @@ from kempe.values import Expression
 
 
 @explained
-def with_parameters(system: System, numbers: Mapping[str, Any]) -> System | Designs:
+def with_parameters(system: SystemType, numbers: Mapping[str, Any]) -> SystemType | Designs[SystemType]:
     """The system with other parameter values, or `Designs` where a value is an array (all of one broadcast shape)."""
     arrays: dict[str, np.ndarray] = {}
     for name, x in numbers.items():
@@ -38,14 +38,14 @@ def with_parameters(system: System, numbers: Mapping[str, Any]) -> System | Desi
         return Designs(system, arrays)
     mechanism = system.mechanism
     mechanism.parameters |= {k: float(v) for k, v in arrays.items()}
-    return System(mechanism, system.structure.topology)
+    return type(system)(mechanism, system.structure.topology)
 
 
 @explained_methods
-class Designs:
+class Designs(Generic[SystemType]):
     """A batch of designs: a system whose parameters are arrays of one shape, `shape`."""
 
-    def __init__(self, system: System, numbers: Mapping[str, ArrayLike]):
+    def __init__(self, system: SystemType, numbers: Mapping[str, ArrayLike]):
         arrays = np.broadcast_arrays(*numbers.values())
         self.system, self.shape = system, arrays[0].shape
         self.parameters = {**system.structure.parameters, **dict(zip(numbers, arrays, strict=True))}
@@ -79,7 +79,7 @@ class Designs:
             table_sweep.poses(ints, floats[i], flat_q[i], out[i])
         return out.reshape(*self.shape, *inner, 4, 4)
 
-    def __getitem__(self, index: Any) -> System | Designs:
+    def __getitem__(self, index: Any) -> SystemType | Designs[SystemType]:
         """One design as a `System`, or a smaller batch."""
         varied = {k: v[index] for k, v in self.parameters.items() if isinstance(v, np.ndarray)}
         return with_parameters(self.system, varied)

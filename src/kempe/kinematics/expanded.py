@@ -15,7 +15,7 @@ from kempe.model.tree.coordinates import coordinate_names
 from kempe.placement import Placement, place
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.compiled_system import Compiled
 
 
 class _SingleJoint(NamedTuple):
@@ -27,7 +27,7 @@ class _SingleJoint(NamedTuple):
 
 
 @explained
-def expanded(system: System) -> System:
+def expanded(system: Compiled) -> Compiled:
     """The same system made of revolute and prismatic joints only, with links without size between them.
 
     A joint of one freedom stays as it is, one of several becomes a chain of joints that have the names of its
@@ -43,7 +43,7 @@ def expanded(system: System) -> System:
             m.joints[joint.name] = joint
         else:
             _expand(m, joint, parts)
-    return m.build()
+    return type(system)(m)
 
 
 def _parts(m: Mechanism, joint: Joint) -> list[_SingleJoint]:

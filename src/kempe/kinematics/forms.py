@@ -19,7 +19,7 @@ from kempe.model.tree.gauge import regauge
 from kempe.spatial import Array, matrix_to_quat_wxyz
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.compiled_system import Compiled
 
 FEW = 2048
 """Configurations whose poses, or numbers of another type, are held at once: a block that stays in the cache."""
@@ -58,14 +58,14 @@ TYPES = ("float64", "float32")
 
 
 @kept
-def chain_table(system: System, frame: str) -> tuple[np.ndarray, Array]:
+def chain_table(system: Compiled, frame: str) -> tuple[np.ndarray, Array]:
     """The chain that leads to a frame, packed for the kernels that compute chains in the cheapest form."""
     return regauge(*system.structure.table.pack([frame], system.structure.table.path(frame)))
 
 
 @quiet
 def in_form(
-    system: System, q: Any, frame: Any, out: Array | None, threads: int | None, form: str | None, dtype: Any,
+    system: Compiled, q: Any, frame: Any, out: Array | None, threads: int | None, form: str | None, dtype: Any,
     relative_to: Any = None,
 ) -> Array:  # fmt: skip
     """Poses of a frame in a chosen form and number type; arguments and errors as in `forward.fk`."""

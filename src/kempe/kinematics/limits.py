@@ -12,7 +12,7 @@ from kempe.calls import explained
 from kempe.description import checks
 from kempe.description.parts import Joint
 from kempe.errors import InputError, UnknownNameError
-from kempe.model.system import System
+from kempe.model.compiled_system import Compiled, SystemType
 from kempe.model.tree.coordinates import HELD_TOLERANCE
 from kempe.reals import named, reals
 
@@ -20,7 +20,7 @@ UNLIMITED = (-math.inf, math.inf)
 
 
 @explained
-def with_limits(system: System, limits: Any = None, velocity: Any = None) -> System:
+def with_limits(system: SystemType, limits: Any = None, velocity: Any = None) -> SystemType:
     """The system with other limits; tree, coordinates, parameters and postures are the same.
 
     `limits` are pairs (lower, upper) in radians and metres by coordinate name, None for no limit (of a pair, or of one
@@ -47,7 +47,7 @@ def with_limits(system: System, limits: Any = None, velocity: Any = None) -> Sys
                                   joint.type.velocities(system.dim, particle), None)  # fmt: skip
             now = replace(now, velocity_limits={**now.velocity_limits, **found})
         mechanism.joints[joint.name] = now
-    made = System(mechanism, system.structure.topology, system.structure.table)
+    made = type(system)(mechanism, system.structure.topology, system.structure.table)
     for name in pairs:
         _check(made, name, mechanism.joints[_owner(system, name)[0].name])
     for name in speeds:
@@ -55,7 +55,7 @@ def with_limits(system: System, limits: Any = None, velocity: Any = None) -> Sys
     return made
 
 
-def _by_name(system: System, given: Any, what: str, width: int) -> dict[str, Any]:
+def _by_name(system: Compiled, given: Any, what: str, width: int) -> dict[str, Any]:
     """Limits by coordinate name, from a dict or an array for all coordinates. Errors: `InputError`."""
     if given is None:
         return {}
@@ -73,7 +73,7 @@ def _by_name(system: System, given: Any, what: str, width: int) -> dict[str, Any
             for i in np.flatnonzero(changed)}  # fmt: skip
 
 
-def _owner(system: System, name: str) -> tuple[Joint, str]:
+def _owner(system: Compiled, name: str) -> tuple[Joint, str]:
     """The joint that a velocity coordinate belongs to, and its name within the joint. Errors: `UnknownNameError`."""
     bodies = system.mechanism.bodies
     for joint in system.structure.joints.values():
@@ -86,7 +86,7 @@ def _owner(system: System, name: str) -> tuple[Joint, str]:
     raise UnknownNameError("coordinate", name, system.structure.velocity_names, system.name)
 
 
-def _led(system: System, name: str) -> tuple[int, float, float]:
+def _led(system: Compiled, name: str) -> tuple[int, float, float]:
     """Index, multiplier and offset of the velocity coordinate that moves the coordinate `name`."""
     follower = system.structure.couplings.get(name)
     if follower is None:
@@ -94,7 +94,7 @@ def _led(system: System, name: str) -> tuple[int, float, float]:
     return system.structure.velocity_names.index(follower.source), follower.multiplier, follower.offset
 
 
-def _check(made: System, name: str, joint: Joint) -> None:
+def _check(made: Compiled, name: str, joint: Joint) -> None:
     """Refuse limits that a coordinate cannot have, because another one moves with it."""
     i, m, offset = _led(made, name)
     has = sorted((m * made.structure.limits[i] + offset).tolist())
@@ -104,7 +104,7 @@ def _check(made: System, name: str, joint: Joint) -> None:
                          f"leaves [{has[0]:g}, {has[1]:g}]; give limits of {_others(made, name)}, too")  # fmt: skip
 
 
-def _check_speed(made: System, name: str, joint: Joint) -> None:
+def _check_speed(made: Compiled, name: str, joint: Joint) -> None:
     """Refuse a speed that a coordinate cannot have, because another one moves with it."""
     i, m, _ = _led(made, name)
     has, requested = abs(m) * float(made.structure.velocity_limits[i]), joint.velocity_limits[_local(joint, name)]
@@ -117,7 +117,7 @@ def _local(joint: Joint, name: str) -> str:
     return name[len(joint.name) + 1 :]
 
 
-def _others(system: System, name: str) -> str:
+def _others(system: Compiled, name: str) -> str:
     """Names, as text, of the coordinates that are coupled with this one."""
     i = _led(system, name)[0]
     moved = [

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from kempe import spatial
 from kempe.calls import explained, numbers
 from kempe.errors import InputError
-from kempe.kinematics.configuration import as_q, home_of
+from kempe.kinematics.configuration import as_q, home_of, q_from_dict
 from kempe.kinematics.forward import fk
 from kempe.model.kept import kept
 from kempe.model.tree.characteristic_length import origin_of
@@ -24,12 +24,12 @@ from kempe.rigid import arrays, sound
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.compiled_system import Compiled
 
 
 @explained
 @kept
-def maximal(system: System) -> System:
+def maximal(system: Compiled) -> Compiled:
     """The system in maximal coordinates: each body hangs on a free joint from the ground, and all joints are cut.
 
     The free joints have the names of their bodies (with a number where a joint has that name) and come first; then
@@ -49,22 +49,22 @@ def maximal(system: System) -> System:
         m.free(name, m.ground, body, at=origin)
         taken.add(name)
     m.joints |= {name: replace(joint, cut=True) for name, joint in joints.items()}
-    at = {"closed": home_of(system)} | {name: system.q(name) for name in system.structure.posture_names}
+    at = {"closed": home_of(system)} | {name: q_from_dict(system, name) for name in system.structure.posture_names}
     m.postures = {}
-    names = m.build().coordinate_names
+    names = type(system)(m).coordinate_names
     for name, q in at.items():
         m.posture(name, dict(zip(names, _joined(system, q, to_maximal(system, q)).tolist(), strict=True)))
-    return m.build()
+    return type(system)(m)
 
 
 @explained
-def to_maximal(system: System, q: Any) -> Array:
+def to_maximal(system: Compiled, q: Any) -> Array:
     """Poses (..., n_b, 4, 4) of all bodies but the ground; where loops are open, along the spanning tree."""
     return np.ascontiguousarray(fk(system, q)[..., 1:, :, :])
 
 
 @explained
-def maximal_q(system: System, q: Any = None, poses: ArrayLike | None = None) -> Array:
+def maximal_q(system: Compiled, q: Any = None, poses: ArrayLike | None = None) -> Array:
     """Configuration (..., nq) of `maximal(system)`: the joints as at `q`, the bodies at `poses` (..., n_b, 4, 4).
 
     Without `q` the joints are at home; without poses the bodies are where `q` puts them. Nothing needs to be closed.
@@ -73,7 +73,7 @@ def maximal_q(system: System, q: Any = None, poses: ArrayLike | None = None) -> 
     return _joined(system, q, to_maximal(system, q) if poses is None else as_poses(system, poses))
 
 
-def _joined(system: System, q: Array, poses: Array) -> Array:
+def _joined(system: Compiled, q: Array, poses: Array) -> Array:
     points = [system.mechanism.bodies[b].particle for b in system.body_names[1:]]
     poses = poses - np.pad(origin_of(system)[:, None], ((0, 1), (3, 0)))
     parts = [x for i, p in enumerate(points) for x in coordinates_of_pose(poses[..., i, :, :], system.dim, p)]
@@ -89,7 +89,7 @@ def coordinates_of_pose(X: Array, dim: int, particle: bool) -> list[Array]:
     return [p, spatial.matrix_to_quat_wxyz(R) if dim == 3 else np.arctan2(R[..., 1, 0], R[..., 0, 0])[..., None]]
 
 
-def as_poses(system: System, poses: ArrayLike) -> Array:
+def as_poses(system: Compiled, poses: ArrayLike) -> Array:
     """Poses as an array. Errors: `InputError` where they are not of all bodies but the ground."""
     array, n = numbers(arrays(poses, "poses"), "poses"), len(system.body_names) - 1
     if array.ndim < 3 or array.shape[-3:] != (n, 4, 4):

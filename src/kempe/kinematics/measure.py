@@ -32,7 +32,7 @@ from kempe.spatial import Array
 from kempe.words import InWords
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.compiled_system import Compiled
 
 WITHIN = 1e-6
 """Error in radians, or as a part of the characteristic length, up to which what is declared counts as held."""
@@ -128,7 +128,7 @@ def pose_inputs(X: Array) -> dict[str, Array]:
 
 
 def missed(
-    system: System, made: Constraint, rows: Iterable[Row], q: Array, A: Array | None = None, B: Array | None = None,
+    system: Compiled, made: Constraint, rows: Iterable[Row], q: Array, A: Array | None = None, B: Array | None = None,
     given: Mapping[str, Array] | None = None, t: Array | float = 0.0,
 ) -> tuple[Array, Array]:  # fmt: skip
     """How far (...) rows of position are missed at q (..., nq), in metres, and in radians or plain numbers.
@@ -152,7 +152,7 @@ def missed(
     return np.sqrt(total[0]), np.sqrt(total[1])
 
 
-def _value(system: System, made: Constraint, row: Row, q: Array, X: Array | None, known: Mapping[str, Any]) -> Array:
+def _value(system: Compiled, made: Constraint, row: Row, q: Array, X: Array | None, known: Mapping[str, Any]) -> Array:
     """The values (...) of a row that measures one number; X (..., 4, 4) is where frame B is in A."""
     if row.op in (Op.POINT, Op.DISTANCE):
         assert X is not None
@@ -196,7 +196,7 @@ class Poses:
     Equations in time are read at the times t (...).
     """
 
-    def __init__(self, system: System, q: Array, t: Array | float = 0.0):
+    def __init__(self, system: Compiled, q: Array, t: Array | float = 0.0):
         self.system, self.q, self.mechanism, tree = system, q, system.mechanism, system.structure.topology
         self.t = t
         self.bodies = {tree.bodies[0]: np.broadcast_to(np.eye(4), (*q.shape[:-1], 4, 4))}
@@ -262,7 +262,7 @@ class MeasuredTask(Protocol):
     label: str
 
     def measure(
-        self, system: System, q: Array, goals: Any = None, at: Callable[[Any], Array] | None = None
+        self, system: Compiled, q: Array, goals: Any = None, at: Callable[[Any], Array] | None = None
     ) -> tuple[Array, Array]:  # fmt: skip
         """Errors (...) of the task at q (..., nq), in metres and radians; `at` gives poses of frames."""
         ...
@@ -320,8 +320,8 @@ class Judgement(InWords):
 
 
 def judge(
-    system: System, q: Any, requested: Sequence[tuple[MeasuredTask, Any, Any]] = (), more: Array | float = 0.0,
-    t: Array | float = 0.0, closing: System | None = None,
+    system: Compiled, q: Any, requested: Sequence[tuple[MeasuredTask, Any, Any]] = (), more: Array | float = 0.0,
+    t: Array | float = 0.0, closing: Compiled | None = None,
 ) -> Judgement:  # fmt: skip
     """The judgement of all that a system declares, and of what is required, at q (..., nq) and times t (...).
 

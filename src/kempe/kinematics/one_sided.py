@@ -20,7 +20,7 @@ from kempe.model.kept import kept
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.compiled_system import Compiled
 
 CLOSED = 1e-6
 """Slack in radians, or as a part of the characteristic length, up to which a row counts as closed."""
@@ -55,7 +55,7 @@ class OneSided:
     and `high[k]`.
     """
 
-    system: System = field(repr=False)
+    system: Compiled = field(repr=False)
     names: tuple[str, ...]
     units: tuple[str, ...]
     low: Array
@@ -161,7 +161,7 @@ class OneSided:
 
 
 @kept
-def one_sided_rows(system: System) -> OneSided:
+def one_sided_rows(system: Compiled) -> OneSided:
     """The one-sided rows of a system, packed."""
     at, v = system.structure.layout.vector_q, system.structure.layout.vector_v
     limited = np.isfinite(system.lower[v]) | np.isfinite(system.upper[v])
@@ -176,7 +176,7 @@ def one_sided_rows(system: System) -> OneSided:
     )  # fmt: skip
 
 
-def _declared(system: System) -> tuple[list[str], list[str], list[tuple[float, float]], list[int], PackedLoops]:
+def _declared(system: Compiled) -> tuple[list[str], list[str], list[tuple[float, float]], list[int], PackedLoops]:
     """Names, units, bounds and places of the declared rows between bounds, and the ties that they are among."""
     loops = loops_of(system, frozenset(system.structure.closures), one_sided=True)
     several = Counter(t.name for t in loops.ties if t.bounds for _ in t.rows)

@@ -14,12 +14,13 @@ from kempe.constraints.tape import TIME
 from kempe.description.mechanism import Mechanism, unused_name
 from kempe.errors import InputError
 from kempe.model.kept import kept
+from kempe.reals import within_range
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.compiled_system import Compiled
 
 
-def timed(system: System) -> tuple[str, ...]:
+def timed(system: Compiled) -> tuple[str, ...]:
     """Names of the constraints on positions that depend on time."""
     held = system._mechanism.constraints.values()
     return tuple(c.name for c in held if getattr(c.of, "time", False) and not any(
@@ -27,16 +28,20 @@ def timed(system: System) -> tuple[str, ...]:
 
 
 @explained
-def at_time(system: System, t: float) -> System:
+def at_time(system: Compiled, t: float) -> Compiled:
     """The system as it is at the time t, with the same coordinates. Errors: `InputError`."""
     if np.ndim(t) or not np.isfinite(numbers(t, "t")):
         raise InputError(f"t is {t!r}; it must be one time, a finite number: many are for drive(times=...)")
     if not t or not timed(system):
         return system
-    return _at_zero(system).with_parameters(**{TIME: float(t)})
+    within_range(np.asarray(t), f"parameter {TIME!r}")
+    zero = _at_zero(system)
+    mechanism = zero.mechanism
+    mechanism.parameters[TIME] = float(t)
+    return type(zero)(mechanism, zero.structure.topology)
 
 
-def known_time(system: System, known: Mapping[str, Any]) -> tuple[System, Mapping[str, Any]]:
+def known_time(system: Compiled, known: Mapping[str, Any]) -> tuple[Compiled, Mapping[str, Any]]:
     """The system at the time that is `known` as "t", and what else is known. Errors: `InputError`."""
     if TIME in system.coordinate_names or TIME in system.frame_names or not timed(system):
         return system, known
@@ -44,21 +49,21 @@ def known_time(system: System, known: Mapping[str, Any]) -> tuple[System, Mappin
 
 
 @kept
-def _at_zero(system: System) -> Any:
+def _at_zero(system: Compiled) -> Compiled:
     m = _plain(system, ())
     m.parameter(TIME, 0.0)
-    return m.build()
+    return type(system)(m)
 
 
 @kept
-def clocked(system: System) -> System:
+def clocked(system: Compiled) -> Compiled:
     """The system with the time as its last coordinate, a prismatic one that appears in no pose, only in equations."""
     m = _plain(system, (TIME,))
     m.prismatic(TIME, m.ground, m.body(unused_name(m, "clock")), axis="x")
-    return m.build()
+    return type(system)(m)
 
 
-def _plain(system: System, more: tuple[str, ...]) -> Mechanism:
+def _plain(system: Compiled, more: tuple[str, ...]) -> Mechanism:
     """The mechanism with the time as an ordinary name in its equations, and among their coordinates `more`."""
     m, names = system.mechanism.copy(), timed(system)
     if TIME in m.parameters or TIME in m.joints or TIME in m.constraints:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -288,6 +288,10 @@ class Compiled:
         more = loops + (", planar" if self.dim == 2 else "")
         counts = f"bodies={len(self.parent)}, joints={len(self.joint_names)}, nq={self.nq}"
         return f"System({self.name!r}, {counts}{more})"
+
+
+SystemType = TypeVar("SystemType", bound=Compiled)
+"""The class of a system, for functions that make another one of the same class."""
 
 
 def _digest(content: object) -> str:

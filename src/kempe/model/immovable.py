@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.compiled_system import Compiled
 
 SHOWN = 6
 """Names that are listed."""
 
 
-def immovable(system: System, coordinates: Iterable[int] | None = None, unstated: bool = False) -> str:
+def immovable(system: Compiled, coordinates: Iterable[int] | None = None, unstated: bool = False) -> str:
     """Sentence that names velocity coordinates whose limits leave no motion, and why; '' where there are none.
 
     `coordinates` are their indices, all where None; `unstated` leaves out limits that the description gives.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 from kempe.budget import look
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.compiled_system import SystemType
 
 MOST = 256
 """Answers of one function that are kept with a system; the oldest go first."""
@@ -18,14 +18,14 @@ Keys = ParamSpec("Keys")
 T = TypeVar("T")
 
 
-def kept(function: Callable[Concatenate[System, Keys], T]) -> Callable[Concatenate[System, Keys], T]:
+def kept(function: Callable[Concatenate[SystemType, Keys], T]) -> Callable[Concatenate[SystemType, Keys], T]:
     """A decorator for functions of a system and keys: an answer is kept, and returned again for equal arguments.
 
     Before an answer is worked out, the clock is looked at: of large systems it may take long.
     """
 
     @wraps(function)
-    def call(system: System, *keys: Any) -> T:
+    def call(system: SystemType, *keys: Any) -> T:
         answers = system._kept.get(function)
         if answers is None:
             answers = system._kept[function] = {}

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 from kempe.calls import explained
 from kempe.description.parts import Frame
 from kempe.errors import InputError, UnknownNameError
+from kempe.model.compiled_system import SystemType
 
 if TYPE_CHECKING:
     from kempe.description.mechanism import Mechanism
-    from kempe.model.system import System
 
 
 @explained
-def opened(system: System, joints: str | Iterable[str] | None = None) -> System:
+def opened(system: SystemType, joints: str | Iterable[str] | None = None) -> SystemType:
     """The system without these joints, by default without those that its tree leaves out: a loop becomes a tree.
 
     Where a joint was, each moving body keeps a frame, called "C on rocker" for joint C and the body rocker. What
@@ -36,7 +36,7 @@ def opened(system: System, joints: str | Iterable[str] | None = None) -> System:
         del mechanism.joints[name]
         mechanism.postures = {k: {c: x for c, x in p.items() if c not in gone} for k, p in mechanism.postures.items()}
         mechanism.locks = {c: x for c, x in mechanism.locks.items() if c not in gone}
-    return mechanism.build()
+    return type(system)(mechanism)
 
 
 def _keep_ends(mechanism: Mechanism, name: str) -> None:

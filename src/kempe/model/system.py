@@ -380,7 +380,7 @@ class System(Compiled, Pictured):
 
     # ---- other systems from this one
 
-    def with_parameters(self, **numbers: Any) -> System | Designs:
+    def with_parameters(self, **numbers: Any) -> System | Designs[System]:
         """The same system with other parameter values; arrays of values give a batch of designs."""
         from kempe.kinematics.designs import with_parameters
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -19,6 +19,22 @@ Cells = tuple[Sequence[str], Sequence[Sequence[str]]]
 """Heads of columns (none: each row is a name and what it is) and rows of a table."""
 
 
+class Nearest(Protocol):
+    """The nearest mechanism that closes exactly, as `kempe.solvers.assembly.ideal` finds it."""
+
+    system: Any
+    """That mechanism as a system, with the same coordinates."""
+    tolerance: float
+    """The largest change of a placement, in metres and radians."""
+    freedoms: int
+    """The number of its freedoms."""
+
+    @property
+    def sentence(self) -> Any:
+        """How far the given numbers are from it, and what moves, in one sentence."""
+        ...
+
+
 @explained_methods
 class Result:
     """Base of all results: `Answer`, which has configurations, and `Report`, which has findings.
@@ -30,11 +46,8 @@ class Result:
     success: Any
     code: Any
     status: Any
-    within: Any = None
-    """The nearest mechanism that closes exactly, which was solved in place of the given one; None: it was itself.
-
-    An `Idealised` (`kempe.solvers.assembly.ideal`).
-    """
+    within: Nearest | None = None
+    """The nearest mechanism that closes exactly, which was solved in place of the given one; None: it was itself."""
     _pictured = False
     """Whether a notebook shows its `plot`, too: where the picture says more than the numbers."""
 

@@ -16,7 +16,7 @@ from kempe.kinematics.formulas.symbolic_turns import sympy
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.compiled_system import Compiled
 
 
 class FormulaStep(NamedTuple):
@@ -32,7 +32,7 @@ class FormulaStep(NamedTuple):
 class Derivation:
     """Steps that lead from given symbols to coordinates; lengths are parameters of the system."""
 
-    system: System
+    system: Compiled
     steps: tuple[FormulaStep, ...]
     given: tuple[Any, ...]
     """Symbols of what is given."""

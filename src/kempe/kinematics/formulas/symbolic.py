@@ -23,7 +23,7 @@ from kempe.placement import Placement
 from kempe.values import FUNCTIONS, Expression, Value
 
 if TYPE_CHECKING:
-    from kempe.model.system import FrameLike, System
+    from kempe.model.compiled_system import Compiled, FrameLike
 
 WORD = re.compile(r"(?<![\\A-Za-z])[A-Za-z][A-Za-z.]+")
 """What is a word in the LaTeX of a name, not a letter or a command."""
@@ -51,7 +51,7 @@ _FUNCTIONS |= {"hypot": _hypot, "radians": _radians, "degrees": _degrees}
 
 @explained
 def symbolic_fk(
-    system: System, frame: FrameLike, *, relative_to: FrameLike | None = None,
+    system: Compiled, frame: FrameLike, *, relative_to: FrameLike | None = None,
     symbols: Mapping[str, Any] | None = None, snap: float = 0.0,
 ) -> Any:  # fmt: skip
     """Pose of a body or frame as a sympy Matrix (4, 4), in coordinates and named parameters.
@@ -111,7 +111,7 @@ def aligned(lines: Iterable[str]) -> str:
 # ---- the way from the ground to the frame, as turns, slides and constant rotations
 
 
-def _between(system: System, name: str, base: FrameLike | None, leaves: SymbolLeaves) -> list[SymbolicStep]:
+def _between(system: Compiled, name: str, base: FrameLike | None, leaves: SymbolLeaves) -> list[SymbolicStep]:
     """Motions from the ground, or from a frame, to another one."""
     if base is None:
         return [step for _, steps in way_to(system, name, leaves) for step in steps]
@@ -123,7 +123,7 @@ def _between(system: System, name: str, base: FrameLike | None, leaves: SymbolLe
     return back + [step for _, steps in there[shared:] for step in steps]
 
 
-def oriented_way(system: System, frame: FrameLike, leaves: SymbolLeaves) -> list[tuple[str, list[SymbolicStep]]]:
+def oriented_way(system: Compiled, frame: FrameLike, leaves: SymbolLeaves) -> list[tuple[str, list[SymbolicStep]]]:
     """The way to a frame that has an orientation, see `way_to`; `UnsupportedError` for particles."""
     name = system.structure.frame_name(frame)
     if system.structure.table.at[name][2]:
@@ -145,7 +145,7 @@ def _inverse(step: SymbolicStep) -> SymbolicStep:
     return SymbolicStep({"align": "unalign", "unalign": "align"}[step.kind], step.axis, None, step.subject)
 
 
-def way_to(system: System, name: str, leaves: SymbolLeaves) -> list[tuple[str, list[SymbolicStep]]]:
+def way_to(system: Compiled, name: str, leaves: SymbolLeaves) -> list[tuple[str, list[SymbolicStep]]]:
     """Each body on the way from the ground to a body or frame, with the motions from the body before it."""
     mechanism, tree = system.mechanism, system.structure.topology
     frame = mechanism.frames.get(name)
@@ -162,7 +162,7 @@ def way_to(system: System, name: str, leaves: SymbolLeaves) -> list[tuple[str, l
     return out
 
 
-def _joint_steps(system: System, joint: Joint, backwards: bool, leaves: SymbolLeaves) -> Iterator[SymbolicStep]:
+def _joint_steps(system: Compiled, joint: Joint, backwards: bool, leaves: SymbolLeaves) -> Iterator[SymbolicStep]:
     subject = f"joint {joint.name!r}"
     first, last = (joint.X_CM, joint.X_PF) if backwards else (joint.X_PF, joint.X_CM)
     yield from placement_steps(first, subject, leaves)
@@ -170,7 +170,7 @@ def _joint_steps(system: System, joint: Joint, backwards: bool, leaves: SymbolLe
     yield from placement_steps(last.inverse(), subject, leaves)
 
 
-def joint_motions(system: System, joint: Joint, backwards: bool, leaves: SymbolLeaves) -> Iterator[SymbolicStep]:
+def joint_motions(system: Compiled, joint: Joint, backwards: bool, leaves: SymbolLeaves) -> Iterator[SymbolicStep]:
     """The motions of a joint from its frame F to M, or back."""
     mechanism, subject = system.mechanism, f"joint {joint.name!r}"
     names = coordinate_names(mechanism, joint)
@@ -219,7 +219,7 @@ def _ball(quat_wxyz: list[Any]) -> Any:
 class SymbolLeaves:
     """What the names and numbers of a description are in the formula, and the angles that were snapped."""
 
-    def __init__(self, system: System, symbols: Mapping[str, Any], snap: float):
+    def __init__(self, system: Compiled, symbols: Mapping[str, Any], snap: float):
         if isinstance(snap, bool) or not isinstance(snap, (int, float)) or not 0.0 <= snap < math.pi / 4:
             raise InputError(f"snap is {snap!r}; it must be an angle in radians, from 0 to less than pi/4")
         mechanism = system.mechanism
@@ -241,7 +241,7 @@ class SymbolLeaves:
         for name in system.structure.couplings:  # each comes after those that it depends on
             self.coordinates[name] = self._follower(system, name, name in turning)
 
-    def _follower(self, system: System, name: str, turning: bool) -> Any:
+    def _follower(self, system: Compiled, name: str, turning: bool) -> Any:
         """The coordinate `name` in terms of what it follows."""
         mechanism = system.mechanism
         read = self.angle if turning else self.value
@@ -312,7 +312,7 @@ class SymbolLeaves:
         return sympy.Matrix(3, 3, [_number(float(x)) for x in matrix.ravel()])
 
 
-def _turning(system: System) -> set[str]:
+def _turning(system: Compiled) -> set[str]:
     """Names of the coordinates that are angles."""
     mechanism = system.mechanism
     out: set[str] = set()

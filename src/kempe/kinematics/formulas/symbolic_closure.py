@@ -27,7 +27,7 @@ from kempe.model.closures.packed_loops import must_be_explicit
 from kempe.placement import placement_of_pose
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.compiled_system import Compiled
 
 Steps = list[SymbolicStep]
 
@@ -62,7 +62,7 @@ class SymbolicClosure:
 
 @explained
 def symbolic_closure(
-    system: System, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
+    system: Compiled, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
 ) -> SymbolicClosure:  # fmt: skip
     """The equations f(q) = 0 that closed configurations satisfy, in coordinates and named parameters.
 
@@ -90,11 +90,11 @@ def symbolic_closure(
     return SymbolicClosure(out)
 
 
-def _way(system: System, body: str, leaves: SymbolLeaves) -> Steps:
+def _way(system: Compiled, body: str, leaves: SymbolLeaves) -> Steps:
     return [step for _, steps in way_to(system, body, leaves) for step in steps]
 
 
-def _of_joint(system: System, joint: Joint, explicit: bool, leaves: SymbolLeaves) -> Any:
+def _of_joint(system: Compiled, joint: Joint, explicit: bool, leaves: SymbolLeaves) -> Any:
     m, dim, subject = system.mechanism, system.dim, f"joint {joint.name!r}"
     particle = m.bodies[joint.child].particle
     form = None if explicit else implicit_form(joint.type, dim, particle)
@@ -124,7 +124,7 @@ def _turns(held_turns: str, F: Steps, M: Steps, leaves: SymbolLeaves) -> list[An
     return {"": [], "xy": [R[0, 2], R[1, 2]], "x.y": [R[0, 1]]}[held_turns]
 
 
-def _of_constraint(system: System, constraint: Declared, leaves: SymbolLeaves) -> Any:
+def _of_constraint(system: Compiled, constraint: Declared, leaves: SymbolLeaves) -> Any:
     dim, of, subject = system.dim, constraint.of, f"constraint {constraint.name!r}"
     rows = position_rows(of, dim)
     other = [r for r in rows if r.op not in (Op.POINT, Op.DISTANCE)]

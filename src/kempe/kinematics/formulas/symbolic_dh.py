@@ -21,7 +21,7 @@ from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.description.mechanism import Mechanism
-    from kempe.model.system import FrameLike, System
+    from kempe.model.compiled_system import Compiled, FrameLike
 
 SMALL = 1e-12
 """Numbers below this are rounding."""
@@ -37,7 +37,7 @@ class DHTable(Report):
     Lengths are numbers or text in parameters, angles radians; `base` and `tool` are numbers (4, 4).
     """
 
-    system: System
+    system: Compiled
     frame: str
     convention: str
     rows: tuple[DHRow, ...]
@@ -90,7 +90,7 @@ class JointLine(NamedTuple):
 
 @explained
 def to_dh(
-    system: System, frame: FrameLike, convention: str = "standard", *, symbols: Mapping[str, Any] | None = None,
+    system: Compiled, frame: FrameLike, convention: str = "standard", *, symbols: Mapping[str, Any] | None = None,
     snap: float = 0.0,
 ) -> DHTable:  # fmt: skip
     """The Denavit-Hartenberg table of the chain that moves a frame; ``print`` it.
@@ -116,7 +116,7 @@ def to_dh(
         given |= {str(s): values[str(s)] for s in found}  # directions depend on these lengths
 
 
-def _tabled(system: System, frame: str, convention: str, leaves: SymbolLeaves) -> DHTable | set[Any]:
+def _tabled(system: Compiled, frame: str, convention: str, leaves: SymbolLeaves) -> DHTable | set[Any]:
     """The table, or the parameters on which directions of normals depend."""
     axes, tip = joint_lines(system, frame, leaves)
     unknown = set[Any]().union(tip.free_symbols, *(a.point.free_symbols | a.along.free_symbols for a in axes))
@@ -147,7 +147,7 @@ def _tabled(system: System, frame: str, convention: str, leaves: SymbolLeaves) -
 
 
 def joint_lines(
-    system: System, frame: str, leaves: SymbolLeaves, none: str = "there is no table"
+    system: Compiled, frame: str, leaves: SymbolLeaves, none: str = "there is no table"
 ) -> tuple[list[JointLine], Any]:  # fmt: skip
     """The lines of the joints at q = 0, and the pose of the frame there; directions are numbers.
 
@@ -195,7 +195,7 @@ def _first(axis: JointLine) -> tuple[Any, Any]:
     return foot, tidy(x / sympy.sqrt(x.dot(x)))
 
 
-def _normal(one: JointLine, two: JointLine, at: Any, x: Any, system: System, last: bool) -> tuple[Any, Any, Any]:
+def _normal(one: JointLine, two: JointLine, at: Any, x: Any, system: Compiled, last: bool) -> tuple[Any, Any, Any]:
     """The feet of the common normal of two axes, and its direction, from the first to the second.
 
     `at` is a point of the first axis, through which the normal of parallel axes goes, and `x` the direction that it has
@@ -252,12 +252,12 @@ def _value(x: Any) -> Any:
     return str(x) if x.free_symbols or x.has(sympy.pi) else float(x)
 
 
-def _numbers(v: Any, system: System) -> Array:
+def _numbers(v: Any, system: Compiled) -> Array:
     values = {sympy.Symbol(n): x for n, x in system.structure.parameters.items()}
     return np.array(v.subs(values), dtype=float).reshape(v.shape)[:, 0]
 
 
-def _pose(x: Any, z: Any, origin: Any, system: System) -> Array:
+def _pose(x: Any, z: Any, origin: Any, system: Compiled) -> Array:
     across, along = _numbers(x, system), _numbers(z, system)
     across = across - along * (along @ across)  # of axes that are nearly parallel x is a rounded normal
     across = across / np.linalg.norm(across)

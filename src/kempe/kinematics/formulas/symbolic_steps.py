@@ -17,7 +17,7 @@ from kempe.kinematics.formulas.symbolic_turns import pose_of, sympy, unwrapped
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.system import FrameLike, System
+    from kempe.model.compiled_system import Compiled, FrameLike
 
 LONG = 3000
 """Operations from which on a Jacobian is not multiplied out: each general joint makes it five times as long."""
@@ -29,7 +29,7 @@ FORMS = ("matrices", "separate", "products")
 class SymbolicSteps:
     """The way from the ground to a frame: `T[i]` is the pose of `names[i + 1]` in `names[i]`, a sympy Matrix (4, 4)."""
 
-    system: System
+    system: Compiled
     names: tuple[str, ...]
     T: tuple[Any, ...]
     merged: Any
@@ -55,7 +55,9 @@ class SymbolicSteps:
 
     def numbers(self, q: Any) -> Array:
         """The same matrices at configurations (..., nq) as numbers (..., n, 4, 4), from `fk`."""
-        X = self.system.fk(q, list(self.names))
+        from kempe.kinematics.forward import fk  # only here: formulas need no kernels
+
+        X = fk(self.system, q, list(self.names))
         return spatial.inverse(X[..., :-1, :, :]) @ X[..., 1:, :, :]
 
     def latex(self, form: str = "matrices") -> str:
@@ -97,7 +99,7 @@ class SymbolicSteps:
 
 @explained
 def symbolic_steps(
-    system: System, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
+    system: Compiled, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
 ) -> SymbolicSteps:
     """The matrices whose product is the forward model of a body or frame, one for each joint on the way.
 
@@ -132,7 +134,7 @@ def _product(ways: list[tuple[str, str]], what: str = "T") -> str:
 
 @explained
 def symbolic_jacobian(
-    system: System, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
+    system: Compiled, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
 ) -> Any:
     """Jacobian of a body or frame in symbols: a sympy Matrix (6, nv), rows [linear; angular] in axes of the ground.
 
@@ -180,7 +182,7 @@ class ShortForm(NamedTuple):
 
 
 @explained
-def short_form(system: System, formula: Any) -> ShortForm:
+def short_form(system: Compiled, formula: Any) -> ShortForm:
     """A formula with short names for sines and cosines of sums of coordinates: l1 c1 + l2 c12, and the legend.
 
     A coordinate is named by the digit at the end of its name, where that tells it from the others, else after an
@@ -215,13 +217,13 @@ def short_form(system: System, formula: Any) -> ShortForm:
 
 
 @explained
-def short_fk(system: System, frame: FrameLike, short: bool, **options: Any) -> Any:
+def short_fk(system: Compiled, frame: FrameLike, short: bool, **options: Any) -> Any:
     """`symbolic_fk`, or its `short_form`."""
     formula = symbolic_fk(system, frame, **options)
     return short_form(system, formula) if flag(short, "short") else formula
 
 
-def _words(system: System) -> dict[Any, str]:
+def _words(system: Compiled) -> dict[Any, str]:
     """Short names of the coordinates, in their order: digits where no two are the same and none has two of them."""
     names = system.coordinate_names
     ends = [re.search(r"\d+$", name) for name in names]

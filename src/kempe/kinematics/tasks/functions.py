@@ -16,6 +16,7 @@ from kempe.constraints.reading import ends_of
 from kempe.constraints.whole import Function
 from kempe.description.parts import Declared
 from kempe.errors import InputError, shown
+from kempe.kinematics.configuration import random
 from kempe.kinematics.forward import fk
 from kempe.kinematics.forward import jacobian as frame_jacobian
 from kempe.kinematics.tasks.derivatives import SUPPLIED, check_supplied, checked_value, jacobian_of, way_of
@@ -26,17 +27,17 @@ from kempe.spatial import Array
 from kempe.words import counted
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.compiled_system import Compiled
 
 
 class Whole:
     """A user's function of q (nq,), or of poses (4, 4) of frames, with its derivatives (m, nv), bound to one system.
 
-    It is called first at `system.random(0)`, which finds how many numbers it gives and checks a Jacobian that is given.
+    It is called first at a random configuration, which finds how many numbers it gives and checks a given Jacobian.
     Errors: `InputError` for what is no function, a wrong Jacobian, with its worst entry, values that are not finite.
     """
 
-    def __init__(self, system: System, of: Any):
+    def __init__(self, system: Compiled, of: Any):
         self.system, self.label, self.given, self.supplied = system, of.label, of.function, of.derivative
         self.frames = tuple(system.structure.frame_name(f) for f in listed(of.frames, f"frames of {of.label}"))
         takes = f"of {counted(len(self.frames), 'pose')} (4, 4)" if self.frames else f"of q ({system.nq},)"
@@ -49,7 +50,7 @@ class Whole:
                 else f"q ({system.nq},)"
             )
             raise InputError(f"{of.label} is called with {given}, which it does not take")
-        found = checked_value(self.label, self.raw, q := system.random(0))
+        found = checked_value(self.label, self.raw, q := random(system, 0))
         self.count = found.size
         if not self.count:
             raise InputError(f"{of.label} gives no numbers at all; it must give one or more")
@@ -169,7 +170,7 @@ class OfSystem(Constraint):
         return self.whole.values(q) - self._held
 
 
-def bound(system: System, made: Constraint) -> Constraint:
+def bound(system: Compiled, made: Constraint) -> Constraint:
     """The constraint as one of this system: of functions of its configurations, one whose rows are numbers of these."""
     if not any(r.op is Op.CALL and len(r.args) == 1 for r in made.rows(system.dim)):
         return made
@@ -177,7 +178,7 @@ def bound(system: System, made: Constraint) -> Constraint:
     return OfSystem(whole, whole.low, whole.high)
 
 
-def held_too(system: System, further: Any) -> System:
+def held_too(system: Compiled, further: Any) -> Compiled:
     """The system with further constraints, or functions of q, with the same coordinates.
 
     Errors: `InputError` for what is none, `DescriptionError` for what does not fit the system.

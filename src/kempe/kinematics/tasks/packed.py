@@ -24,7 +24,7 @@ from kempe.rigid import refuse_no_poses
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.compiled_system import Compiled
 
 ROUNDING = 1e-9
 """How far a coordinate may be outside its limits."""
@@ -48,7 +48,7 @@ def lead_of(goals: Sequence[Goals]) -> tuple[int, ...]:
         raise InputError(f"the goals have leading shapes that do not fit together: {sorted(shapes)}") from None
 
 
-def _wide(system: System, tasks: Sequence[Task]) -> np.ndarray:
+def _wide(system: Compiled, tasks: Sequence[Task]) -> np.ndarray:
     """Angles (nv,) with limits a whole turn apart or more, which a whole turn does not change in anything else."""
     table, c = own_tree(system).structure.table, system.structure.coordinates
     with np.errstate(invalid="ignore"):
@@ -73,8 +73,8 @@ class Packed:
     """
 
     def __init__(
-        self, system: System, tasks: Sequence[Task | Constraint], length: float | None = None, turns: bool = False,
-        levels: Sequence[int] = (), closing: System | None = None,
+        self, system: Compiled, tasks: Sequence[Task | Constraint], length: float | None = None, turns: bool = False,
+        levels: Sequence[int] = (), closing: Compiled | None = None,
     ):  # fmt: skip
         made_of = (task_of(t, system.dim) if isinstance(t, Constraint) else t for t in tasks)
         self.system, self.tasks, self.turns = system, tuple(made_of), turns
@@ -176,32 +176,32 @@ class Packed:
 
 
 @explained
-def error(system: System, constraint: Constraint, q: Any) -> Array:
+def error(system: Compiled, constraint: Constraint, q: Any) -> Array:
     """Equations (..., m) of a constraint at q (..., nq), in metres and radians, before bounds; zero where they hold."""
     return _alone(system, constraint).evaluate(q)[0]
 
 
 @explained
-def jacobian(system: System, constraint: Constraint, q: Any) -> Array:
+def jacobian(system: Compiled, constraint: Constraint, q: Any) -> Array:
     """Derivatives (..., m, nv) of `error` by the velocity coordinates, exact."""
     return _alone(system, constraint).evaluate(q)[1]
 
 
 @explained
-def count(system: System, constraint: Constraint) -> int:
+def count(system: Compiled, constraint: Constraint) -> int:
     """Number of equations of a constraint, inequalities included."""
     return _alone(system, constraint).count([0], True)
 
 
 @explained
-def units(system: System, constraint: Constraint) -> tuple[str, ...]:
+def units(system: Compiled, constraint: Constraint) -> tuple[str, ...]:
     """The unit of each equation of `error`: "m", "rad" or "1"."""
     alone = _alone(system, constraint)
     return tuple(unit for unit, row in zip(alone.loops.units, alone.rows, strict=True) if row >= 0)
 
 
 @explained
-def miss(system: System, constraint: Constraint, q: Any) -> tuple[Array, Array]:
+def miss(system: Compiled, constraint: Constraint, q: Any) -> tuple[Array, Array]:
     """How far (...) a constraint is missed at q (..., nq), in metres and in radians, judged by the forward model.
 
     Where loops are open, bodies are where solvers place them (`kempe.model.tree.own_tree`).
@@ -209,5 +209,5 @@ def miss(system: System, constraint: Constraint, q: Any) -> tuple[Array, Array]:
     return task_of(constraint, system.dim).measure(own_tree(system), as_q(system, q))
 
 
-def _alone(system: System, constraint: Constraint) -> Packed:
+def _alone(system: Compiled, constraint: Constraint) -> Packed:
     return Packed(system, [constraint], length=1.0)

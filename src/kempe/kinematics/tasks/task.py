@@ -26,7 +26,7 @@ from kempe.model.tree.primitive_table import Table
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.compiled_system import Compiled
 
 GROUND = (-1, np.eye(4), False)
 
@@ -78,24 +78,24 @@ class Task(ABC):
         return out
 
     @abstractmethod
-    def structure(self, system: System) -> Hashable:
+    def structure(self, system: Compiled) -> Hashable:
         """All that decides its ties but the goal. Errors: `UnknownNameError` and others for what does not fit."""
 
     @abstractmethod
-    def ties(self, system: System, table: Table) -> list[Tie]:
+    def ties(self, system: Compiled, table: Table) -> list[Tie]:
         """Its ties for the kernels."""
 
     @abstractmethod
-    def goals(self, system: System) -> Goals:
+    def goals(self, system: Compiled) -> Goals:
         """The goal of each of its ties."""
 
-    def coordinates(self, system: System) -> set[str]:
+    def coordinates(self, system: Compiled) -> set[str]:
         """Names of the velocity coordinates in which a whole turn is not nothing to it."""
         return set()
 
     @abstractmethod
     def measure(
-        self, system: System, q: Array, goals: Goals | None = None, at: At | None = None
+        self, system: Compiled, q: Array, goals: Goals | None = None, at: At | None = None
     ) -> tuple[Array, Array]:  # fmt: skip
         """How far (...) it is missed at q (..., nq), in metres and in radians, by the forward model.
 
@@ -120,14 +120,14 @@ class PlacedTask(Task):
 
     # ---- what is held
 
-    def hold(self, system: System) -> TaskTie:
+    def hold(self, system: Compiled) -> TaskTie:
         """Its tie, without bounds."""
         a, b = self.of.ends
         name = None if a is None else system.structure.frame_name(a)
         return TaskTie(system.structure.frame_name(b), self.of.tool(self.dim), self.shape.mask, self.shape.turns,
                        name, (), self.shape.turns == L.DISTANCE)  # fmt: skip
 
-    def goal(self, system: System) -> Array:
+    def goal(self, system: Compiled) -> Array:
         """The pose (..., 4, 4) of the goal in the ground, or in the frame that it hangs on."""
         return self.of.goal(self.dim)
 
@@ -154,13 +154,13 @@ class PlacedTask(Task):
         values = [np.array(infinity) if x is None else x if k is None else x[..., k] for x, k in ends]
         return values[0][..., None] if len(values) == 1 else np.stack(np.broadcast_arrays(*values), axis=-1)
 
-    def holds(self, system: System) -> list[TaskTie]:
+    def holds(self, system: Compiled) -> list[TaskTie]:
         """One tie, or one for each end that is finite anywhere and differs from target to target."""
         if self._holds is None:
             self._holds = self._all_holds(system)
         return self._holds
 
-    def _all_holds(self, system: System) -> list[TaskTie]:
+    def _all_holds(self, system: Compiled) -> list[TaskTie]:
         h, ends = self.hold(system), self.ends()
         if ends is None:
             return [h]
@@ -172,15 +172,15 @@ class PlacedTask(Task):
         n = ends[0].shape[-1]
         return [h._replace(bounds=(bound,) * n) for bound, _ in _sides(*ends)]
 
-    def structure(self, system: System) -> Hashable:
+    def structure(self, system: Compiled) -> Hashable:
         """What the ties depend on: what they hold."""
         return tuple(self.holds(system))
 
-    def ties(self, system: System, table: Table) -> list[Tie]:
+    def ties(self, system: Compiled, table: Table) -> list[Tie]:
         """The ties of the task, one for each hold."""
         return [self._tie(system, table, h) for h in self.holds(system)]
 
-    def _tie(self, system: System, table: Table, h: TaskTie) -> Tie:
+    def _tie(self, system: Compiled, table: Table, h: TaskTie) -> Tie:
         a = GROUND if h.a is None else table.at[h.a]
         row, X, particle = table.at[h.b]
         b = (row, X @ np.reshape(h.X_B, (4, 4)), particle)
@@ -193,11 +193,11 @@ class PlacedTask(Task):
             raise InputError(f"{name!r} is a particle, which has no axes: {self.label} cannot be required of it")
         return tie
 
-    def centre(self, system: System, table: Table) -> Centre | None:
+    def centre(self, system: Compiled, table: Table) -> Centre | None:
         """The centre that takes the place of frame B, if any."""
         return None
 
-    def goals(self, system: System) -> Goals:
+    def goals(self, system: Compiled) -> Goals:
         """The goal's pose and its number; moved to each end that has a tie."""
         goal, ends = self.goal(system), self.ends()
         distance = self.shape.turns == L.DISTANCE
@@ -219,14 +219,14 @@ class PlacedTask(Task):
 
     # ---- how far it is missed
 
-    def place(self, system: System, at: At, hold: TaskTie | None = None) -> Array:
+    def place(self, system: Compiled, at: At, hold: TaskTie | None = None) -> Array:
         """Where (..., 4, 4) the frame is in the ground."""
         h = hold or self.hold(system)
         X = at(h.b)
         return X if h.X_B is HERE else X @ np.reshape(h.X_B, (4, 4))
 
     def measure(
-        self, system: System, q: Array, goals: Goals | None = None, at: At | None = None
+        self, system: Compiled, q: Array, goals: Goals | None = None, at: At | None = None
     ) -> tuple[Array, Array]:  # fmt: skip
         """How far (...) it is missed at q (..., nq), in metres and in radians, by the forward model."""
         holds, goals = self.holds(system), self.goals(system) if goals is None else goals
@@ -259,22 +259,22 @@ class Centred(PlacedTask):
 
     _shares: tuple[tuple[str, tuple[float, ...], float], ...] | None = None
 
-    def hold(self, system: System) -> TaskTie:
+    def hold(self, system: Compiled) -> TaskTie:
         """The axes that count."""
         return TaskTie(system.body_names[0], HERE, self.shape.mask)
 
-    def _points(self, system: System) -> tuple[tuple[str, tuple[float, ...], float], ...]:
+    def _points(self, system: Compiled) -> tuple[tuple[str, tuple[float, ...], float], ...]:
         """Frames, points on them and their masses, whose sum is 1."""
         if self._shares is None:
             shares = self.of.masses(system._mechanism.bodies, system.name)
             self._shares = tuple((system.structure.frame_name(m.frame), m.point, m.part) for m in shares)
         return self._shares
 
-    def structure(self, system: System) -> Hashable:
+    def structure(self, system: Compiled) -> Hashable:
         """Its tie and its points."""
         return super().structure(system), self._points(system)
 
-    def centre(self, system: System, table: Table) -> Centre:
+    def centre(self, system: Compiled, table: Table) -> Centre:
         """The masses on the rows of the table."""
         rows, rest = np.zeros((len(table.kind), 4)), np.zeros(3)
         for frame, point, mass in self._points(system):
@@ -286,7 +286,7 @@ class Centred(PlacedTask):
                 rows[row] += mass, *(mass * p)
         return Centre(rows, rest)
 
-    def place(self, system: System, at: At, hold: TaskTie | None = None) -> Array:
+    def place(self, system: Compiled, at: At, hold: TaskTie | None = None) -> Array:
         """The centre of mass in the ground frame."""
         points = self._points(system)
         names, moments = _moments(system, points)
@@ -295,7 +295,7 @@ class Centred(PlacedTask):
 
 @kept
 def _moments(
-    system: System, points: tuple[tuple[str, tuple[float, ...], float], ...]
+    system: Compiled, points: tuple[tuple[str, tuple[float, ...], float], ...]
 ) -> tuple[list[str] | None, Array]:  # fmt: skip
     """Frames, None for all bodies, and for each of them what its pose is multiplied by to give its part of a centre."""
     names = list(dict.fromkeys([*system.body_names, *(f for f, _, _ in points)]))  # all bodies are quicker than some

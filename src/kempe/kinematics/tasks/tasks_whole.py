@@ -10,7 +10,7 @@ import numpy as np
 from kempe.constraints.reading import numbers_of
 from kempe.errors import InputError
 from kempe.kernels.constraints import loop_layout as L
-from kempe.kinematics.configuration import as_q, circles
+from kempe.kinematics.configuration import as_q, circles, q_from_dict
 from kempe.kinematics.tasks.task import GROUND, At, Goals, Task
 from kempe.model.closures.packed_loops import Tie
 from kempe.model.tree.primitive_table import Table
@@ -18,7 +18,7 @@ from kempe.reals import named
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.compiled_system import Compiled
 
 
 class CoordinateTask(Task):
@@ -26,7 +26,7 @@ class CoordinateTask(Task):
 
     angles = True
 
-    def _values(self, system: System) -> tuple[Array, list[tuple[str, int, int, bool]]]:
+    def _values(self, system: Compiled) -> tuple[Array, list[tuple[str, int, int, bool]]]:
         """The values as (..., nq), and for each tie its name, place in q, velocity coordinate, whether it is a ball."""
         layout = system.structure.layout
         items: list[tuple[str, int, int, bool]]
@@ -38,7 +38,7 @@ class CoordinateTask(Task):
         given = named(self.of.q)
         if given is None:
             return as_q(system, self.of.q), items
-        system.q(dict.fromkeys(given, 0.0))  # refuses names that are none, or follow others
+        q_from_dict(system, dict.fromkeys(given, 0.0))  # refuses names that are none, or follow others
         index = {n: i for i, n in enumerate(system.coordinate_names)}
         values = [numbers_of(x, f"{k!r} of {self.label}") for k, x in given.items()]
         out = np.empty((*np.broadcast_shapes(*(x.shape for x in values)), system.nq))
@@ -53,20 +53,20 @@ class CoordinateTask(Task):
                 raise InputError(f"a quaternion is given as a whole; missing are {', '.join(missing)}")
         return out, [item for item in items if (item in whole if item[3] else item[0] in given)]
 
-    def structure(self, system: System) -> Hashable:
+    def structure(self, system: Compiled) -> Hashable:
         """The names of the coordinates that are held."""
         return tuple(name for name, *_ in self._values(system)[1])
 
-    def ties(self, system: System, table: Table) -> list[Tie]:
+    def ties(self, system: Compiled, table: Table) -> list[Tie]:
         """One for each coordinate or quaternion."""
         return [Tie(self.label, GROUND, GROUND, turns=L.OWN, given=True, own=v, ball=ball)
                 for _, _, v, ball in self._values(system)[1]]  # fmt: skip
 
-    def coordinates(self, system: System) -> set[str]:
+    def coordinates(self, system: Compiled) -> set[str]:
         """The coordinates that it reads: those that it holds."""
         return {system.structure.velocity_names[v] for _, _, v, _ in self._values(system)[1]}
 
-    def goals(self, system: System) -> Goals:
+    def goals(self, system: Compiled) -> Goals:
         """The values at which coordinates are held."""
         values, items = self._values(system)
         out: Goals = []
@@ -78,7 +78,7 @@ class CoordinateTask(Task):
         return out
 
     def measure(
-        self, system: System, q: Array, goals: Goals | None = None, at: At | None = None
+        self, system: Compiled, q: Array, goals: Goals | None = None, at: At | None = None
     ) -> tuple[Array, Array]:  # fmt: skip
         """The largest difference of a slide and of a turn."""
         values, items = self._values(system)

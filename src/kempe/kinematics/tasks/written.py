@@ -24,13 +24,13 @@ from kempe.model.tree.primitive_table import Table
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.compiled_system import Compiled
 
 
 class Made(NamedTuple):
     """A constraint in a system: with its parameters and functions; its rows of position, and its ties on no frames."""
 
-    system: System
+    system: Compiled
     of: Constraint
     rows: list[Row]
     ties: list[Tie]
@@ -52,7 +52,7 @@ class Written(Task):
         self.tool = np.reshape(of.tool(dim), (4, 4))
         self.posed = of.ends[1] is not None
 
-    def made(self, system: System) -> Made:
+    def made(self, system: Compiled) -> Made:
         """It in a system. Errors: `UnknownNameError` for coordinates that do not exist."""
         if self._made is None or self._made.system is not system:
             of = bound(system, with_numbers(self.of.knowing(system.structure.parameters), system.structure.parameters))
@@ -62,18 +62,18 @@ class Written(Task):
             self._made = Made(system, of, plain_rows(of, self.dim, True), ties)
         return self._made
 
-    def names(self, system: System) -> tuple[str | None, str | None]:
+    def names(self, system: Compiled) -> tuple[str | None, str | None]:
         """The frames A and B. Errors: `UnknownNameError`."""
         a, b = (None if e is None else system.structure.frame_name(e) for e in self.of.ends)
         return a, b
 
-    def structure(self, system: System) -> Hashable:
+    def structure(self, system: Compiled) -> Hashable:
         """Its frames, and its expressions without the numbers of the call."""
         each = ((t.mask, t.turns, t.bounds, t.tape and (t.tape.tape, t.tape.unit, t.tape.given))
                 for t in self.made(system).ties)  # fmt: skip
         return self.names(system), self.tool.tobytes(), *each
 
-    def ties(self, system: System, table: Table) -> list[Tie]:
+    def ties(self, system: Compiled, table: Table) -> list[Tie]:
         """The packed constraints of the expressions: one for all equations and one for each group of inequalities.
 
         `table` holds the frames in which the poses are. Constraints that read poses have a goal, which comes with each
@@ -91,7 +91,7 @@ class Written(Task):
         found = every_tie(system, self.label, self.made(system).of, A, (row, X @ self.tool, particle), True)
         return [t if t.function else replace(t, pin=True) for t in found]
 
-    def coordinates(self, system: System) -> set[str]:
+    def coordinates(self, system: Compiled) -> set[str]:
         """Those that it reads, or those that they follow."""
         first = system.structure.coordinates.first
         found: set[int] = set()
@@ -100,7 +100,7 @@ class Written(Task):
             found |= set(t.function.support) if t.function else found
         return {system.structure.velocity_names[v] for v in found}
 
-    def goals(self, system: System) -> Goals:
+    def goals(self, system: Compiled) -> Goals:
         """For each tie the goal, and its numbers; ends that only some targets have are far away."""
         _, of, _, ties = self.made(system)
         goal = of.goal(self.dim) if self.posed else None
@@ -114,7 +114,7 @@ class Written(Task):
         return out
 
     def measure(
-        self, system: System, q: Array, goals: Goals | None = None, at: At | None = None
+        self, system: Compiled, q: Array, goals: Goals | None = None, at: At | None = None
     ) -> tuple[Array, Array]:  # fmt: skip
         """How far its values are from where they must be, by the forward model and plain numpy."""
         _, of, rows, ties = self.made(system)

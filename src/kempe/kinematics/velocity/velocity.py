@@ -28,11 +28,11 @@ from kempe.reals import reals
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.compiled_system import Compiled
 
 
 @explained
-def rates(system: System, q: Any, t: ArrayLike = 0.0) -> tuple[Array, Array]:
+def rates(system: Compiled, q: Any, t: ArrayLike = 0.0) -> tuple[Array, Array]:
     """The rows A (..., m, nv) and b (..., m) of the velocity constraints A(q) v = b at q (..., nq) and times t (...).
 
     Rows are in the order of `row_names`, those that slip in m/s, those that turn in rad/s. A system without such
@@ -41,19 +41,19 @@ def rates(system: System, q: Any, t: ArrayLike = 0.0) -> tuple[Array, Array]:
     return velocity_rows(system).values(as_q(system, q), reals(t, "t"))
 
 
-def row_names(system: System) -> tuple[tuple[str, str], ...]:
+def row_names(system: Compiled) -> tuple[tuple[str, str], ...]:
     """For each row of `rates` the name of its constraint, and of the row."""
     return tuple((r.of, r.name) for r in velocity_rows(system).names)
 
 
 @kept
-def velocity_rows(system: System) -> VelocityRows:
+def velocity_rows(system: Compiled) -> VelocityRows:
     """The rows of the declared velocity constraints, recorded."""
     return _recorded(system, system.structure.table, False)
 
 
 @kept
-def tangent_rows(system: System) -> VelocityRows:
+def tangent_rows(system: Compiled) -> VelocityRows:
     """The rows of all constraints, recorded: tangents of what holds positions, and velocity constraints.
 
     Joints that the tree left out are led on through their own motion, so that all coordinates count. One-sided rows are
@@ -70,7 +70,7 @@ def tangent_rows(system: System) -> VelocityRows:
     return _recorded(system, table, True)
 
 
-def _recorded(system: System, table: Table, positions: bool) -> VelocityRows:
+def _recorded(system: Compiled, table: Table, positions: bool) -> VelocityRows:
     mechanism = system._mechanism
     made = _Recording(system, table, mechanism.parameters)
     for tie in held_ties(system, table) if positions else ():
@@ -83,7 +83,7 @@ def _recorded(system: System, table: Table, positions: bool) -> VelocityRows:
 class _Recording:
     """The rows of a system being recorded, with their names."""
 
-    def __init__(self, system: System, table: Table, parameters: Mapping[str, float]):
+    def __init__(self, system: Compiled, table: Table, parameters: Mapping[str, float]):
         self.system, self.parameters, self.names = system, parameters, list[RowName]()
         self.recorder = Recorder(table, system.coordinate_names, CLOCK)
         first = system.structure.coordinates.first

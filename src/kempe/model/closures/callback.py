@@ -15,7 +15,7 @@ from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.constraints.equations import Call
-    from kempe.model.system import System
+    from kempe.model.compiled_system import Compiled
 
 STEP = 1e-3
 """Step of differences, in units of the velocities."""
@@ -88,7 +88,7 @@ class Callback:
     """
 
     def __init__(
-        self, system: System, rows: int, function: Callable[[Array], tuple[Any, Array]],
+        self, system: Compiled, rows: int, function: Callable[[Array], tuple[Any, Array]],
         support: Sequence[int] | None = None, alone: Callable[[Array], Any] | None = None,
     ):  # fmt: skip
         self.rows, self.error, self.scale = rows, None, np.ones(system.nv)
@@ -117,7 +117,7 @@ class Callback:
         self.error = self.error or error
 
     @classmethod
-    def of_call(cls, system: System, call: Call, rows: Sequence[int], numbers: Mapping[str, float]) -> Callback:
+    def of_call(cls, system: Compiled, call: Call, rows: Sequence[int], numbers: Mapping[str, float]) -> Callback:
         """Some numbers of a function of named coordinates; derivatives by differences."""
         first, followers = system.structure.coordinates.first, system.structure.couplings
         read: dict[str, tuple[int, float, float]] = {}

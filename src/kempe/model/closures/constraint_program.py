@@ -24,7 +24,7 @@ from kempe.model.closures.frame_constraints import RecordedRows, Tie
 from kempe.model.tree.primitive_table import Table
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.compiled_system import Compiled
 
 TURNS = {Op.ROTATION: {2: L.ANGLE, 3: L.FULL}, Op.TILT: {2: L.ALIGN, 3: L.ALIGN}, Op.LOOK: {2: L.LOOK, 3: L.LOOK}}
 """What of the rotation a row holds, by the dimension."""
@@ -33,19 +33,19 @@ End = tuple[int, np.ndarray, bool]
 """A row of the table, the pose on it, whether it is a particle."""
 
 
-def declared_ties(system: System, table: Table, one_sided: bool = False) -> list[Tie]:
+def declared_ties(system: Compiled, table: Table, one_sided: bool = False) -> list[Tie]:
     """The ties of all declared constraints whose rows hold at a value, or with `one_sided` between two, too."""
     every = (t for c in system._mechanism.constraints.values() for t in ties_of(system, table, c))
     return [t for t in every if one_sided or not t.bounds]
 
 
-def ties_of(system: System, table: Table, declared: Declared) -> list[Tie]:
+def ties_of(system: Compiled, table: Table, declared: Declared) -> list[Tie]:
     """The ties of a declared constraint, one-sided ones with their bounds."""
     made = resolved(declared, system._mechanism.parameters, system.dim)
     return every_tie(system, declared.name, made, *ends_of(system, table, declared))
 
 
-def ends_of(system: System, table: Table, declared: Declared) -> tuple[End, End]:
+def ends_of(system: Compiled, table: Table, declared: Declared) -> tuple[End, End]:
     """Frames A and B of a declared constraint; the ground twice for one of coordinates."""
     if not declared.parent:
         return (-1, np.eye(4), False), (-1, np.eye(4), False)
@@ -123,7 +123,7 @@ def _off(tape: Tape, output: int, end: str, turned: bool, varying: tuple[str, ..
     return build.finish([build.binary(TL.SUB, *((place, value) if turned else (value, place)))])
 
 
-def every_tie(system: System, name: str, made: Constraint, a: End, b: End, given: bool = False) -> list[Tie]:
+def every_tie(system: Compiled, name: str, made: Constraint, a: End, b: End, given: bool = False) -> list[Tie]:
     """As `ties`, with functions, too, over coordinates that are in q."""
     found = list(ties(name, made, system.dim, a, b, given))
     for sided in (False, True):

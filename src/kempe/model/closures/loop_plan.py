@@ -15,7 +15,7 @@ from kempe.model.closures.implicit_form import implicit_form
 from kempe.model.tree.coordinates import Relation, coordinate_names, returning
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.compiled_system import Compiled
 
 READINGS = {
     "x": L.READ_X, "y": L.READ_Y, "z": L.READ_Z, "turn z": L.READ_ANGLE, "turn rx": L.READ_RX, "turn ry": L.READ_RY,
@@ -23,7 +23,7 @@ READINGS = {
 }  # fmt: skip
 
 
-def _readings(system: System, joint: Joint) -> list[tuple[int, int]]:
+def _readings(system: Compiled, joint: Joint) -> list[tuple[int, int]]:
     """For each coordinate of a joint how it is read off the pose of M in F, and its place in q."""
     names, first = coordinate_names(system._mechanism, joint), system.structure.coordinates.first
     form = implicit_form(joint.type, system.dim, system._mechanism.bodies[joint.child].particle)
@@ -63,7 +63,7 @@ def laid_out(
 class LoopPlan:
     """The integers and numbers of `loop_layout`, being collected."""
 
-    def __init__(self, system: System, ties: list[Tie], ints: np.ndarray, held: frozenset[str], length: float,
+    def __init__(self, system: Compiled, ties: list[Tie], ints: np.ndarray, held: frozenset[str], length: float,
                  scaled: bool, wide: np.ndarray | None = None):  # fmt: skip
         self.system, self.ties, self.length, self.scaled = system, ties, length, scaled
         self.number = [t.number for t in ties]

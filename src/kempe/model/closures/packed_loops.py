@@ -27,7 +27,7 @@ from kempe.model.tree.characteristic_length import characteristic_length, moved,
 from kempe.model.tree.primitive_table import End, Table, lower
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.compiled_system import Compiled
 
 __all__ = [
     "Centre",
@@ -45,7 +45,7 @@ Places = dict[str, tuple[int, int]]
 TURNS = {"": L.NO_TURN, "z": L.ANGLE, "xy": L.ALIGN, "x.y": L.CROSS, "xyz": L.FULL}
 
 
-def must_be_explicit(system: System, known: Iterable[str] = ()) -> frozenset[str]:
+def must_be_explicit(system: Compiled, known: Iterable[str] = ()) -> frozenset[str]:
     """The explicit loop joints: those cut without an implicit form, or with known, limited or coupled coordinates."""
     related = {n for r in system.structure.relations for n in (r.of, *r.sources)} | set(known)
     related |= {n for c in system._mechanism.constraints.values() for n in c.of.reads}
@@ -64,7 +64,7 @@ def must_be_explicit(system: System, known: Iterable[str] = ()) -> frozenset[str
 
 
 def loops_of(
-    system: System, explicit: frozenset[str], held: frozenset[str] = frozenset(),
+    system: Compiled, explicit: frozenset[str], held: frozenset[str] = frozenset(),
     pins: tuple[tuple[str, bool], ...] = (), length: float | None = None, one_sided: bool = False,
 ) -> PackedLoops:  # fmt: skip
     """The packed loops of a system; with `one_sided` those declared constraints, too, that hold between bounds.
@@ -78,17 +78,17 @@ def loops_of(
 
 @kept
 def _packed(
-    system: System, explicit: frozenset[str], held: frozenset[str], pins: tuple[tuple[str, bool], ...],
+    system: Compiled, explicit: frozenset[str], held: frozenset[str], pins: tuple[tuple[str, bool], ...],
     length: float | None, one_sided: bool,
 ) -> PackedLoops:  # fmt: skip
     return pack(system, explicit, held, pins, length, one_sided=one_sided)
 
 
 def pack(
-    system: System, explicit: frozenset[str], held: frozenset[str] = frozenset(),
+    system: Compiled, explicit: frozenset[str], held: frozenset[str] = frozenset(),
     pins: tuple[tuple[str, bool], ...] = (), length: float | None = None,
     further: Callable[[Table], list[Tie]] | None = None, wide: np.ndarray | None = None,
-    level: Callable[[Tie], int] | None = None, one_sided: bool = False, drawn: System | None = None,
+    level: Callable[[Tie], int] | None = None, one_sided: bool = False, drawn: Compiled | None = None,
 ) -> PackedLoops:  # fmt: skip
     """The packed loops as `loops_of` gives them, but packed anew, with `further` ties over the rows of the table.
 
@@ -119,7 +119,7 @@ def pack(
     return PackedLoops(tuple(ties), names, ints, floats, plan, weights, unknown, size, origin)
 
 
-def _lowered(system: System, ends: dict[str, bool], origin: np.ndarray) -> Table:
+def _lowered(system: Compiled, ends: dict[str, bool], origin: np.ndarray) -> Table:
     """The table of a system with the ends of joints that the tree left out, measured from `origin` (3,)."""
     mechanism, given = system._mechanism, system.structure
     table = lower(mechanism, given.topology, given.coordinates, mechanism.parameters, ends)
@@ -143,7 +143,7 @@ def _side_by_side(first: Table, second: Table) -> tuple[Table, Table]:
 # ---- what is tied
 
 
-def held_ties(system: System, table: Table) -> list[Tie]:
+def held_ties(system: Compiled, table: Table) -> list[Tie]:
     """All ties that hold positions: of joints that the tree left out, in explicit form, and of declared constraints.
 
     One-sided constraints are among them. `table` has the frames of these joints, led on through their motion.
@@ -152,7 +152,7 @@ def held_ties(system: System, table: Table) -> list[Tie]:
 
 
 def _ties(
-    system: System, table: Table, explicit: frozenset[str], pins: tuple[tuple[str, bool], ...], one_sided: bool
+    system: Compiled, table: Table, explicit: frozenset[str], pins: tuple[tuple[str, bool], ...], one_sided: bool
 ) -> list[Tie]:  # fmt: skip
     mechanism = system._mechanism
     ties = [_of_joint(system, table, mechanism.joints[n], n in explicit) for n in system.structure.closures]
@@ -188,7 +188,7 @@ def plane_normal(end: End, table: Table) -> np.ndarray:
     return z
 
 
-def _of_joint(system: System, table: Table, joint: Joint, explicit: bool) -> Tie:
+def _of_joint(system: Compiled, table: Table, joint: Joint, explicit: bool) -> Tie:
     """The tie of a joint that the tree left out."""
     a, b = table.at[joint.name, "F"], table.at[joint.name, "M"]
     if slides_along_z(joint.type, system.dim, b[2]):
@@ -201,7 +201,7 @@ def _of_joint(system: System, table: Table, joint: Joint, explicit: bool) -> Tie
     return Tie(joint.name, a, b, _mask(form.position), TURNS[form.turns], joint=joint)
 
 
-def _implicit(system: System, joint: Joint) -> ImplicitForm | None:
+def _implicit(system: Compiled, joint: Joint) -> ImplicitForm | None:
     return implicit_form(joint.type, system.dim, system._mechanism.bodies[joint.child].particle)
 
 

@@ -15,7 +15,7 @@ from kempe.model.tree.primitive_table import Table
 from kempe.reals import median
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.compiled_system import Compiled
 
 NOTHING = 1e-12
 """Lengths, in metres, that no link has."""
@@ -29,7 +29,7 @@ FAR = 10.0
 
 
 @kept
-def characteristic_length(system: System) -> float:
+def characteristic_length(system: Compiled) -> float:
     """A typical length of a link in metres; 1 if all is 0.
 
     The median over the links of how far apart their joints are (for two, their distance): it depends neither on where
@@ -65,7 +65,7 @@ def _lengths(v: np.ndarray) -> np.ndarray:
     return unit * np.linalg.norm(v / unit, axis=-1)
 
 
-def as_large_as(system: System, other: System) -> System:
+def as_large_as(system: Compiled, other: Compiled) -> Compiled:
     """The system, measured by the characteristic length of another one, of which it is a small change."""
     system._kept.setdefault(LENGTH, {})[()] = characteristic_length(other)
     return system
@@ -75,7 +75,7 @@ LENGTH: Any = characteristic_length.__wrapped__  # type: ignore[attr-defined]
 """What the characteristic length is kept by."""
 
 
-def origin_of(system: System) -> np.ndarray:
+def origin_of(system: Compiled) -> np.ndarray:
     """Where (3,) to measure loops from, so that a mechanism far from the ground's origin loses no digits."""
     points = _links(system).get(-1, [])
     center = np.mean(points, axis=0) if len(points) else np.zeros(3)
@@ -93,7 +93,7 @@ def moved(table: Table, by: np.ndarray) -> Table:
 
 
 @kept
-def _links(system: System) -> dict[int, list[np.ndarray]]:
+def _links(system: Compiled) -> dict[int, list[np.ndarray]]:
     """For each row of the table (-1 is the ground) where joints and constraints sit on it; fixed joints are none."""
     system = own_tree(system)
     out: dict[int, list[np.ndarray]] = {}
@@ -103,7 +103,7 @@ def _links(system: System) -> dict[int, list[np.ndarray]]:
     return out
 
 
-def _ends(system: System) -> Iterator[tuple[str, np.ndarray]]:
+def _ends(system: Compiled) -> Iterator[tuple[str, np.ndarray]]:
     mechanism = system._mechanism
     for j in mechanism.joints.values():
         if not isinstance(j.type, Fixed):

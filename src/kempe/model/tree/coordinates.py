@@ -21,7 +21,7 @@ from kempe.model.tree.coordinate_layout import Layout, layout_of
 from kempe.values import Expression, evaluate
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.compiled_system import Compiled
 
 HELD_TOLERANCE = 1e-9
 """How far a coordinate that follows a locked one may be outside its limits: rounding of the multiplier."""
@@ -79,7 +79,7 @@ def coordinate_name(joint: str, coordinate: str) -> str:
     return f"{joint}.{coordinate}" if coordinate else joint
 
 
-def units(system: System) -> dict[str, str]:
+def units(system: Compiled) -> dict[str, str]:
     """Unit of every coordinate and velocity coordinate by name: 'rad', 'm', or '' in a quaternion."""
     out: dict[str, str] = {}
     bodies = system._mechanism.bodies
@@ -205,7 +205,7 @@ PART_OF_BALL = "{!r} is part of a quaternion, which equations of positions do no
 OF_BALL = "use a joint with angles=True, or a constraint on a frame"
 
 
-def check_read(system: System, names: Iterable[str], what: str) -> None:
+def check_read(system: Compiled, names: Iterable[str], what: str) -> None:
     """Refuse coordinates that do not exist or are parts of quaternions. Errors: `UnknownNameError`, `InputError`."""
     known = [*system.coordinate_names, *system.structure.couplings]
     for name in names:

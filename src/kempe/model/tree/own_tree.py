@@ -15,11 +15,11 @@ from kempe.model.kept import kept
 from kempe.model.tree.topology import Topology, spanning_tree
 
 if TYPE_CHECKING:
-    from kempe.model.system import System
+    from kempe.model.compiled_system import Compiled
 
 
 @kept
-def own_tree(system: System) -> System:
+def own_tree(system: Compiled) -> Compiled:
     """The system itself, or, where marks `cut` change its tree, the same without marks; coordinates are the same."""
     if not any(joint.cut for joint in system._mechanism.joints.values()):
         return system
@@ -29,7 +29,7 @@ def own_tree(system: System) -> System:
     return system if tree == system.structure.topology or _keeps_free(system, tree) else type(system)(mechanism, tree)
 
 
-def _keeps_free(system: System, tree: Topology) -> bool:
+def _keeps_free(system: Compiled, tree: Topology) -> bool:
     """Whether the system's tree has a joint that holds nothing and that the other tree leaves out."""
     m = system._mechanism
     joints = (m.joints[name] for name in {*tree.closures} - {*system.structure.closures})

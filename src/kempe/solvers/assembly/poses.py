@@ -22,6 +22,7 @@ from kempe.kinematics.closure_rows import evaluate, full, row_names
 from kempe.kinematics.configuration import as_start, mid, refuse_far
 from kempe.kinematics.maximal import as_poses, coordinates_of_pose, maximal, maximal_q
 from kempe.model.closures.implicit_form import flat_frame, implicit_form, screw, slides_along_z
+from kempe.model.compiled_system import Compiled
 from kempe.placement import Placement, place
 from kempe.rigid import refuse_no_poses
 from kempe.solvers.assembly.assembler import LOOSEST, TOLERANCE
@@ -155,14 +156,14 @@ def fit(
 
 
 @lru_cache(maxsize=256)
-def _apart(kind: JointType, dim: int, particle: bool) -> tuple[System, tuple[str, ...], np.ndarray]:
+def _apart(kind: JointType, dim: int, particle: bool) -> tuple[Compiled, tuple[str, ...], np.ndarray]:
     """A body that a joint of this kind ties to the ground, the coordinates of its pose, and which rows are lengths."""
     m = Mechanism("joint", dim)
     child = m.particle("M") if particle else m.body("M")
     m.free("M", m.ground, child)
     X = place(axis=(1.0, 0.0)) if slides_along_z(kind, dim, particle) else Placement()
     m.joints["joint"] = Joint("joint", kind, m.ground.name, child.name, X, X, cut=True)
-    system = m.build()
+    system = Compiled(m)
     names = tuple(n for n in system.coordinate_names if n.startswith("M."))
     return system, names, np.array([row in "xyz" for _, row in row_names(system)])
 

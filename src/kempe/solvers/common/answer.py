@@ -11,7 +11,7 @@ import numpy as np
 
 from kempe.calls import explained_methods, place_in
 from kempe.errors import CallError, InputError, NoSolutionError, shown
-from kempe.kinematics.common.result import MOST_JUDGED, Cells, Report, Result
+from kempe.kinematics.common.result import MOST_JUDGED, Cells, Nearest, Result
 from kempe.kinematics.common.tabular import Tabular
 from kempe.kinematics.measure import Judgement, judge
 from kempe.late import late
@@ -59,8 +59,8 @@ class Answer(Result, Tabular):
     """Whether the rows of `q` are passed one after the other."""
 
     @property
-    def within(self) -> Report | None:  # type: ignore[override]
-        """The nearest mechanism that closes exactly, an `Idealised`, if it was solved in place of the given one."""
+    def within(self) -> Nearest | None:  # type: ignore[override]
+        """The nearest mechanism that closes exactly, solved in place of the given one; None: that was solved."""
         return self._closing._ideal
 
     @property

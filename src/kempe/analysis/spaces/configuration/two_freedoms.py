@@ -394,5 +394,5 @@ def _placed(system: System, frame: str) -> Plan | None:
     m.prismatic(f"{free} y", f"{free} 1", m.body(f"{free} 2"), axis=(0, 1))
     on = m.frames.get(frame)
     m.revolute(f"{free} pin", f"{free} 2", frame if on is None else on.body, child_at=(0, 0) if on is None else frame)
-    found = closed_form(m.build(), (f"{free} x", f"{free} y"))
+    found = closed_form(type(system)(m), (f"{free} x", f"{free} y"))
     return None if isinstance(found, Incomplete) or found.signs > MOST_SIGNS else found

@@ -29,7 +29,7 @@ def legs_of(system: System, frame: str) -> tuple[System, ...]:
         part = m.copy()
         part.joints = {n: m.joints[n] for n in names}
         part.postures = {}
-        leg = part.subchain(ground, frame).build()
+        leg = type(system)(part.subchain(ground, frame))
         if leg.structure.closures or len(leg.joint_names) != len(names):
             return ()
         out.append(leg)

@@ -36,7 +36,7 @@ from kempe.description.source import expanded
 from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.common.result import Cells, Report
 from kempe.kinematics.forward import jacobian
-from kempe.late import late
+from kempe.late import call_late, late
 from kempe.reals import reals
 from kempe.spatial import Array
 from kempe.status import Status
@@ -376,7 +376,7 @@ def open_workspace(path: str | Path, system: System | None = None) -> Workspace:
         from kempe.description.toml.toml import read_toml
 
         with collecting_later():
-            system = read_toml(stored.toml).build()
+            system = call_late("System", read_toml(stored.toml))
     refuse_other(stored.said, {"system": system.structure.content_hash}, str(path))
     return of_stored(system, stored, stored.samples)
 
