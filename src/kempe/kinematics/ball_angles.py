@@ -21,13 +21,15 @@ from kempe.placement import place
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.compiled_system import Compiled
+    from kempe.model.compiled_system import Compiled, SystemType
 
 NEAR = 0.1
 """Cosine of the second angle below which angles are measured from here instead."""
 
 
-def regular_chart(system: Compiled, q: Array, held: Collection[str] = ()) -> tuple[Compiled, Array, dict[str, Array]]:
+def regular_chart(
+    system: SystemType, q: Array, held: Collection[str] = ()
+) -> tuple[SystemType, Array, dict[str, Array]]:
     """The system and q (nq,), with the angles of balls near the singularity of their chart measured from q.
 
     The frame M of such a ball is turned on its child so that the angles are 0 at q; nothing else changes, neither names

@@ -15,7 +15,7 @@ from kempe.model.tree.coordinates import coordinate_names
 from kempe.placement import Placement, place
 
 if TYPE_CHECKING:
-    from kempe.model.compiled_system import Compiled
+    from kempe.model.compiled_system import SystemType
 
 
 class _SingleJoint(NamedTuple):
@@ -27,7 +27,7 @@ class _SingleJoint(NamedTuple):
 
 
 @explained
-def expanded(system: Compiled) -> Compiled:
+def expanded(system: SystemType) -> SystemType:
     """The same system made of revolute and prismatic joints only, with links without size between them.
 
     A joint of one freedom stays as it is, one of several becomes a chain of joints that have the names of its

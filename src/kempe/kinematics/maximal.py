@@ -24,12 +24,12 @@ from kempe.rigid import arrays, sound
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.model.compiled_system import Compiled
+    from kempe.model.compiled_system import Compiled, SystemType
 
 
 @explained
 @kept
-def maximal(system: Compiled) -> Compiled:
+def maximal(system: SystemType) -> SystemType:
     """The system in maximal coordinates: each body hangs on a free joint from the ground, and all joints are cut.
 
     The free joints have the names of their bodies (with a number where a joint has that name) and come first; then

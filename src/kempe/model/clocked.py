@@ -17,7 +17,7 @@ from kempe.model.kept import kept
 from kempe.reals import within_range
 
 if TYPE_CHECKING:
-    from kempe.model.compiled_system import Compiled
+    from kempe.model.compiled_system import Compiled, SystemType
 
 
 def timed(system: Compiled) -> tuple[str, ...]:
@@ -28,7 +28,7 @@ def timed(system: Compiled) -> tuple[str, ...]:
 
 
 @explained
-def at_time(system: Compiled, t: float) -> Compiled:
+def at_time(system: SystemType, t: float) -> SystemType:
     """The system as it is at the time t, with the same coordinates. Errors: `InputError`."""
     if np.ndim(t) or not np.isfinite(numbers(t, "t")):
         raise InputError(f"t is {t!r}; it must be one time, a finite number: many are for drive(times=...)")
@@ -41,7 +41,7 @@ def at_time(system: Compiled, t: float) -> Compiled:
     return type(zero)(mechanism, zero.structure.topology)
 
 
-def known_time(system: Compiled, known: Mapping[str, Any]) -> tuple[Compiled, Mapping[str, Any]]:
+def known_time(system: SystemType, known: Mapping[str, Any]) -> tuple[SystemType, Mapping[str, Any]]:
     """The system at the time that is `known` as "t", and what else is known. Errors: `InputError`."""
     if TIME in system.coordinate_names or TIME in system.frame_names or not timed(system):
         return system, known
@@ -49,14 +49,14 @@ def known_time(system: Compiled, known: Mapping[str, Any]) -> tuple[Compiled, Ma
 
 
 @kept
-def _at_zero(system: Compiled) -> Compiled:
+def _at_zero(system: SystemType) -> SystemType:
     m = _plain(system, ())
     m.parameter(TIME, 0.0)
     return type(system)(m)
 
 
 @kept
-def clocked(system: Compiled) -> Compiled:
+def clocked(system: SystemType) -> SystemType:
     """The system with the time as its last coordinate, a prismatic one that appears in no pose, only in equations."""
     m = _plain(system, (TIME,))
     m.prismatic(TIME, m.ground, m.body(unused_name(m, "clock")), axis="x")

@@ -22,7 +22,7 @@ from kempe.budget import Budget, TimeUp, Usual
 from kempe.calls import explained, explained_methods, generator
 from kempe.description.parts import ReadOnlyDict
 from kempe.errors import InputError, shown
-from kempe.kinematics.common.result import Worded, Words
+from kempe.kinematics.common.result import Nearest, Worded, Words
 from kempe.kinematics.configuration import one_finite
 from kempe.kinematics.velocity.velocity import tangent_rows
 from kempe.reals import is_real
@@ -34,7 +34,6 @@ from kempe.words import InWords, counted
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-    from kempe.solvers.assembly.ideal import Idealised
 
 HOLONOMIC, INTEGRABLE, NONHOLONOMIC, UNILATERAL = "holonomic", "integrable", "nonholonomic", "unilateral"
 
@@ -106,7 +105,7 @@ class Classification(Worded):
     """Whether the time limit ended the search for growth vectors; `constraints` has those that were looked at."""
     reachable_around: int | None = None
     """The dimension that motions reach from configurations drawn at random."""
-    within: Idealised | None = field(default=None, repr=False)
+    within: Nearest | None = field(default=None, repr=False)
     """The nearest mechanism that closes exactly, which was solved in place of the given one; None: it was itself."""
 
     @property

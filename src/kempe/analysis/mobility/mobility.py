@@ -25,7 +25,7 @@ from kempe.budget import Budget, Usual
 from kempe.calls import explained, explained_methods, generator
 from kempe.errors import InputError
 from kempe.kinematics.ball_angles import regular_chart
-from kempe.kinematics.common.result import Worded, Words
+from kempe.kinematics.common.result import Nearest, Worded, Words
 from kempe.kinematics.configuration import as_q, home_of
 from kempe.model.tree.own_tree import own_tree
 from kempe.solvers.assembly.ideal import tolerant
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from kempe.analysis.local.local import LocalDimension
     from kempe.analysis.motion.relative_motion import RelativeMotion
     from kempe.model.system import FrameLike, System
-    from kempe.solvers.assembly.ideal import Idealised
 
 
 @dataclass(frozen=True)
@@ -101,7 +100,7 @@ class Mobility(Worded):
     """Constraints that are functions without series, because of which `dof` is not known."""
     wrenches: Wrenches | None = field(default=None, repr=False)
     """What joints and constraints transmit at `q`, their self-stresses among it; None where it cannot be closed."""
-    within: Idealised | None = field(default=None, repr=False)
+    within: Nearest | None = field(default=None, repr=False)
     """The nearest mechanism that closes exactly, whose freedoms these are; None: those of the given one."""
 
     late: bool = False

@@ -15,7 +15,7 @@ from kempe.analysis.first_order.rank import rank_at
 from kempe.analysis.motion.transmission import allowed
 from kempe.calls import explained
 from kempe.errors import InputError, UnsupportedError
-from kempe.kinematics.common.result import Report
+from kempe.kinematics.common.result import Nearest, Report
 from kempe.kinematics.configuration import as_q
 from kempe.model.tree.characteristic_length import characteristic_length
 from kempe.solvers.assembly.ideal import said, tolerant
@@ -23,7 +23,6 @@ from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
-    from kempe.solvers.assembly.ideal import Idealised
 
 ZERO = 1e-9
 """Velocities below this part of the largest, and singular values likewise, are zero."""
@@ -50,7 +49,7 @@ class RelativeMotion(Report):
     """The largest dimension found at closed configurations some way from here, at least `dof`."""
     size: float = field(default=1.0, repr=False)
     """The typical length [m]: pitches far below it are rounding."""
-    within: Idealised | None = field(default=None, repr=False)
+    within: Nearest | None = field(default=None, repr=False)
     """The nearest mechanism that closes exactly, whose motions these are; None: the given one's."""
 
     @property

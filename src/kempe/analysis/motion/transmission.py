@@ -22,7 +22,7 @@ from kempe.calls import brief, explained, explained_methods, listed
 from kempe.constraints.tape import TWIST
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.joints import P, R
-from kempe.kinematics.common.result import Cells, Report
+from kempe.kinematics.common.result import Cells, Nearest, Report
 from kempe.kinematics.configuration import as_q
 from kempe.reals import reals
 from kempe.singular_values import svd
@@ -35,7 +35,6 @@ from kempe.words import counted
 
 if TYPE_CHECKING:
     from kempe.model.system import System
-    from kempe.solvers.assembly.ideal import Idealised
 
 OPEN = 1e-8
 """Residual, in radians and characteristic lengths, above which a configuration is not closed."""
@@ -61,7 +60,7 @@ class LoopJacobian(Report):
     nullity: Any
     margin: Any
     code: Any = field()
-    within: Idealised | None = field(default=None, repr=False)
+    within: Nearest | None = field(default=None, repr=False)
     """The nearest mechanism that closes exactly, whose velocities these are; None: the given one's."""
 
     @property

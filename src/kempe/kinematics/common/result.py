@@ -22,16 +22,43 @@ Cells = tuple[Sequence[str], Sequence[Sequence[str]]]
 class Nearest(Protocol):
     """The nearest mechanism that closes exactly, as `kempe.solvers.assembly.ideal` finds it."""
 
-    system: Any
-    """That mechanism as a system, with the same coordinates."""
-    tolerance: float
-    """The largest change of a placement, in metres and radians."""
-    freedoms: int
-    """The number of its freedoms."""
+    @property
+    def system(self) -> Any:
+        """That mechanism as a system, with the same coordinates."""
+        ...
+
+    @property
+    def tolerance(self) -> float:
+        """The largest change of a placement, in metres and radians."""
+        ...
+
+    @property
+    def freedoms(self) -> int:
+        """The number of its freedoms."""
+        ...
 
     @property
     def sentence(self) -> Any:
         """How far the given numbers are from it, and what moves, in one sentence."""
+        ...
+
+    @property
+    def least(self) -> str:
+        """How far the given numbers are from it."""
+        ...
+
+    @property
+    def exactly(self) -> str:
+        """What the given numbers say if they are taken exactly."""
+        ...
+
+    @property
+    def lines(self) -> list[str]:
+        """What differs, the largest change first, and what the given numbers contradict."""
+        ...
+
+    def data(self) -> dict[str, Any]:
+        """All numbers and texts as plain Python."""
         ...
 
 

@@ -27,7 +27,7 @@ from kempe.spatial import Array
 from kempe.words import counted
 
 if TYPE_CHECKING:
-    from kempe.model.compiled_system import Compiled
+    from kempe.model.compiled_system import Compiled, SystemType
 
 
 class Whole:
@@ -178,7 +178,7 @@ def bound(system: Compiled, made: Constraint) -> Constraint:
     return OfSystem(whole, whole.low, whole.high)
 
 
-def held_too(system: Compiled, further: Any) -> Compiled:
+def held_too(system: SystemType, further: Any) -> SystemType:
     """The system with further constraints, or functions of q, with the same coordinates.
 
     Errors: `InputError` for what is none, `DescriptionError` for what does not fit the system.

@@ -15,7 +15,7 @@ from kempe.model.tree.primitive_table import Table
 from kempe.reals import median
 
 if TYPE_CHECKING:
-    from kempe.model.compiled_system import Compiled
+    from kempe.model.compiled_system import Compiled, SystemType
 
 NOTHING = 1e-12
 """Lengths, in metres, that no link has."""
@@ -65,7 +65,7 @@ def _lengths(v: np.ndarray) -> np.ndarray:
     return unit * np.linalg.norm(v / unit, axis=-1)
 
 
-def as_large_as(system: Compiled, other: Compiled) -> Compiled:
+def as_large_as(system: SystemType, other: Compiled) -> SystemType:
     """The system, measured by the characteristic length of another one, of which it is a small change."""
     system._kept.setdefault(LENGTH, {})[()] = characteristic_length(other)
     return system

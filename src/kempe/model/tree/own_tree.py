@@ -15,11 +15,11 @@ from kempe.model.kept import kept
 from kempe.model.tree.topology import Topology, spanning_tree
 
 if TYPE_CHECKING:
-    from kempe.model.compiled_system import Compiled
+    from kempe.model.compiled_system import Compiled, SystemType
 
 
 @kept
-def own_tree(system: Compiled) -> Compiled:
+def own_tree(system: SystemType) -> SystemType:
     """The system itself, or, where marks `cut` change its tree, the same without marks; coordinates are the same."""
     if not any(joint.cut for joint in system._mechanism.joints.values()):
         return system

@@ -24,7 +24,7 @@ from kempe.errors import InputError, TimeLimitError, shown
 from kempe.joints import Revolute
 from kempe.kinematics.ball_angles import regular_chart
 from kempe.kinematics.closure_rows import evaluate, freedoms_left, full, residual, row_names
-from kempe.kinematics.common.result import Report
+from kempe.kinematics.common.result import Nearest, Report
 from kempe.kinematics.configuration import as_q, home_of
 from kempe.model.clocked import timed
 from kempe.model.kept import keep, kept
@@ -296,7 +296,7 @@ def ideal_of(system: System, tolerance: Any = None) -> System:
     return system if found is None else found.system
 
 
-def said(found: Idealised | None) -> str:
+def said(found: Nearest | None) -> str:
     """What an answer adds to its sentence."""
     return "" if found is None else f"; {found.sentence}"
 

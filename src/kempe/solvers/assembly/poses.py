@@ -156,7 +156,7 @@ def fit(
 
 
 @lru_cache(maxsize=256)
-def _apart(kind: JointType, dim: int, particle: bool) -> tuple[Compiled, tuple[str, ...], np.ndarray]:
+def _apart(kind: JointType, dim: int, particle: bool) -> tuple[Any, tuple[str, ...], np.ndarray]:
     """A body that a joint of this kind ties to the ground, the coordinates of its pose, and which rows are lengths."""
     m = Mechanism("joint", dim)
     child = m.particle("M") if particle else m.body("M")

@@ -376,7 +376,8 @@ def open_workspace(path: str | Path, system: System | None = None) -> Workspace:
         from kempe.description.toml.toml import read_toml
 
         with collecting_later():
-            system = call_late("System", read_toml(stored.toml))
+            own: System = call_late("System", read_toml(stored.toml))
+            system = own
     refuse_other(stored.said, {"system": system.structure.content_hash}, str(path))
     return of_stored(system, stored, stored.samples)
 
