@@ -9,6 +9,7 @@ import pytest
 
 import kempe
 from kempe import Mechanism, System
+from kempe.analysis.first_order.generic_configurations import idle_at
 from kempe.joints import joint_type
 from kempe.spatial import exp_so3
 
@@ -114,3 +115,14 @@ def test_hunt_platforms_on_balls(hunt):
 @pytest.mark.slow
 def test_hunt_many_platforms_on_balls(hunt):
     _hunt_platforms(hunt, 12)
+
+
+@pytest.mark.parametrize("name", ["rssr", "stewart_sps", "delta_ss", "four_bar", "five_bar"])
+def test_modes_read_the_idle_freedoms_of_mobility(name):
+    """The search for modes and `mobility` find the same, by the same steps."""
+    system = kempe.load(name)
+    q = system.assemble().q
+    report = system.mobility(q, local=False)
+    idle = idle_at(system, q)
+    assert idle == report.idle_freedoms
+    assert all(np.array_equal(a.velocity, b.velocity) for a, b in zip(idle, report.idle_freedoms, strict=True))
