@@ -67,6 +67,10 @@ class Derivation:
         each = [(sorted(step.formula.free_symbols, key=str), step.formula) for step in self.steps]
         return [(symbols, sympy.lambdify(symbols, formula, "numpy")) for symbols, formula in each]
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Without `_functions`: sympy makes these in the process, and they belong to no module."""
+        return {name: value for name, value in vars(self).items() if name != "_functions"}
+
     def latex(self) -> str:
         """The formulas in LaTeX, one line each, with plus and minus in the place of signs; numbers have six digits."""
         names = {s: r"\pm" + (f"_{{{k}}}" if len(self.signs) > 1 else "") for k, s in enumerate(self.signs, 1)}
