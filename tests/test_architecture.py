@@ -59,8 +59,12 @@ LATER = {
 UPWARD = {"model/system.py", "model/namespaces.py", "model/pictured.py"}
 """The map of the library, which imports upwards inside functions. All else that points upwards are rows of `late`."""
 
-BELOW = {"solvers/modes/modes_search.py": "kempe.analysis.first_order"}
-"""Modules that import from a folder which tools/layout.toml puts below them."""
+BELOW = {
+    "solvers/assembly/idle.py": "kempe.analysis.mobility",
+    "solvers/assembly/shaky.py": "kempe.analysis.mobility",
+    "solvers/modes/modes_search.py": "kempe.analysis.first_order",
+}
+"""Modules that import from a folder in which tools/layout.toml puts them, or which it puts below them."""
 
 
 def name_of(path: Path) -> str:

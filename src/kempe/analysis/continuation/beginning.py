@@ -15,7 +15,7 @@ from kempe.analysis.continuation.deflation import hold_rank
 from kempe.analysis.continuation.spins import hold_spins
 from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
 from kempe.joints import R
-from kempe.kinematics.configuration import as_q, home_of, random, refuse_wound
+from kempe.kinematics.configuration import as_q, home_of, q_from_dict, random, refuse_wound
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.model.tree.coordinates import coordinate_names
 from kempe.reals import is_mapping, is_real
@@ -86,15 +86,15 @@ def start_of(system: System, start: Any, hold: Mapping[str, float]) -> Array:
     if start is None:
         q = home_of(system)
     elif isinstance(start, str):
-        q = system.q(start)
+        q = q_from_dict(system, start)
     elif is_mapping(start):
-        q = system.q(start, home_of(system))
+        q = q_from_dict(system, start, home_of(system))
     else:
         q = as_q(system, start)
     if q.shape != (system.nq,):
         raise InputError(f"start has shape {q.shape}; it must be one configuration ({system.nq},)")
     refuse_wound(system, q, "start")
-    held = system.q(hold, q)
+    held = q_from_dict(system, hold, q)
     if held.shape != q.shape:
         raise InputError(f"hold is {shown(hold)}; it must be one number for each coordinate")
     return refuse_wound(system, held, "hold")

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe.kinematics.configuration import q_dict
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -24,16 +25,17 @@ def elsewhere(path: Path) -> tuple[str, Array]:
     Of mechanisms of many dyads there are none.
     """
     from kempe.solvers.dyads.dyads import Incomplete, closed_form
+    from kempe.solvers.modes.modes import assembly_modes
 
     system, nothing = path.system, ("", np.zeros((0, path.system.nq)))
     if not system.structure.closures or not path.success or len(path.track.s) < 2:
         return nothing
-    start = system.q_dict(path.q[0])
+    start = q_dict(system, path.q[0])
     held = {name: start[name] for name in path.held}
     for name in [path.driver] if path.driver in start else start:
         plan = None if name in held else closed_form(system, (name, *held))
         if plan is not None and not isinstance(plan, Incomplete) and plan.signs <= MOST_SIGNS:
-            modes = system.assembly_modes({name: start[name], **held})
+            modes = assembly_modes(system, {name: start[name], **held})
             others = [q for q in modes.q if not any(_passes(p, q) for p in (path, *path.others))]
             if others:
                 return name, np.array(others)

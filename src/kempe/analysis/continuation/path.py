@@ -19,6 +19,7 @@ from kempe.errors import InputError, UnknownNameError, shown
 from kempe.kinematics.common.gauss_newton import gauss_newton_of_many
 from kempe.kinematics.common.result import Cells
 from kempe.kinematics.common.tabular import write_table
+from kempe.kinematics.forward import fk
 from kempe.model.immovable import immovable
 from kempe.reals import is_whole
 from kempe.solvers.common.answer import Configurations
@@ -112,7 +113,7 @@ class Motion(Configurations):
 
     def curve(self, frame: FrameLike, poses: bool = False) -> Array:
         """Positions (n, 3) of a frame along the motion, or its poses (n, 4, 4)."""
-        X = self.system.fk(self.q, frame)
+        X = fk(self.system, self.q, frame)
         return X if poses else X[:, :3, 3].copy()
 
     def values(self, coordinate: str) -> Array:

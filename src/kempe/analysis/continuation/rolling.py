@@ -18,6 +18,7 @@ from kempe.analysis.continuation.continuation import Closure
 from kempe.constraints.tape import TIME, TWIST
 from kempe.errors import InputError, UnknownNameError, UnsupportedError, shown
 from kempe.kinematics.common.gauss_newton import gauss_newton
+from kempe.kinematics.forward import jacobian
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.velocity.velocity import rates
 from kempe.model.clocked import clocked, timed
@@ -183,7 +184,7 @@ def _row(system: System, name: str) -> Callable[[Array], Array]:
     frame, dot, part = str(name).rpartition(".")
     if dot and part in TWIST and frame in system.frame_names:
         k = TWIST.index(part)
-        return lambda q: np.asarray(system.jacobian(q, frame, "body"))[k]
+        return lambda q: np.asarray(jacobian(system, q, frame, "body"))[k]
     allowed = [*names, *(f"{f}.{part if part in TWIST else 'vx'}" for f in system.frame_names[1:])]
     raise UnknownNameError("velocity", name, allowed, system.name)
 

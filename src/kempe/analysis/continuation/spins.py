@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kempe.kinematics.forward import query
 from kempe.solvers.assembly.idle import spins_of
 from kempe.spatial import Array, unit
 
@@ -36,7 +37,7 @@ class Spins:
 
     def __init__(self, system: System, bodies: Iterable[str], lines: Array, q: Array):
         self.bodies, self.lines, self.q = list(bodies), lines, q
-        self._queries = [system.query(b) for b in self.bodies]
+        self._queries = [query(system, b) for b in self.bodies]
         self.seen = self.at(q[None])
         self._choose([_across(d) for d in self.seen[0]])
 
@@ -47,22 +48,22 @@ class Spins:
 
     def at(self, q: Array) -> Array:
         """Directions (n, k, 3) of the lines in the ground at configurations (n, nq)."""
-        turned = [query(q)[:, :3, :3] @ line for query, line in zip(self._queries, self.lines, strict=True)]
+        turned = [pose(q)[:, :3, :3] @ line for pose, line in zip(self._queries, self.lines, strict=True)]
         return np.stack(turned, axis=1)
 
     def _choose(self, ground: Iterable[Array]) -> None:
         """Hold the spins by these directions in the ground, as they are at the first configuration."""
         self.ground = np.array(list(ground))
         across = unit(np.cross(self.ground, self.at(self.q[None])[0]))
-        self.along = np.array([query(self.q)[:3, :3].T @ v for query, v in zip(self._queries, across, strict=True)])
+        self.along = np.array([pose(self.q)[:3, :3].T @ v for pose, v in zip(self._queries, across, strict=True)])
 
     def write(self, equations: Closure, x: Array, F: Array, J: Array, at: int, with_matrix: bool) -> None:
         """Write the residuals of these equations and their derivatives into F and J (., n) from row `at` on."""
-        for i, query in enumerate(self._queries):
-            along = query(x)[:3, :3] @ self.along[i]
+        for i, pose in enumerate(self._queries):
+            along = pose(x)[:3, :3] @ self.along[i]
             F[at + i] = self.ground[i] @ along
             if with_matrix:
-                J[at + i] = np.cross(along, self.ground[i]) @ query.jacobian(x)[3:] * equations.unit
+                J[at + i] = np.cross(along, self.ground[i]) @ pose.jacobian(x)[3:] * equations.unit
 
     def begin(self, q: Array) -> None:
         """Go on from a configuration (nq,): by directions in the ground that are far from the lines there."""

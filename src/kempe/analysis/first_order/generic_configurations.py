@@ -19,7 +19,7 @@ from kempe.calls import quiet
 from kempe.errors import InputError
 from kempe.kinematics.ball_angles import regular_chart
 from kempe.kinematics.closure_rows import evaluate
-from kempe.kinematics.configuration import refuse_far
+from kempe.kinematics.configuration import mid, q_from_dict, refuse_far
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.spatial import Array
 
@@ -67,7 +67,7 @@ def close(system: System, q: Array) -> NearestClosed:
 
 def find_closed(system: System) -> NearestClosed:
     """A closed configuration: the posture 'closed', the middle of the limits, or else one that is searched."""
-    at = close(system, system.q("closed") if "closed" in system.structure.posture_names else system.mid)
+    at = close(system, q_from_dict(system, "closed") if "closed" in system.structure.posture_names else mid(system))
     if at.closed and not one_sided_rows(system).beyond(at.q, declared=True).any():
         return at
     from kempe.solvers.assembly.assembly import assemble

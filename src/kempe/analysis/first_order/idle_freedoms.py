@@ -44,6 +44,7 @@ from kempe.analysis.first_order.rank import Rank
 from kempe.analysis.first_order.screws import Screws
 from kempe.analysis.first_order.series_joints import between, edges_at, ends_of, in_loop, parts, rigid
 from kempe.description.parts import Declared, Frame
+from kempe.kinematics.forward import fk
 from kempe.singular_values import svd
 from kempe.spatial import Array
 from kempe.words import InWords
@@ -279,7 +280,7 @@ def _moves_a_frame(system: System, frames: Sequence[Frame], rank: Rank, spin: _S
         body = names.index(frame.body)
         if body not in moving:
             continue
-        poses = system.fk(rank.q) if poses is None else poses
+        poses = fk(system, rank.q) if poses is None else poses
         place = poses[body] @ frame.X_BF.evaluate(system.mechanism.parameters)
         away = (place[:3, 3] - at.center) / at.length - spin.point
         if body in bodies:

@@ -22,6 +22,7 @@ from kempe.constraints.base import COUNTS, Op, Row, position_rows
 from kempe.description.parts import Declared
 from kempe.joints import P, Q
 from kempe.kinematics.closure_rows import full
+from kempe.kinematics.forward import fk
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -86,7 +87,7 @@ class Screws:
 def screws(system: System, q: Array) -> Screws:
     """The screws of all joints at a closed configuration `q` (nq,)."""
     s = structure(system)
-    bodies = system.fk(q)
+    bodies = fk(system, q)
     F, M = bodies[s.parent] @ s.X_PF, bodies[s.child] @ s.X_CM
     points = M[:, :3, 3]
     center = points.mean(axis=0) if len(points) else np.zeros(3)

@@ -18,6 +18,7 @@ from kempe.analysis.first_order.rank import decide
 from kempe.calls import explained_methods, numbers
 from kempe.errors import InputError, UnknownNameError
 from kempe.kinematics import closure_rows
+from kempe.kinematics.forward import fk, jacobian
 from kempe.kinematics.maximal import maximal, maximal_q
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.velocity.velocity import velocity_rows
@@ -212,7 +213,7 @@ class Wrenches:
 
     @cached_property
     def _poses(self) -> dict[str, Array]:
-        return dict(zip(self.system.body_names, self.system.fk(self.q), strict=True))
+        return dict(zip(self.system.body_names, fk(self.system, self.q), strict=True))
 
     @cached_property
     def _bodies(self) -> list[tuple[str, int]]:
@@ -298,7 +299,7 @@ class Wrenches:
         """Rates (velocities of `maximal`, nv): how bodies and joints move where the tree's coordinates do."""
         system, out = self.system, np.zeros((self._size, self.system.nv))
         for body, at in self._bodies[:-1]:
-            R, J = self._poses[body][:3, :3], system.jacobian(self.q, body)
+            R, J = self._poses[body][:3, :3], jacobian(system, self.q, body)
             motion = np.vstack([J[:3], R.T @ J[3:]]) if system.dim == 3 else J[[0, 1, 5]]
             n = system.dim if self._mechanism.bodies[body].particle else len(motion)
             out[at : at + n] = motion[:n]
@@ -317,7 +318,7 @@ class Wrenches:
             out[[0, 1, 5]] = rates[at : at + 3]
         else:
             out[:3] = rates[at : at + 3]
-            out[3:] = system.fk(self.q, body)[:3, :3] @ rates[at + 3 : at + 6]
+            out[3:] = fk(system, self.q, body)[:3, :3] @ rates[at + 3 : at + 6]
         return out
 
     @cached_property
@@ -356,7 +357,7 @@ class Wrenches:
         if at is None:  # the ground carries it
             return out
         X = self._poses[body]
-        wrench[3:] += np.cross(system.fk(self.q, name)[:3, 3] - X[:3, 3], wrench[:3])
+        wrench[3:] += np.cross(fk(system, self.q, name)[:3, 3] - X[:3, 3], wrench[:3])
         if self._mechanism.bodies[body].particle:
             out[at : at + system.dim] = wrench[: system.dim]
         elif system.dim == 2:

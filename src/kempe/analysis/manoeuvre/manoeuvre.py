@@ -23,7 +23,7 @@ from kempe.analysis.mobility.classify import classify
 from kempe.budget import Budget, Usual
 from kempe.calls import explained, listed
 from kempe.errors import InputError, KempeError, UnknownNameError, UnsupportedError
-from kempe.kinematics.configuration import as_q, has_loops, refuse_far
+from kempe.kinematics.configuration import as_q, has_loops, q_from_dict, refuse_far
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.velocity.velocity import row_names
 from kempe.model.kept import kept
@@ -110,7 +110,7 @@ def _one(system: System, q: Any, what: str) -> Array:
     if q is None:
         q = system.neutral
     given = named(q)
-    array = as_q(system, q) if given is None or not has_loops(system) else system.q(given)
+    array = as_q(system, q) if given is None or not has_loops(system) else q_from_dict(system, given)
     if array.shape != (system.nq,):
         raise InputError(f"{what} has shape {array.shape}; it must be one configuration ({system.nq},)")
     refuse_far(system, array, what)

@@ -18,6 +18,7 @@ from kempe.analysis.first_order.null_space import null_space
 from kempe.errors import UnsupportedError
 from kempe.kinematics import closure_rows
 from kempe.kinematics.configuration import random
+from kempe.kinematics.forward import fk, jacobian
 from kempe.kinematics.one_sided import one_sided_rows
 from kempe.kinematics.velocity.velocity import rates
 from kempe.singular_values import svd
@@ -62,7 +63,7 @@ class PlanarPlace:
 
     def at(self, q: Array) -> tuple[Array, Array]:
         """Places (..., 2) of the body's origin in the plane, and headings (...)."""
-        place = self.system.fk(q, self.body)[..., :3, 3] @ self.plane.T
+        place = fk(self.system, q, self.body)[..., :3, 3] @ self.plane.T
         return place, self.gear * q[..., self.turn_q]
 
     def to_q(self, q: Array, place: Array, heading: Array) -> Array:
@@ -71,19 +72,19 @@ class PlanarPlace:
         out[:, self.turn_q] = heading / self.gear
         out[:, self.slides_q] = 0.0
         origin = self.at(out)[0]
-        J = self.system.jacobian(out, self.body)[:, :3][..., self.slides_v]
+        J = jacobian(self.system, out, self.body)[:, :3][..., self.slides_v]
         out[:, self.slides_q] = np.linalg.solve(self.plane @ J, (place - origin)[..., None])[..., 0]
         return out
 
     def spread(self, q: Array) -> Array:
         """Sine (n,) of the angle between the two slides, positive where it has the sign that it has at the first q."""
-        D = self.plane @ np.asarray(self.system.jacobian(q, self.body))[:, :3][..., self.slides_v]
+        D = self.plane @ np.asarray(jacobian(self.system, q, self.body))[:, :3][..., self.slides_v]
         sine = np.linalg.det(D / np.linalg.norm(D, axis=1, keepdims=True))
         return sine * np.sign(sine[0])
 
     def rates(self, q: Array, velocity: Array, turning: Array) -> Array:
         """Velocities (n, 3) of slides and turn that give the body's origin velocities (n, 2) and turning (n,)."""
-        J = self.plane @ self.system.jacobian(q, self.body)[:, :3]
+        J = self.plane @ jacobian(self.system, q, self.body)[:, :3]
         spin = turning / self.gear
         rest = velocity - J[..., self.turn_v] * spin[:, None]
         slides: Array = np.asarray(np.linalg.solve(J[..., self.slides_v], rest[..., None])[..., 0], dtype=float)
@@ -91,7 +92,7 @@ class PlanarPlace:
 
     def twist(self, q: Array) -> Array:
         """Matrix (3, 3): forward, sideways and turning rates of the body, in its axes, by the rates `own`."""
-        J = self.system.jacobian(q, self.body)
+        J = jacobian(self.system, q, self.body)
         h = self.gear * q[self.turn_q]
         axes = np.array([[math.cos(h), math.sin(h)], [-math.sin(h), math.cos(h)]])
         out = np.zeros((3, 3))
@@ -108,7 +109,7 @@ def pose_of(system: System) -> PlanarPlace:
         zip(system.structure.layout.vector_v.tolist(), system.structure.layout.vector_q.tolist(), strict=True)
     )
     for body in system.body_names[1:]:
-        J = np.asarray(system.jacobian(samples, body))
+        J = np.asarray(jacobian(system, samples, body))
         moved = np.flatnonzero(np.abs(J).max(axis=(0, 1)) > SAME)
         if len(moved) != 3 or not all(int(i) in vectors for i in moved):
             continue
@@ -245,7 +246,7 @@ def _middle(pose: PlanarPlace, q: Array, foot: Array, forward: Array) -> tuple[A
         return np.column_stack([c * x[:, 0] + s * x[:, 1], c * x[:, 1] - s * x[:, 0]])
 
     for body, X in ends_of_velocity_constraints(system):
-        end = system.fk(samples, body) @ X
+        end = fk(system, samples, body) @ X
         far, ahead = own(end[:, :3, 3] - place @ pose.plane), own(end[:, :3, 0])
         reach = 1.0 + float(np.abs(far).max()) + float(np.abs(place).max())
         if max(np.abs(far - far[0]).max(), abs(float(forward @ (far[0] - foot)))) < SAME * reach:

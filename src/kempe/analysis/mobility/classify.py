@@ -23,7 +23,7 @@ from kempe.calls import explained, explained_methods, generator
 from kempe.description.parts import ReadOnlyDict
 from kempe.errors import InputError, shown
 from kempe.kinematics.common.result import Nearest, Worded, Words
-from kempe.kinematics.configuration import one_finite
+from kempe.kinematics.configuration import distance, one_finite
 from kempe.kinematics.velocity.velocity import tangent_rows
 from kempe.reals import is_real
 from kempe.solvers.assembly.ideal import tolerant
@@ -159,7 +159,7 @@ def classify(
     at = find_closed(system) if given is None else close(system, given)
     if not at.closed:
         raise InputError(f"the mechanism cannot be closed here (residual {at.residual:.2g}): {at.why}")
-    moved = 0.0 if given is None else float(system.configuration_space.distance(given, at.q))
+    moved = 0.0 if given is None else float(distance(system, given, at.q))
     if at.given > NEAR and given is not None and not project:
         raise InputError(f"q misses what holds positions by {at.given:.3g} (radians and characteristic lengths); the "
                          f"nearest closed configuration found is {moved:.3g} away: project=True takes it")  # fmt: skip

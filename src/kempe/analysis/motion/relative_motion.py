@@ -17,6 +17,7 @@ from kempe.calls import explained
 from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics.common.result import Nearest, Report
 from kempe.kinematics.configuration import as_q
+from kempe.kinematics.forward import fk, jacobian
 from kempe.model.tree.characteristic_length import characteristic_length
 from kempe.solvers.assembly.ideal import said, tolerant
 from kempe.spatial import Array
@@ -116,8 +117,8 @@ def _basis(closure: Closure, q: Array, names: list[str], size: float) -> tuple[A
     """A basis (6, dof) of the twists at q, rows in sizes and radians, and where the body's origin is (3,)."""
     system = closure.system
     rates = closure.unit[:, None] * allowed(closure, q)
-    moved, base = (system.jacobian(q, name) @ rates for name in names)
-    X, Y = system.fk(q, names[0]), system.fk(q, names[1])
+    moved, base = (jacobian(system, q, name) @ rates for name in names)
+    X, Y = fk(system, q, names[0]), fk(system, q, names[1])
     back, arm = Y[:3, :3].T, X[:3, 3] - Y[:3, 3]
     linear = moved[:3] - base[:3] - np.cross(base[3:], arm, axis=0)
     return column_space(np.concatenate([back @ linear / size, back @ (moved[3:] - base[3:])]), ZERO, 1.0), back @ arm

@@ -24,6 +24,7 @@ from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.joints import P, R
 from kempe.kinematics.common.result import Cells, Nearest, Report
 from kempe.kinematics.configuration import as_q
+from kempe.kinematics.forward import fk, jacobian
 from kempe.reals import reals
 from kempe.singular_values import svd
 from kempe.solvers.assembly.ideal import said, tolerant
@@ -131,7 +132,7 @@ def loop_jacobian(
         free = allowed(closure, q[i], index)
         motion = free * closure.unit[:, None]
         out = np.vstack([
-            motion[[angle_or_slide(system, n)]] if kind == "joint" else system.jacobian(q[i], n, in_frame) @ motion
+            motion[[angle_or_slide(system, n)]] if kind == "joint" else jacobian(system, q[i], n, in_frame) @ motion
             for kind, n in kinds
         ])  # fmt: skip
         nullity[i] = free.shape[1]
@@ -226,7 +227,7 @@ def mechanical_advantage(
             _, s, Vt = svd(motion[others])
             motion = motion @ Vt[int(np.sum(s > RANK)) :].T
         far = motion[angle_or_slide(system, name)] if kind == "joint" else (
-            push / np.linalg.norm(push) @ system.jacobian(q[k], name)[:3] @ motion)  # fmt: skip
+            push / np.linalg.norm(push) @ jacobian(system, q[k], name)[:3] @ motion)  # fmt: skip
         s, Vt = svd(np.vstack([motion[i] / closure.unit[i], far]))[1:]
         if not len(s) or s[0] < RANK or (len(s) > 1 and s[1] > RANK * max(s[0], 1.0)):
             continue
@@ -321,4 +322,4 @@ def _dyad(system: System, joint: str, coupler: str | None, output: str | None) -
 def _at(system: System, q: Array, name: str) -> Array:
     """Pose (..., 4, 4) of frame F of a joint."""
     joint = system.structure.joints[name]
-    return system.fk(q, joint.parent) @ joint.X_PF.evaluate(system.structure.parameters)
+    return fk(system, q, joint.parent) @ joint.X_PF.evaluate(system.structure.parameters)

@@ -17,6 +17,7 @@ from kempe.analysis.simulation.bounces import TOUCH, Flight, MovingFlight, Plane
 from kempe.errors import InputError, UnsupportedError
 from kempe.kinematics import closure_rows
 from kempe.kinematics.configuration import random
+from kempe.kinematics.forward import fk, jacobian
 from kempe.kinematics.one_sided import OneSided, one_sided_rows
 from kempe.kinematics.velocity.velocity import rates
 from kempe.model.clocked import clocked, timed
@@ -71,8 +72,8 @@ def falling(system: System, q: Array, v: Array, duration: float) -> Falling:
     _no_others(system, q)
     body, point = _body(system)
     samples = np.concatenate([q[None], random(system, np.random.default_rng(SEED), (TRIALS,))])
-    J = np.asarray(system.jacobian(samples, body))
-    arm = system.fk(samples, body)[:, :3, :3] @ point
+    J = np.asarray(jacobian(system, samples, body))
+    arm = fk(system, samples, body)[:, :3, :3] @ point
     centre = J[:, :3] + np.cross(J[:, 3:], arm[:, :, None], axis=1)
     turning = np.abs(J[:, 3:]).max(axis=(0, 1)) > SAME
     slides = ~turning & (np.abs(centre).max(axis=(0, 1)) > SAME)
@@ -203,12 +204,12 @@ def _no_others(system: System, q: Array) -> None:
 def _body(system: System) -> tuple[str, Array]:
     """The one moving body, and its centre (3,) in its axes. Errors: `UnsupportedError`."""
     samples = random(system, np.random.default_rng(SEED), (TRIALS,))
-    moving = [b for b in system.body_names[1:] if np.abs(np.asarray(system.jacobian(samples, b))).max() > SAME]
+    moving = [b for b in system.body_names[1:] if np.abs(np.asarray(jacobian(system, samples, b))).max() > SAME]
     if not moving:
         raise UnsupportedError(f"{system.name} has no body that moves")
-    first = np.linalg.inv(system.fk(samples, moving[0]))
+    first = np.linalg.inv(fk(system, samples, moving[0]))
     for other in moving[1:]:
-        X = first @ system.fk(samples, other)
+        X = first @ fk(system, samples, other)
         if np.abs(X - X[0]).max() > SAME:
             raise UnsupportedError(f"{system.name} has several moving bodies ({moving[0]!r}, {other!r}, ...): how they "
                                    f"push each other needs masses; {NEEDED} one ball or particle")  # fmt: skip

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from kempe.kinematics.configuration import has_loops
+from kempe.kinematics.configuration import has_loops, mid
+from kempe.kinematics.forward import fk, jacobian
 from kempe.model.kept import kept
 from kempe.model.tree.own_tree import own_tree
 from kempe.singular_values import svd
@@ -37,7 +38,11 @@ def spins_of(system: System, q: Array) -> tuple[Spin, ...]:
     none, at q (nq,)."""  # fmt: skip
     tree = own_tree(system)
     found = _at_home(tree)
-    return _spins(tree, tree.mobility(q, local=False)) if found is None else found
+    if found is not None:
+        return found
+    from kempe.analysis.mobility.mobility import mobility
+
+    return _spins(tree, mobility(tree, q, local=False))
 
 
 def moved_by_spins(system: System, q: Array) -> np.ndarray:
@@ -50,20 +55,22 @@ def moved_by_spins(system: System, q: Array) -> np.ndarray:
 
 def not_spun(system: System) -> np.ndarray:
     """Which velocity coordinates (nv,) idle spins leave alone."""
-    return ~moved_by_spins(system, system.mid) if has_loops(system) else np.ones(system.nv, dtype=bool)
+    return ~moved_by_spins(system, mid(system)) if has_loops(system) else np.ones(system.nv, dtype=bool)
 
 
 def spin_rates(system: System, q: Array) -> Array:
     """Rows (k, s, nv) by which velocities at q (k, nq) give the rates of the s idle spins [rad/s]."""
     tree = own_tree(system)
-    spins = spins_of(system, system.mid) if system.dim == 3 else ()
-    rows = [s.line @ tree.jacobian(q, s.body, "body")[:, 3:] for s in spins]
+    spins = spins_of(system, mid(system)) if system.dim == 3 else ()
+    rows = [s.line @ jacobian(tree, q, s.body, "body")[:, 3:] for s in spins]
     return np.stack(rows, axis=1) if rows else np.zeros((len(q), 0, system.nv))
 
 
 @kept
 def _at_home(system: System) -> tuple[Spin, ...] | None:
-    report = system.mobility(local=False)
+    from kempe.analysis.mobility.mobility import mobility
+
+    report = mobility(system, local=False)
     return _spins(system, report) if report.closed else None
 
 
@@ -72,7 +79,7 @@ def _spins(system: System, report: Mobility) -> tuple[Spin, ...]:
 
 
 def _spin(system: System, q: Array, found: IdleFreedom) -> Spin:
-    X = system.fk(q, found.bodies[0])
+    X = fk(system, q, found.bodies[0])
     point, line = (X[:3, :3].T @ v for v in (np.array(found.point) - X[:3, 3], np.array(found.direction)))
     return Spin(found.bodies[0], point, line, found.velocity != 0.0, str(found))
 
@@ -83,7 +90,7 @@ def idle_part(system: System, q: Array, N: Array, scale: Array, spins: tuple[Spi
     for spin in spins:
         rows = _nothing(N[~spin.moves])
         if len(rows) > 1:  # they move what is useful as well: the spin is what keeps the line
-            X, J = tree.fk(q, spin.body), tree.jacobian(q, spin.body)
+            X, J = fk(tree, q, spin.body), jacobian(tree, q, spin.body)
             line, arm = X[:3, :3] @ spin.line, X[:3, :3] @ spin.point
             keeps = np.concatenate([J[:3] - skew(arm) @ J[3:], skew(line) @ J[3:]])
             rows = _nothing(np.concatenate([N[~spin.moves], keeps @ (scale[:, None] * N)]))

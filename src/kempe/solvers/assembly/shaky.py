@@ -32,7 +32,11 @@ def moving(system: System, q: Array, left: Array, null_space: Array, scale: Arra
     blocks = _change(system, q, left, null_space, scale, np.eye(null_space.shape[1]))
     _, sizes, V = svd(blocks.reshape(-1, null_space.shape[1]))
     shaky = int(np.sum(sizes > VANISHES))
-    if not 0 < shaky < null_space.shape[1] or system.mobility(q).dof != null_space.shape[1] - shaky:
+    if not 0 < shaky < null_space.shape[1]:
+        return null_space
+    from kempe.analysis.mobility.mobility import mobility
+
+    if mobility(system, q).dof != null_space.shape[1] - shaky:
         return null_space
     return null_space @ V[shaky:].T
 
