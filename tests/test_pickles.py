@@ -20,6 +20,8 @@ import numpy as np
 import kempe
 
 AGAIN = ", asked before"
+PACKED = "loops"
+"""A member that is not asked: arrays for kernels, with addresses of functions in this process."""
 METHODS = (
     "code",
     "content",
@@ -35,6 +37,7 @@ METHODS = (
 """Methods that are asked; so are fields, properties, `str` and `repr` of all."""
 WITH_ARGUMENTS: dict[str, Callable[[Any], Any]] = {
     "assembler": lambda x: x([0.3]).q,
+    "assembler with a function": lambda x: x([0.2]).q,
     "closed_form": lambda x: x.close([0.3]).q,
     "configuration_space": lambda x: x.sample(3, 0).q,
     "designs": lambda x: x.fk([0.1], "tip"),
@@ -69,7 +72,7 @@ def said(name: str, thing: Any) -> dict[str, Any]:
     if isinstance(thing, (tuple, list)):
         out["members"] = plain(thing)
     for member in sorted({*dir(type(thing)), *getattr(thing, "__dict__", {})}):
-        if member[0] == "_":
+        if member[0] == "_" or member == PACKED:
             continue
         value = asked(thing, member)
         if not callable(value):
@@ -133,6 +136,7 @@ def results() -> Iterable[tuple[str, Any]]:
     yield from of_arms()
     yield from of_redundant_arms()
     yield from of_tasks()
+    yield from of_functions()
     yield from of_loops()
     yield from of_motions()
     yield from of_spaces()
@@ -203,6 +207,39 @@ def of_tasks() -> Iterable[tuple[str, Any]]:
     yield "ik_path of tasks", arm.ik_path([position(tool, np.stack([p, p + 0.01]))])
     yield "task_space", arm.task_space(tool)
     yield "tasks", [position(tool, p), aim, kempe.tasks.CentreOfMass(p)]
+
+
+def law(x: Mapping[str, float]) -> float:
+    """An equation that cannot be recorded, for it branches."""
+    return x["A"] - 2.0 * x["B"] if x["B"] < 10.0 else 0.0
+
+
+def first(q: np.ndarray) -> float:
+    """A function of configurations that cannot be recorded, for it branches."""
+    return q[0] - 0.1 if q[1] < 10.0 else 0.0
+
+
+def of_functions() -> Iterable[tuple[str, Any]]:
+    """Kernels call functions of the user at addresses, which are others in another process."""
+    arm, few = kempe.load("puma560"), kempe.Budget(starts=3)
+    p = arm.fk(arm.mid + 0.1, "tool")[:3, 3]
+    task, near = kempe.tasks.Function(first), kempe.tasks.Position("tool", p)
+    far = kempe.tasks.Position("tool", p + 9.0)
+    yield "ik of a function", arm.ik([task])
+    yield "ik of a function out of reach", arm.ik([task, far], prefer=first, budget=few)
+    yield "ik that prefers by a function", arm.ik([near], prefer=first)
+    yield "ik that prefers manipulability", arm.ik([near], prefer="manipulability")
+    along = kempe.tasks.Position("tool", np.stack([p, p + 0.01]))
+    yield "ik_path of a function", arm.ik_path([task, along])
+    m = bars()
+    m.equation("law", law, of=("A", "B"))
+    system = m.build()
+    yield "system with a function", system
+    yield "assemble with a function", system.assemble({"B": 0.1})
+    yield "assembler with a function", system.loops.assembler(["B"])
+    yield "constraints with a function", system.loops.constraints()
+    yield "ik with a function", system.ik([0.4, 0.1], "tip", task="position")
+    yield "mobility with a function", system.mobility()
 
 
 def of_loops() -> Iterable[tuple[str, Any]]:

@@ -109,8 +109,13 @@ class Whole:
     def callback(self, rows: Sequence[int], offset: Array | float = 0.0) -> Callback:
         """Some of its numbers, as kernels call them."""
         own = list(rows)
-        return Callback(self.system, len(own), lambda q: (self.values(q)[own] - offset, self.jacobian(q)[own]),
-                        alone=lambda q: self.values(q)[own] - offset)  # fmt: skip
+        made = Callback(
+            self.system,
+            len(own),
+            lambda q: (self.values(q)[own] - offset, self.jacobian(q)[own]),
+            alone=lambda q: self.values(q)[own] - offset,
+        )
+        return made.made_by(self.callback, rows, offset)
 
     def off(self, q: Array) -> Array:
         """How far (..., m) its numbers are from where they must be, at q (..., nq)."""

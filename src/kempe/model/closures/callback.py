@@ -84,8 +84,12 @@ class Callback:
 
     `alone` gives the values only. What it raises is kept in `error`, for no exception passes through a kernel. `scale`
     (nv,) are the units of the velocities, `support` the n of them that it depends on, by default all. See
-    `kempe.constraints.Function`.
+    `kempe.constraints.Function`. `maker`, called with `of`, gives the same again: in another process,
+    where it has another address.
     """
+
+    maker: Callable[..., Callback] | None = None
+    of: tuple[Any, ...] = ()
 
     def __init__(
         self, system: Compiled, rows: int, function: Callable[[Array], tuple[Any, Array]],
@@ -115,6 +119,14 @@ class Callback:
 
     def _keep(self, error: BaseException) -> None:
         self.error = self.error or error
+
+    def made_by(self, maker: Callable[..., Callback], *of: Any) -> Callback:
+        """The same, with what makes it again."""
+        self.maker, self.of = maker, of
+        return self
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return self.maker, self.of, {"scale": self.scale}
 
     @classmethod
     def of_call(cls, system: Compiled, call: Call, rows: Sequence[int], numbers: Mapping[str, float]) -> Callback:
@@ -147,4 +159,4 @@ class Callback:
             return found, J
 
         made = cls(system, len(own), both, [places[i] for i in used], values)
-        return made
+        return made.made_by(cls.of_call, system, call, rows, numbers)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -156,6 +156,14 @@ class PackedLoops:
     length: float
     origin: np.ndarray
     """Where (3,) the origin of the table is in the ground: pins are placed from there."""
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """What was pickled: functions have other addresses in this process."""
+        vars(self).update(state)
+        for k, tie in enumerate(self.ties):
+            if tie.function is not None:
+                place = int(self.plan[L.AT_TIES]) + L.TIE_INTS * k + L.DATA
+                self.plan[place] = tie.function.address
 
     @property
     def units(self) -> tuple[str, ...]:

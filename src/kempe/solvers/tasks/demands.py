@@ -66,7 +66,8 @@ class Demands:
     starts: int
     rng: int
     use: tuple[bool, ...]
-    mode: int = S.NOTHING
+    mode: int = field(default=S.NOTHING, repr=False)
+    """What the last stage leads towards: nothing, `aim`, or the address of a function."""
     aim: Array | None = field(default=None, repr=False)
     """Configurations (N or 1, nq) that the last stage leads towards."""
     callback: Callback | None = field(default=None, repr=False)
@@ -85,6 +86,12 @@ class Demands:
     """After how many calls of functions the search was given up; 0 where it was not."""
     kept: dict[Any, Any] = field(default_factory=dict[Any, Any], init=False, repr=False)
     """What functions worked out of this problem; a changed copy begins anew."""
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """What was pickled: the function that is made least has another address in this process."""
+        vars(self).update(state)
+        if self.callback is not None and self.mode not in (S.NOTHING, S.AHEAD):
+            vars(self)["mode"] = self.callback.address
 
     def tolerance_of(self, task: Task) -> tuple[float, float]:
         """Largest error of a hard task in metres and radians."""

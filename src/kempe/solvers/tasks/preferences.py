@@ -28,7 +28,7 @@ def least(problem: Demands, prefer: Any) -> Callback:
     else:
         callback = Callback(problem.system, 1, _of_user(problem, prefer))
     callback.scale = problem.packed.scale
-    return callback
+    return callback.made_by(least, problem, prefer)
 
 
 def log_manipulability(problem: Demands, q: Array) -> Array:
