@@ -230,7 +230,7 @@ KINDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "Sequence": (is_list, "a list"),
     "System": (lambda x: _is_a("System", x), "a System"),
     "Compiled": (lambda x: _is_a("Compiled", x), "a System"),
-    "SystemType": (lambda x: _is_a("Compiled", x), "a System"),
+    "SystemType": (lambda x: _is_a("Compiled", x) or _is_a("Model", x), "a System"),
     "Model": (lambda x: _is_a("Model", x), "a System"),
     "Mechanism": (lambda x: _is_a("Mechanism", x), "a Mechanism"),
     "Constraint": (lambda x: _is_a("Constraint", x), "a task or constraint of kempe.constraints"),
