@@ -110,7 +110,8 @@ def freedom_row(kind: JointType) -> list[str]:
 def coordinate_row(kind: JointType) -> list[str]:
     """What a joint type is made of in space, and its coordinates."""
     options = ", ".join(f"`{name}={getattr(kind, name)}`" for name in kind.defaults())
-    coordinates, velocities = names(kind.coordinates()), names(kind.velocities())
+    coordinates = names(kind.coordinates())
+    velocities = names(kind.velocities())
     same = velocities == coordinates
     return [f"`{kind.type_name}`", options, kind.decomposition, coordinates, "the same" if same else velocities]
 

@@ -13,9 +13,14 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "kempe"
-WIDTH, HEIGHT, LEFT, ACROSS, DOWN = 104, 34, 150, 138, 44
+WIDTH = 104
+HEIGHT = 34
+LEFT = 150
+ACROSS = 138
+DOWN = 44
 """Sizes of a box, the left margin, and the distances of boxes [px]."""
-BELOW, ABOVE = "shared", "on top"
+BELOW = "shared"
+ABOVE = "on top"
 """Names of the boxes of modules that lie in no folder: those that import from no folder of the package, and others."""
 
 Arrows = dict[str, set[str]]
@@ -100,7 +105,8 @@ def bands() -> list[tuple[str, dict[str, str]]]:
 def band(name: str, box_of: dict[str, str], top: int) -> tuple[list[str], int]:
     """One band of the picture, and the height where the next begins."""
     found = arrows(box_of)
-    level, straight = levels(found), direct(found)
+    level = levels(found)
+    straight = direct(found)
     columns = [sorted(b for b in found if level[b] == k) for k in range(max(level.values()) + 1)]
     at = {b: (LEFT + k * ACROSS, top + 12 + i * DOWN) for k, c in enumerate(columns) for i, b in enumerate(c)}
     bottom = top + 12 + max(map(len, columns)) * DOWN
@@ -108,8 +114,12 @@ def band(name: str, box_of: dict[str, str], top: int) -> tuple[list[str], int]:
              f'<text class="name" x="12" y="{top + 33}">{name}</text>']  # fmt: skip
     for box in sorted(found):
         for to in sorted(straight[box]):
-            (x1, y1), (x2, y2) = at[box], at[to]
-            a, b, y1, y2 = x1, x2 + WIDTH + 4, y1 + HEIGHT // 2, y2 + HEIGHT // 2
+            (x1, y1) = at[box]
+            (x2, y2) = at[to]
+            a = x1
+            b = x2 + WIDTH + 4
+            y1 = y1 + HEIGHT // 2
+            y2 = y2 + HEIGHT // 2
             lines.append(f'<path d="M{a},{y1} C{a - 20},{y1} {b + 20},{y2} {b},{y2}"/>')
     for box, (x, y) in sorted(at.items()):
         count = sum(b == box for b in box_of.values())

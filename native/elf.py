@@ -12,7 +12,8 @@ def sizes(code: bytes, names: list[str]) -> list[int]:
     """
     if code[:5] != b"\x7fELF\x02":
         return [0] * len(names)
-    (first,), (each, count) = struct.unpack_from("<Q", code, 40), struct.unpack_from("<HH", code, 58)
+    (first,) = struct.unpack_from("<Q", code, 40)
+    (each, count) = struct.unpack_from("<HH", code, 58)
     sections = [struct.unpack_from("<IIQQQQIIQQ", code, first + k * each) for k in range(count)]
     (table,) = (s for s in sections if s[1] == 2)
     strings = sections[table[6]][4]

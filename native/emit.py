@@ -108,7 +108,8 @@ class Emitter:
     def _link(self, module: Any, numbas: str, ours: str) -> None:
         for function in module.functions:
             if function.name == numbas:
-                function.name, function.linkage = ours, "external"
+                function.name = ours
+                function.linkage = "external"
                 self.exported.add(ours)
             elif not function.is_declaration:
                 function.linkage = "linkonce_odr"  # several kernels bring the same helper
@@ -122,7 +123,8 @@ class Emitter:
 
     def object(self) -> bytes:
         """All that was added, as one object."""
-        cpu, features = os.environ["NUMBA_CPU_NAME"], os.environ["NUMBA_CPU_FEATURES"]
+        cpu = os.environ["NUMBA_CPU_NAME"]
+        features = os.environ["NUMBA_CPU_FEATURES"]
         machine = llvm.Target.from_triple(triple()).create_target_machine(
             cpu=cpu, features=features, opt=3, reloc="pic", codemodel="default"
         )
@@ -147,7 +149,8 @@ def main(variant: str, out: str, *modules: str) -> None:
     """Write the object of these modules of kernels, and a JSON file beside it."""
     start = time.perf_counter()
     gc.disable()  # the compiler's many objects live on: to walk them takes a tenth of its time
-    emitter, wanted = Emitter(variant), {f"kempe.kernels.{name}" for name in modules}
+    emitter = Emitter(variant)
+    wanted = {f"kempe.kernels.{name}" for name in modules}
     _jit.compile_entry = lambda entry: emitter.add(entry) if entry.function.__module__ in wanted else entry.function
     for name in modules:
         emitter.since = time.perf_counter()

@@ -53,7 +53,8 @@ def prototypes(kernel: dict[str, Any], variants: dict[str, int]) -> Iterator[str
 
 def function(kernel: dict[str, Any]) -> Iterator[str]:
     """The function that Python calls."""
-    name, takes = kernel["name"], kernel["takes"]
+    name = kernel["name"]
+    takes = kernel["takes"]
     arrays = [i for i, taken in enumerate(takes) if is_array(taken)]
     names = ", ".join(f'"{n}"' for n in kernel["names"])
     yield f"static const char *const names_{name}[] = {{{names}}};"
@@ -69,7 +70,8 @@ def function(kernel: dict[str, Any]) -> Iterator[str]:
         if not is_array(taken):
             handed.append(f"({ENTRY[taken['entry']][0]})x{i}")
             continue
-        k, axes = arrays.index(i), len(taken["shape"])
+        k = arrays.index(i)
+        axes = len(taken["shape"])
         _, number, word = ENTRY[taken["entry"]]
         kind = f"a {'writable, ' if taken['written'] else ''}C-contiguous {word} array with {axes} axes"
         yield f"    if (!fits(a[{i}], {number}, {axes}, {int(taken['written'])}, g + {k}))"
@@ -94,7 +96,10 @@ def lengths(takes: list[dict[str, Any]], arrays: list[int]) -> Iterator[str]:
         if isinstance(length, str) and length.isalpha():
             known.setdefault(length, f"g[{k}].dims[{j}]")
     for k, i, j, length in axes:
-        here, expected, also, hint = f"g[{k}].dims[{j}]", str(length), "", ""
+        here = f"g[{k}].dims[{j}]"
+        expected = str(length)
+        also = ""
+        hint = ""
         if isinstance(length, str):
             either, _, letter = length.rpartition("|")
             letter, _, more = letter.partition("+")
@@ -104,7 +109,8 @@ def lengths(takes: list[dict[str, Any]], arrays: list[int]) -> Iterator[str]:
                 raise ValueError(f"argument {i}: length {length!r}, but no axis has the length {letter!r}")
             expected = known[letter] + (f" + {more}" if more else "")
             if either:
-                also, hint = f" && {here} != {either}", f" or {either}"
+                also = f" && {here} != {either}"
+                hint = f" or {either}"
         wrong = f'wrong_length(called, {i}, {j}, {here}, {expected}, "{hint}")'
         yield f"    if ({here} != {expected}{also}) return {wrong};"
 

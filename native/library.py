@@ -30,7 +30,8 @@ from typing import Any, NamedTuple
 
 HERE = Path(__file__).resolve().parent
 KERNELS = HERE.parent / "src" / "kempe" / "kernels"
-VARIABLE, RELEASE = "KEMPE_BUILD", "release"
+VARIABLE = "KEMPE_BUILD"
+RELEASE = "release"
 PROCESSES = 2
 GLIBC = "2.17"
 """The oldest C library of Linux on which a released library runs."""
@@ -81,7 +82,8 @@ def is_release() -> bool:
 
 def requested() -> list[str]:
     """The variants to build, the best first."""
-    known, value = variants(), os.environ.get(VARIABLE, "")
+    known = variants()
+    value = os.environ.get(VARIABLE, "")
     if is_release():
         return list(known)
     if value:
@@ -113,7 +115,8 @@ def _source(name: str) -> str:
 @cache
 def needed(name: str) -> frozenset[str]:
     """A module of kernels and all modules of kernels that it imports."""
-    found, queue = set[str](), [name]
+    found = set[str]()
+    queue = [name]
     while queue:
         module = queue.pop()
         if module in found or not _file(module).is_file():
@@ -266,7 +269,9 @@ def build(folder: Path) -> Path:
     """The library, written to `folder`. Errors: `BuildError`."""
     if platform.python_implementation() != "CPython" or sysconfig.get_config_var("Py_GIL_DISABLED"):
         raise BuildError("the library needs CPython with its stable ABI: not PyPy, not yet a free-threaded build")
-    start, names, before = time.perf_counter(), requested(), sources()
+    start = time.perf_counter()
+    names = requested()
+    before = sources()
     headers()
     say(f"kernels: compiling for {', '.join(names)} in {PROCESSES} processes ...")
     with tempfile.TemporaryDirectory() as scratch:
@@ -275,7 +280,8 @@ def build(folder: Path) -> Path:
             say(f"  {row['label']:38}{row['seconds']:6.1f} s {row['bytes']:8} bytes")
         if sources() != before:
             raise BuildError("the sources of the kernels changed while they were compiled; build again")
-        size, spent = linked.stat().st_size, time.perf_counter() - start
+        size = linked.stat().st_size
+        spent = time.perf_counter() - start
         folder.mkdir(parents=True, exist_ok=True)
         fresh = folder / f"{library_name()}.{os.getpid()}"
         try:

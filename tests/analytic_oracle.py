@@ -16,7 +16,8 @@ import numpy as np
 import reference
 from scipy.spatial.transform import Rotation
 
-TURN, SLIDE = 0, 1
+TURN = 0
+SLIDE = 1
 TASKS = ("pose", "position", "orientation", "direction", "position_axis")
 PER_JOINT = ("kinds", "axes", "points", "index", "multiplier", "offset")
 Step = tuple  # ("X", pose) or ("R" or "P", axis, coordinate, multiplier, offset)
@@ -60,7 +61,9 @@ class Model:
         theta = np.asarray(theta, dtype=float)
         R, p, _, _ = self._sweep(theta.reshape(-1, self.n))
         X = np.zeros((len(R), 4, 4))
-        X[:, :3, :3], X[:, :3, 3], X[:, 3, 3] = R, p, 1.0
+        X[:, :3, :3] = R
+        X[:, :3, 3] = p
+        X[:, 3, 3] = 1.0
         return X.reshape(*theta.shape[:-1], 4, 4)
 
     def jacobian(self, theta) -> np.ndarray:
@@ -78,9 +81,12 @@ class Model:
     def _sweep(self, theta):
         """Rotation and position of the tip, and where the lines have moved to, for (N, n)."""
         N = len(theta)
-        R, p = np.broadcast_to(np.eye(3), (N, 3, 3)), np.zeros((N, 3))
-        h, o = np.empty((N, self.n, 3)), np.empty((N, self.n, 3))
-        s, c = np.sin(theta), np.cos(theta)
+        R = np.broadcast_to(np.eye(3), (N, 3, 3))
+        p = np.zeros((N, 3))
+        h = np.empty((N, self.n, 3))
+        o = np.empty((N, self.n, 3))
+        s = np.sin(theta)
+        c = np.cos(theta)
         for i in range(self.n):
             h[:, i], o[:, i] = R @ self.axes[i], R @ self.points[i] + p
             if self.kinds[i] == SLIDE:
@@ -109,7 +115,9 @@ class Model:
             return self
         theta = self.theta([values.get(n, 0.0) for n in self.names])
         keep = np.array([self.names[i] not in values for i in self.index])
-        X, axes, points = np.eye(4), [], []
+        X = np.eye(4)
+        axes = []
+        points = []
         for i in range(self.n):
             if keep[i]:
                 axes.append(X[:3, :3] @ self.axes[i])
@@ -144,7 +152,8 @@ class Model:
             return _rows((J * scale).reshape(-1, 6, self.n), R, task, axis).reshape(*theta.shape[:-1], -1, self.n)
 
         u, _, vt = np.linalg.svd(rows(theta))
-        left, right = u[..., :, vt.shape[-1] - 1], vt[..., -1, :]
+        left = u[..., :, vt.shape[-1] - 1]
+        right = vt[..., -1, :]
         change = (rows(theta + step * scale * right) - rows(theta - step * scale * right)) / (2.0 * step)
         return np.abs(np.einsum("...i,...ij,...j->...", left, change, right))
 
@@ -156,7 +165,8 @@ def skew(v) -> np.ndarray:
 
 def from_steps(steps: Iterable[Step], names: Sequence[str]) -> Model:
     """Model of a product of constant poses and motions; `names` are the coordinates in the order of q."""
-    X, rows = np.eye(4), []
+    X = np.eye(4)
+    rows = []
     for step in steps:
         if step[0] == "X":
             X = X @ np.asarray(step[1], dtype=float)
@@ -174,7 +184,8 @@ def dh_steps(rows: Iterable[dict[str, Any]], convention: str = "standard", base=
     """Steps of a Denavit-Hartenberg table, as the books write its matrices; joints are q1, q2, ... unless named."""
     out: list[Step] = [("X", np.eye(4) if base is None else base)]
     for i, row in enumerate(rows, 1):
-        kind, name = row.get("type", "revolute"), row.get("name", f"q{i}")
+        kind = row.get("type", "revolute")
+        name = row.get("name", f"q{i}")
         z = reference.turn("z", row.get("theta", 0.0)) @ reference.slide("z", row.get("d", 0.0))
         x = reference.slide("x", row.get("a", 0.0)) @ reference.turn("x", row.get("alpha", 0.0))
         move = ("R" if kind == "revolute" else "P", "z", name, 1.0, 0.0)
@@ -223,12 +234,14 @@ def library_steps(name: str, frame: str) -> list[Step]:
                 steps[-1] = ("X", pose(extra))
         return steps
     tip = next(f for f in data["frame"] if f["name"] == frame)
-    steps, body = [("X", pose(tip))], tip["body"]
+    steps = [("X", pose(tip))]
+    body = tip["body"]
     parent = {j["child"]: j for j in data["joint"]}
     while body in parent:
         j = parent[body]
         move = ("R" if j["type"] == "revolute" else "P", tuple(j.get("axis", (0, 0, 1))), j["name"], 1.0, 0.0)
-        steps, body = [("X", pose(j)), move, *steps], j["parent"]
+        steps = [("X", pose(j)), move, *steps]
+        body = j["parent"]
     return steps
 
 
@@ -244,9 +257,11 @@ def error(X, target, task: str = "pose", axis=(0, 0, 1)) -> tuple[np.ndarray, np
     """Errors of position [m] and of angle [rad], each (...), of poses; zero where the task does not ask for them."""
     X, target = np.broadcast_arrays(X, target)
     position = np.linalg.norm(X[..., :3, 3] - target[..., :3, 3], axis=-1)
-    A, B = X[..., :3, :3], target[..., :3, :3]
+    A = X[..., :3, :3]
+    B = target[..., :3, :3]
     if task in ("direction", "position_axis"):
-        u, v = A @ np.asarray(axis, dtype=float), B @ np.asarray(axis, dtype=float)
+        u = A @ np.asarray(axis, dtype=float)
+        v = B @ np.asarray(axis, dtype=float)
         angle = np.arctan2(np.linalg.norm(np.cross(u, v), axis=-1), (u * v).sum(-1))
     else:
         D = np.swapaxes(A, -1, -2) @ B
@@ -316,12 +331,19 @@ def newton(model: Model, target, theta, task: str = "pose", axis=(0, 0, 1), step
         damping[live] = np.where(better, damping[live] * 0.2, damping[live] * 8.0).clip(1e-12, 1e6)
         pick = better[:, None]
         r = np.where(pick, r2, r)
-        R, p = np.where(pick[..., None], R2, R), np.where(pick, p2, p)
-        h, o = np.where(pick[..., None], h2, h), np.where(pick[..., None], o2, o)
+        R = np.where(pick[..., None], R2, R)
+        p = np.where(pick, p2, p)
+        h = np.where(pick[..., None], h2, h)
+        o = np.where(pick[..., None], o2, o)
         size = np.abs(r).max(1)
         done[live] = size < tol
         go = (size >= tol) & (damping[live] < 1e5)
-        live, r, R, p, h, o = live[go], r[go], R[go], p[go], h[go], o[go]
+        live = live[go]
+        r = r[go]
+        R = R[go]
+        p = p[go]
+        h = h[go]
+        o = o[go]
         if not len(live):
             break
     return theta, done
@@ -390,14 +412,16 @@ def singular_configuration(model: Model, rng: np.random.Generator, task: str = "
         return np.linalg.det(J)
 
     for _ in range(100):
-        start, direction = starts(model, 1, rng)[0], rng.normal(size=model.n) * scale
+        start = starts(model, 1, rng)[0]
+        direction = rng.normal(size=model.n) * scale
         direction /= np.linalg.norm(direction / scale)
         grid = np.linspace(0.0, 3.0, 60)
         values = det(grid)
         change = np.flatnonzero(values[:-1] * values[1:] < 0.0)
         if not len(change):
             continue
-        low, high = grid[change[0]], grid[change[0] + 1]
+        low = grid[change[0]]
+        high = grid[change[0] + 1]
         sign = math.copysign(1.0, values[change[0]])
         for _ in range(60):
             middle = 0.5 * (low + high)

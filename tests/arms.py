@@ -19,7 +19,8 @@ import kempe
 from kempe.description.dh.dh import from_dh
 from kempe.placement import placement_of_pose
 
-PI, H = math.pi, math.pi / 2
+PI = math.pi
+H = math.pi / 2
 NEG = -H
 FREE = (-math.inf, math.inf)
 
@@ -154,7 +155,8 @@ def placed(name: str, frames, kinds, tool, classes: str, bound: int, order=None,
 
 def frames_of(model: oracle.Model) -> tuple[np.ndarray, np.ndarray]:
     """Frames (n, 4, 4) with z along the lines of a model, each seen from the one before, and the tool."""
-    out, before = [], np.eye(4)
+    out = []
+    before = np.eye(4)
     for h, o in zip(model.axes, model.points, strict=True):
         X = np.eye(4)
         x = np.linalg.svd(h[None])[2][1]
@@ -217,7 +219,8 @@ def with_geometry(name: str, parallel=(), intersecting=(), seed: int = 0, bound:
     rng = np.random.default_rng([seed, 77])
     rows = []
     for _ in range(6):
-        a, alpha = rng.uniform(0.1, 0.4), rng.uniform(0.5, 2.6) * rng.choice([-1, 1])
+        a = rng.uniform(0.1, 0.4)
+        alpha = rng.uniform(0.5, 2.6) * rng.choice([-1, 1])
         rows.append([a, alpha, rng.uniform(-0.4, 0.4), rng.uniform(-PI, PI)])
     for i in parallel[:-1]:
         rows[i - 1][1] = 0.0
@@ -277,7 +280,9 @@ XARM5 = [Joint(at=(0, 0, 0.267)), Joint(rpy=(NEG, 0, 0)), Joint(at=(0.0535, -0.2
          Joint(at=(0.076, 0.097, 0), rpy=(NEG, 0, 0))]  # fmt: skip
 STANFORD = [(0, NEG, 0.412, 0), (0, H, 0.154, 0), (0, 0, 0, 0, "prismatic"), (0, NEG, 0, 0), (0, H, 0, 0),
             (0, 0, 0.263, 0)]  # fmt: skip
-Z, X_AXIS, Y_AXIS = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+Z = (0.0, 0.0, 1.0)
+X_AXIS = (1.0, 0.0, 0.0)
+Y_AXIS = (0.0, 1.0, 0.0)
 GANTRY = [Joint("prismatic", axis=X_AXIS), Joint("prismatic", axis=Y_AXIS), Joint("prismatic", axis=Z)]
 ROLL = [Joint(at=(0, 0, -0.2)), Joint(rpy=(H, 0, 0)), Joint(at=(0, 0, 0), rpy=(NEG, 0, 0))]
 

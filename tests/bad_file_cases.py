@@ -489,7 +489,8 @@ def toml_joint(name: str, *more: str, kind: str = "revolute", parent: str = "gro
     )
 
 
-A, B = toml_joint("A"), toml_joint("B", parent="a", child="b")
+A = toml_joint("A")
+B = toml_joint("B", parent="a", child="b")
 ROD = '[[constraint]]\nname = "R"\ntype = "distance"\nparent = "ground"\nchild = "b"'
 
 TOML_CASES = [

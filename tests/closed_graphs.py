@@ -67,7 +67,8 @@ class Closed:
             names, primitives = link.kind.layout(self.dim)
             if apart:
                 for place, p in _firsts(primitives).items():
-                    name, size = f"{link.name}:{place}", 4 if p.kind == Q else 1
+                    name = f"{link.name}:{place}"
+                    size = 4 if p.kind == Q else 1
                     own = link.values[p.coordinate : p.coordinate + size]
                     if p.kind == Q:
                         known |= {f"{name}.{c}": x for c, x in zip(("qw", "qx", "qy", "qz"), own, strict=True)}
@@ -132,9 +133,11 @@ def closed(
     links = []
     for k, kind in enumerate(kinds):
         if k < bodies:
-            a, b = (["ground", *names][k if ring else int(rng.integers(max(k - 1, 0), k + 1))], names[k])
+            a = ["ground", *names][k if ring else int(rng.integers(max(k - 1, 0), k + 1))]
+            b = names[k]
         elif k == bodies:
-            a, b = names[-1], "ground"
+            a = names[-1]
+            b = "ground"
         else:
             a, b = (str(x) for x in rng.choice(["ground", *names], 2, replace=False))
         if rng.random() < 0.5 if backwards is None else backwards:
@@ -146,7 +149,9 @@ def closed(
                 values[p.coordinate : p.coordinate + 4] = ball / np.linalg.norm(ball)
         angle = float(rng.uniform(-3, 3))
         along = (np.cos(angle), np.sin(angle)) if dim == 2 and _slider(kind) else None
-        motion, F, M = pose_of(kind.layout(dim)[1], values.tolist(), dim, along), _random(rng, dim), _random(rng, dim)
+        motion = pose_of(kind.layout(dim)[1], values.tolist(), dim, along)
+        F = _random(rng, dim)
+        M = _random(rng, dim)
         if a in poses and b in poses:
             M = reference.inverse(poses[b]) @ poses[a] @ F @ motion
         elif a in poses:
@@ -164,7 +169,8 @@ def random_closed(rng: np.random.Generator, own: float = 0.4) -> Closed:
     It has freedoms to spare, so that it does not close at one place only.
     """
     dim = int(rng.choice([2, 3, 3]))
-    bodies, loops = int(rng.integers(2, 6)), int(rng.integers(1, 4))
+    bodies = int(rng.integers(2, 6))
+    loops = int(rng.integers(1, 4))
     kinds: list[JointType] = []
     for k in range(bodies + loops):
         where = rng.random()
@@ -175,7 +181,8 @@ def random_closed(rng: np.random.Generator, own: float = 0.4) -> Closed:
 
 
 def _random(rng: np.random.Generator, dim: int) -> np.ndarray:
-    xyz, rpy = rng.uniform(-1, 1, 3).tolist(), rng.uniform(-1.5, 1.5, 3).tolist()
+    xyz = rng.uniform(-1, 1, 3).tolist()
+    rpy = rng.uniform(-1.5, 1.5, 3).tolist()
     return reference.placement(xyz[:dim], rpy if dim == 3 else (0.0, 0.0, rpy[2]))
 
 
@@ -197,7 +204,8 @@ def _flat(X: np.ndarray) -> tuple[list[float], float]:
 def _places(m: Mechanism, link: Link) -> dict[str, Any]:
     if m.dim == 3:
         return {"at": _placement(link.F), "child_at": _placement(link.M)}
-    (at, angle), (child_at, child_angle) = _flat(link.F), _flat(link.M)
+    (at, angle) = _flat(link.F)
+    (child_at, child_angle) = _flat(link.M)
     axis = {} if link.axis is None else {"axis": link.axis}
     return {"at": at, "angle": angle, "child_at": child_at, "child_angle": child_angle, **axis}
 
@@ -221,7 +229,8 @@ def _chain(m: Mechanism, link: Link, cut: bool) -> None:
     if not primitives:
         m.joint(link.name, "fixed", link.parent, link.child, cut=cut, **_places(m, link))
         return
-    firsts, here = _firsts(primitives), link.parent
+    firsts = _firsts(primitives)
+    here = link.parent
     for k, p in enumerate(primitives):
         last = k == len(primitives) - 1
         there = link.child if last else m.body(f"{link.name}/{k}").name

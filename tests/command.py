@@ -18,7 +18,9 @@ class Result:
 
     def __init__(self, *arguments: object):
         done = typer.testing.CliRunner().invoke(app, [str(a) for a in arguments])
-        self.code, self.out, self.err = done.exit_code, done.stdout, done.stderr
+        self.code = done.exit_code
+        self.out = done.stdout
+        self.err = done.stderr
         assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
 
     def json(self) -> dict:

@@ -25,9 +25,11 @@ PI = np.pi
 
 def newton(model: oracle.Model, X, theta, steps: int = 25) -> tuple[np.ndarray, np.ndarray]:
     """(theta (N, n), smallest singular value (N,) or 0 where not converged) by undamped steps to targets (N, 4, 4)."""
-    theta, X = np.array(theta, dtype=float), np.asarray(X, dtype=float)
+    theta = np.array(theta, dtype=float)
+    X = np.asarray(X, dtype=float)
     scale = np.where(model.kinds == oracle.SLIDE, model.size, 1.0)
-    live, done = np.arange(len(theta)), np.zeros(len(theta), dtype=bool)
+    live = np.arange(len(theta))
+    done = np.zeros(len(theta), dtype=bool)
     for k in range(steps):
         R, p, h, o = model._sweep(theta[live])
         J = model._columns(p, h, o)
@@ -40,7 +42,9 @@ def newton(model: oracle.Model, X, theta, steps: int = 25) -> tuple[np.ndarray, 
         go = (size >= 1e-15) & np.isfinite(size)
         if k == steps - 1 or not go.any():
             break
-        live, J, r = live[go], J[go], r[go]
+        live = live[go]
+        J = J[go]
+        r = r[go]
         J = J + NUDGE
         step = np.linalg.solve(J, r[..., None])[..., 0]
         longest = np.abs(step).max(axis=1)
@@ -80,13 +84,15 @@ def solutions(arm: Arm, X, q, rng: np.random.Generator, sizes=(1e-3, 1e-5)):
 
     Not all of them, and some several times.
     """
-    at, theta = [np.arange(len(X))], [arm.model.theta(q)]
+    at = [np.arange(len(X))]
+    theta = [arm.model.theta(q)]
     for size in sizes:
         near = arm.system.ik_all(aside(arm.model, X, size, rng), arm.frame)
         rows, k = np.nonzero(near.mask)
         at.append(rows)
         theta.append(arm.model.theta(near.q[rows, k]))
-    where, start = np.concatenate(at), np.concatenate(theta)
+    where = np.concatenate(at)
+    start = np.concatenate(theta)
     found, weak = newton(arm.model, X[where], start)
     folds = np.flatnonzero((weak > ISOLATED) & (weak < 0.03))
     if len(folds):
@@ -96,7 +102,9 @@ def solutions(arm: Arm, X, q, rng: np.random.Generator, sizes=(1e-3, 1e-5)):
         null = np.linalg.svd(J * scale)[2][:, -1] * scale
         for t in (0.02, -0.02, 0.1, -0.1, 0.3, -0.3):
             more, its = newton(arm.model, X[where[folds]], found[folds] + t * null)
-            where, found, weak = np.append(where, where[folds]), np.vstack([found, more]), np.append(weak, its)
+            where = np.append(where, where[folds])
+            found = np.vstack([found, more])
+            weak = np.append(weak, its)
     good = weak > ISOLATED
     return where[good], found[good], weak[good]
 
@@ -123,7 +131,8 @@ def structured_arm(rng: np.random.Generator, number: int = 0) -> Arm:
     error = 10.0 ** rng.uniform(-6, -3) if rng.random() < 1 / 3 else 0.0
     rows = []
     for kind in kinds:
-        a, d = rng.choice(LENGTHS), rng.choice(LENGTHS)
+        a = rng.choice(LENGTHS)
+        d = rng.choice(LENGTHS)
         alpha = rng.choice(TWISTS)
         e = error * rng.standard_normal(4)
         rows.append((a + e[0], alpha + e[1], d + e[2], e[3], "prismatic" if kind == "P" else "revolute"))

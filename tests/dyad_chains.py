@@ -11,7 +11,8 @@ from kempe import Mechanism, System
 
 def planar(x: float, y: float, angle: float) -> np.ndarray:
     """A pose in the plane (3, 3)."""
-    c, s = np.cos(angle), np.sin(angle)
+    c = np.cos(angle)
+    s = np.sin(angle)
     return np.array([[c, -s, x], [s, c, y], [0.0, 0.0, 1.0]])
 
 
@@ -41,9 +42,12 @@ class Chain:
 
     def joint(self, kind: str, a: str, b: str) -> str:
         """A joint of kind R or P between two bodies where they are now, at a random value."""
-        rng, name = self.rng, f"J{len(self.joints) + 1}"
+        rng = self.rng
+        name = f"J{len(self.joints) + 1}"
         value = rng.uniform(-2, 2)
-        at, angle, axis = rng.uniform(-1, 1, 2), rng.uniform(-3, 3), rng.normal(size=2)
+        at = rng.uniform(-1, 1, 2)
+        angle = rng.uniform(-3, 3)
+        axis = rng.normal(size=2)
         axis /= np.linalg.norm(axis)
         motion = planar(0, 0, value) if kind == "R" else planar(*(axis * value), 0)
         M = np.linalg.inv(self.poses[b]) @ self.poses[a] @ planar(*at, angle) @ motion
@@ -66,7 +70,8 @@ class Chain:
 
     def cylinder(self) -> str:
         """Two bodies with a known slider or hinge between them: one link of variable shape."""
-        a, b = self.body(), self.body()
+        a = self.body()
+        b = self.body()
         self.known.append(self.either(str(self.rng.choice(["R", "P"])), a, b))
         return a + " " + b
 

@@ -81,7 +81,8 @@ class Graph:
             X_PF = reference.placement(e.at[:2], (0, 0, e.at[5]))
             X_CM = reference.placement(e.at[6:8], (0, 0, e.at[11]))
         else:
-            X_PF, X_CM = reference.placement(e.at[:3], e.at[3:6]), reference.placement(e.at[6:9], e.at[9:])
+            X_PF = reference.placement(e.at[:3], e.at[3:6])
+            X_CM = reference.placement(e.at[6:9], e.at[9:])
         return X_PF, np.eye(4, dtype=X_PF.dtype) if e.child in self.particles else X_CM
 
     def joint_pose(self, e: Edge, values: dict[str, float]) -> np.ndarray:
@@ -100,7 +101,8 @@ class Graph:
 
     def poses(self, system: System, q: np.ndarray) -> dict[str, np.ndarray]:
         """Poses of all bodies by name at one configuration, by the reference, along the tree of the system."""
-        values, edges = self.values(system, q), {e.name: e for e in self.edges}
+        values = self.values(system, q)
+        edges = {e.name: e for e in self.edges}
         joints = []
         for name, backwards in zip(system.structure.parent_joints, system.structure.topology.reversed_, strict=True):
             X_PF, X_CM = self.ends(edges[name])

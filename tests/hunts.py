@@ -44,7 +44,8 @@ class Hunt:
 
     def __init__(self, seed: int, times: float, name: str) -> None:
         self.seed = seed
-        self._times, self._name = times, name
+        self._times = times
+        self._name = name
 
     def rng(self) -> np.random.Generator:
         """Random numbers of this test under the seed of the command line."""

@@ -38,7 +38,8 @@ def rows(answer) -> list[np.ndarray]:
     """The solutions (k, nq) of each target of an answer, a single one or a flat batch."""
     if answer.q.ndim == 2:
         return [answer.q]
-    q, mask = answer.q.reshape(-1, *answer.q.shape[-2:]), answer.mask.reshape(-1, answer.mask.shape[-1])
+    q = answer.q.reshape(-1, *answer.q.shape[-2:])
+    mask = answer.mask.reshape(-1, answer.mask.shape[-1])
     return [x[m] for x, m in zip(q, mask, strict=True)]
 
 
@@ -95,14 +96,16 @@ def can_be_inside(arm: Arm, q) -> bool:
 
 def turns(arm: Arm, q, i: int) -> list[float]:
     """The values of coordinate i inside its limits, whole turns apart; one where there are infinitely many."""
-    low, high = arm.system.lower[i], arm.system.upper[i]
+    low = arm.system.lower[i]
+    high = arm.system.upper[i]
     at = np.flatnonzero(arm.model.index == i)
     if not len(at) or arm.model.kinds[at[0]] == oracle.SLIDE:
         return [q[i]] if low <= q[i] <= high else []
     if math.isinf(low) and math.isinf(high):
         return [q[i]]
     period = 2 * math.pi / abs(arm.model.multiplier[at[0]])
-    first, last = math.ceil((low - q[i]) / period), math.floor((high - q[i]) / period)
+    first = math.ceil((low - q[i]) / period)
+    last = math.floor((high - q[i]) / period)
     return [q[i] + period * k for k in range(first, last + 1)]
 
 
@@ -171,7 +174,8 @@ def on_a_curve(arm: Arm, theta) -> bool:
 def near_singular(arm: Arm, seed: int, number: int, sizes) -> tuple[np.ndarray, np.ndarray]:
     """Thetas (number, len(sizes), n) so far from random singular configurations, and whether these are on curves."""
     rng = np.random.default_rng([seed, 99])
-    out, curves = [], []
+    out = []
+    curves = []
     for _ in range(number):
         theta, direction = oracle.singular_configuration(arm.model, rng, arm.task)
         curves.append(on_a_curve(arm, theta))

@@ -16,7 +16,10 @@ class Interrupt:
     """
 
     def __init__(self, at, *modules, act=None):
-        self.at, self.lines, self.came, self.files = at, 0, False, {x.__file__ for x in modules}
+        self.at = at
+        self.lines = 0
+        self.came = False
+        self.files = {x.__file__ for x in modules}
         self._act = act
 
     def __enter__(self):

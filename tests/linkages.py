@@ -25,10 +25,12 @@ def four_bar(
 def planar_arm(*lengths: float, limits: Sequence[Any] | None = None) -> System:
     """Links of these lengths, b1, b2, ..., turning in the plane by q1, q2, ...; frame `tip`; limits of each joint."""
     m = Mechanism("planar arm", dim=2)
-    before, at = m.ground, 0.0
+    before = m.ground
+    at = 0.0
     for k, (length, pair) in enumerate(zip(lengths, limits or [None] * len(lengths), strict=True), 1):
         m.revolute(f"q{k}", before, m.body(f"b{k}"), at=(at, 0.0), limits=pair)
-        before, at = m.bodies[f"b{k}"], length
+        before = m.bodies[f"b{k}"]
+        at = length
     m.frame("tip", before, at=(at, 0.0))
     return m.build()
 
@@ -36,7 +38,8 @@ def planar_arm(*lengths: float, limits: Sequence[Any] | None = None) -> System:
 def two_bars() -> Mechanism:
     """Bars `upper` and `lower` of 1 m, which turn in the plane by A and B; frame `tip`."""
     m = Mechanism("arm", dim=2)
-    upper, lower = m.body("upper"), m.body("lower")
+    upper = m.body("upper")
+    lower = m.body("lower")
     m.revolute("A", m.ground, upper)
     m.revolute("B", upper, lower, at=(1.0, 0.0))
     m.frame("tip", lower, at=(1.0, 0.0))

@@ -123,7 +123,8 @@ def _parallelogram() -> list[tuple[int, Motion]]:
 def _kite(a: float = 0.2, b: float = 0.3) -> list[tuple[int, Motion]]:
     def symmetric(t: float) -> dict[str, float]:
         along = a * cos(t / 2) + sqrt(b * b - (a * sin(t / 2)) ** 2)
-        x, y = along * cos(t / 2), along * sin(t / 2)
+        x = along * cos(t / 2)
+        y = along * sin(t / 2)
         return _four_bar(t, atan2(y - a * sin(t), x - a * cos(t)), atan2(y, x - a))
 
     return [(1, symmetric), (1, lambda t: _four_bar(0.0, t, t))]

@@ -77,7 +77,9 @@ def joint_constraints(system: System, q: np.ndarray, held: tuple[str, ...] = ())
             pose[body] @ X.evaluate(system.structure.parameters)
             for body, X in ((joint.parent, joint.X_PF), (joint.child, joint.X_CM))
         )
-        x, z, p = F[:3, 0], F[:3, 2], F[:3, 3]
+        x = F[:3, 0]
+        z = F[:3, 2]
+        p = F[:3, 3]
         turns = {"revolute": [z], "prismatic": [], "universal": [x, M[:3, 1]], "spherical": list(np.eye(3))}
         screws = [np.r_[np.cross(p, w), w] for w in turns[joint.type.type_name]]
         screws += [np.r_[z, 0, 0, 0]] if joint.type.type_name == "prismatic" else []

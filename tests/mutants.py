@@ -38,7 +38,9 @@ import pytest
 from mutation import Site, instrumented, mutated, sites
 
 ROOT = Path(__file__).resolve().parents[1]
-SOURCE, TESTS, BUILD = ROOT / "src" / "kempe", ROOT / "tests", ROOT / "build" / "mutants"
+SOURCE = ROOT / "src" / "kempe"
+TESTS = ROOT / "tests"
+BUILD = ROOT / "build" / "mutants"
 RECORD = ROOT / "docs" / "mutants.json"
 AREAS = {
     "joints": ["joints.py"],
@@ -137,7 +139,8 @@ class Recorder:
         (BUILD / "map").mkdir(parents=True, exist_ok=True)
         path = BUILD / "map" / f"{hashlib.sha1(name.encode()).hexdigest()[:12]}.json"
         path.write_text(json.dumps({"of": name, "keys": list(self.keys), "tests": self.tests}))
-        self.tests, self.keys = {}, {}
+        self.tests = {}
+        self.keys = {}
 
     def pytest_collection_finish(self, session: pytest.Session) -> None:
         from kempe._hits import HITS  # type: ignore
@@ -146,7 +149,8 @@ class Recorder:
 
         self.keys = dict.fromkeys(HITS, 0)
         self.write("import " + " ".join(session.config.args))
-        gathered, begin = self.systems, System.__init__
+        gathered = self.systems
+        begin = System.__init__
 
         def init(system: Any, *given: Any, **named: Any) -> None:
             begin(system, *given, **named)
@@ -168,7 +172,8 @@ class Recorder:
             self.caches = [x for x in found if str(x.__module__).startswith(folders)]
         self.forget()
         HITS.clear()
-        self.failed, before = False, sum(os.times()[:4])
+        self.failed = False
+        before = sum(os.times()[:4])
         done = yield
         if not self.failed:
             reached = [self.keys.setdefault(key, len(self.keys)) for key in sorted(HITS)]
@@ -227,7 +232,8 @@ class Map:
             function = test.partition("[")[0]
             order.append((rank[function], self.seconds[test], test))
             rank[function] += 1
-        out, left = [], self.budget
+        out = []
+        left = self.budget
         for _, seconds, test in sorted(order):
             left -= seconds
             if left > 0 or not out:
@@ -267,7 +273,8 @@ class Alone(Judge):
 
     def __init__(self, job: Path) -> None:
         super().__init__()
-        self.job, self.plan = job, json.loads(job.read_text())
+        self.job = job
+        self.plan = json.loads(job.read_text())
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
@@ -291,7 +298,10 @@ class Runner(Judge):
 
     def __init__(self, work: list[tuple[str, Site]], known: Map, jobs: int, results: Path) -> None:
         super().__init__()
-        self.work, self.map, self.jobs, self.results = work[::-1], known, jobs, results
+        self.work = work[::-1]
+        self.map = known
+        self.jobs = jobs
+        self.results = results
         self.sound: dict[str, bool] = {}
         self.running: dict[int, dict[str, Any]] = {}
         self.functions: dict[str, list[types.FunctionType]] = {}
@@ -348,7 +358,8 @@ class Runner(Judge):
 
     def replace_code(self, module: str, number: int) -> bool:
         """Give the functions of a module the code that they have with a mutation; whether that could be done."""
-        name, done = str(SOURCE / module), False
+        name = str(SOURCE / module)
+        done = False
         tree = mutated(Path(name).read_text(), number)
         new = dict(codes(compile(tree, name, "exec", dont_inherit=True)))
         for function in self.functions.get(name, []):

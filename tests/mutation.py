@@ -224,7 +224,8 @@ def mutated(text: str, number: int) -> ast.Module:
 
 def instrumented(text: str, module: str) -> str:
     """The module with a call `_hit("module:function:segment")` at the beginning of each segment."""
-    tree, starts = ast.parse(text), []
+    tree = ast.parse(text)
+    starts = []
     list(_walk(tree, starts))
     for body, i, segment in reversed(starts):
         said = i == 0 and isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant)

@@ -227,11 +227,14 @@ def random_type(rng: np.random.Generator, name: str, dim: int = 3) -> JointType:
     """A joint type of one to four random primitives; some share a coordinate, some have a multiplier."""
     if dim == 2 and rng.random() < 0.15:
         return declared(name, [Primitive(P, "z", 0, float(rng.choice([1.0, 1.0, -0.7])))])
-    steps, count, ball = [], 0, False
+    steps = []
+    count = 0
+    ball = False
     for _ in range(int(rng.integers(1, 5 if dim == 3 else 4))):
         if dim == 3 and not ball and rng.random() < 0.12:
             steps.append(Primitive(Q, "z", count))
-            count, ball = count + 4, True
+            count = count + 4
+            ball = True
             continue
         kind = int(rng.choice([R, P]))
         axis = str(rng.choice(list("xyz") if dim == 3 else ["z"] if kind == R else ["x", "y"]))

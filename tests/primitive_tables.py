@@ -19,12 +19,14 @@ def pose(rotation=None, p=(0.0, 0.0, 0.0)):
 
 
 def turn_z(angle):
-    c, s = np.cos(angle), np.sin(angle)
+    c = np.cos(angle)
+    s = np.sin(angle)
     return pose(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]))
 
 
 def turn_x(angle):
-    c, s = np.cos(angle), np.sin(angle)
+    c = np.cos(angle)
+    s = np.sin(angle)
     return pose(np.array([[1, 0, 0], [0, c, -s], [0, s, c]]))
 
 
@@ -73,7 +75,8 @@ class Table:
 
     def moved(self, q, v):
         """The configuration reached from q (nq,) with the velocity v (nv,) in unit time, on the manifold."""
-        new, balls = q.copy(), dict(self.quaternions)
+        new = q.copy()
+        balls = dict(self.quaternions)
         for iq, iv in balls.items():
             w, *xyz = q[iq : iq + 4]
             turned = Rotation.from_quat([*xyz, w]) * Rotation.from_rotvec(v[iv : iv + 3])
@@ -94,7 +97,8 @@ class Table:
 
     def row_poses(self, q):
         """For each row its pose before and after the motion."""
-        before, after = [], []
+        before = []
+        after = []
         for r in self.rows:
             base = (np.eye(4) if r.parent < 0 else after[r.parent]) @ r.X
             before.append(base)
@@ -155,7 +159,9 @@ def random_table(
     particles=False,
 ):
     """A table; not `plain`: with shared coordinates, negative multipliers, gauges, reversed balls."""
-    rows, quaternions, single = [], [], []
+    rows = []
+    quaternions = []
+    single = []
     nq = nv = 0
     for i in range(n_rows):
         kind = int(rng.choice(kinds))
@@ -164,15 +170,19 @@ def random_table(
         if kind == BALL:
             if not plain and rng.random() < 0.4:
                 multiplier = -1.0
-            iq, iv = nq, nv
+            iq = nq
+            iv = nv
             quaternions.append((iq, iv))
-            nq, nv = nq + 4, nv + 3
+            nq = nq + 4
+            nv = nv + 3
         elif not plain and single and rng.random() < 0.3:
             iq, iv = single[rng.integers(len(single))]
         else:
-            iq, iv = nq, nv
+            iq = nq
+            iv = nv
             single.append((iq, iv))
-            nq, nv = nq + 1, nv + 1
+            nq = nq + 1
+            nv = nv + 1
         if kind != BALL and not plain:
             multiplier = float(rng.choice([1.0, -1.0, rng.normal()]))
         offset = rng.uniform(-3, 3) if kind == TURN and not plain else 0.0

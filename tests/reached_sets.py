@@ -10,7 +10,8 @@ from kempe import Mechanism
 def two_bars(a, b, limits=None):
     """A planar arm of two bars; its tip covers an annulus, or with limits of the second joint a part of it."""
     m = Mechanism("two bars", dim=2)
-    first, second = m.body("first"), m.body("second")
+    first = m.body("first")
+    second = m.body("second")
     m.revolute("A", m.ground, first)
     m.revolute("B", first, second, at=(a, 0), limits=limits)
     m.frame("tip", second, (b, 0))
@@ -20,7 +21,10 @@ def two_bars(a, b, limits=None):
 def scara(a, b, height):
     """Two bars that turn about z, and a slide along it: the tip covers an annulus times the stroke."""
     m = Mechanism("scara")
-    first, second, rod, hand = m.body("first"), m.body("second"), m.body("rod"), m.body("hand")
+    first = m.body("first")
+    second = m.body("second")
+    rod = m.body("rod")
+    hand = m.body("hand")
     m.revolute("A", m.ground, first, axis="z")
     m.revolute("B", first, second, at=(a, 0, 0), axis="z")
     m.prismatic("C", second, rod, at=(b, 0, 0), axis="z", limits=(0.0, height))
@@ -32,7 +36,9 @@ def scara(a, b, height):
 def shell(a, b, rolled=False):
     """An arm of two bars in space on a shoulder that turns twice, or thrice: its tip covers a spherical shell."""
     m = Mechanism("shell")
-    hip, upper, lower = m.body("hip"), m.body("upper"), m.body("lower")
+    hip = m.body("hip")
+    upper = m.body("upper")
+    lower = m.body("lower")
     m.revolute("A", m.ground, hip, axis="z")
     m.revolute("B", hip, upper, axis="y")
     if rolled:
@@ -45,7 +51,9 @@ def shell(a, b, rolled=False):
 def torus(large, small, solid):
     """A spatial arm of two turns, whose tip covers a torus; with a slide from its centre line on, all inside it."""
     m = Mechanism("torus")
-    hip, arm, rod = m.body("hip"), m.body("arm"), m.body("rod")
+    hip = m.body("hip")
+    arm = m.body("arm")
+    rod = m.body("rod")
     m.revolute("A", m.ground, hip, axis="z")
     m.revolute("B", hip, arm, at=(large, 0, 0), axis="y")
     if solid:

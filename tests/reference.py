@@ -15,7 +15,8 @@ Long = np.longdouble
 
 def turn(axis: str, angle: float) -> np.ndarray:
     """Turn about an axis of the frame."""
-    c, s = np.cos(Long(angle)), np.sin(Long(angle))
+    c = np.cos(Long(angle))
+    s = np.sin(Long(angle))
     i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
     X = np.eye(4, dtype=Long)
     X[i, i], X[i, j], X[j, i], X[j, j] = c, -s, s, c
@@ -65,13 +66,16 @@ def joint_pose(
         return slide("x", q[0]) @ slide("y", q[1]) @ (np.eye(4) if particle else turn("z", q[2]))
     if kind == "free":
         return joint_pose("translation", q[:3]) @ joint_pose("spherical", q[3:], angles=angles)
-    X, left = np.eye(4, dtype=Long), list(q)  # a product in words
+    # a product in words
+    X = np.eye(4, dtype=Long)
+    left = list(q)
     for word in kind.replace(", ", ",").split():
         if word == "S":
             X = X @ ball(*left[:4])
             del left[:4]
             continue
-        number, axis = left.pop(0), word[2]
+        number = left.pop(0)
+        axis = word[2]
         X = X @ (slide(axis, number) if word[0] == "P" else turn(axis, number))
         if word[0] == "H":
             X = X @ slide(axis, Long(float(word[4:-1])) * Long(number))

@@ -28,7 +28,9 @@ def mimics(path: Path) -> dict[str, tuple[str, float, float]]:
     for joint in ET.parse(path).getroot().findall("joint"):
         mimic = joint.find("mimic")
         if mimic is not None and joint.get("type") != "fixed":
-            source, factor, offset = mimic.get("joint"), mimic.get("multiplier", "1"), mimic.get("offset", "0")
+            source = mimic.get("joint")
+            factor = mimic.get("multiplier", "1")
+            offset = mimic.get("offset", "0")
             found[joint.get("name")] = (source, float(factor), float(offset))
     return found
 

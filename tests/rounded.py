@@ -32,13 +32,15 @@ def rounded(system: System, digits: int, rng: np.random.Generator, ground: np.nd
             at[body][: m.dim, 3] = rng.uniform(-0.3, 0.3, m.dim)
 
     def new(X: Placement, body: str) -> Placement:
-        old, inverse = X.evaluate(m.parameters), np.linalg.inv(at[body])
+        old = X.evaluate(m.parameters)
+        inverse = np.linalg.inv(at[body])
         x = np.round(xyz_rpy_from_pose(inverse @ old), digits).tolist()
         if m.dim == 3:
             return place(tuple(x[:3]), rpy=tuple(x[3:]))
         if old[2, 2] > 0.5:
             return place(tuple(x[:2]), angle=x[5])
-        turn, rest = float(np.round(xyz_rpy_from_pose(inverse)[5], digits)), np.eye(4)
+        turn = float(np.round(xyz_rpy_from_pose(inverse)[5], digits))
+        rest = np.eye(4)
         rest[:3, :3] = old[:3, :3]  # the axis of a slide is in the plane: only what turns it there is rounded
         return place(tuple(x[:2]), angle=turn) @ placement_of_pose(rest)
 
@@ -60,7 +62,8 @@ def perturbed(system: System, off: float, rng: np.random.Generator) -> System:
 def cranks(count: int, dim: int = 2) -> System:
     """A coupler on parallel cranks, at most five."""
     m = Mechanism(f"{count} cranks", dim=dim)
-    arms, coupler = [m.body(f"crank{i}") for i in range(count)], m.body("coupler")
+    arms = [m.body(f"crank{i}") for i in range(count)]
+    coupler = m.body("coupler")
     pivots = [(0.0, 0.0), (0.41 / math.sqrt(2.0), 0.1 / 3.0), (0.9 / math.sqrt(3.0), -0.07 * math.pi),
               (0.31 * math.sqrt(3.0), 0.2 / 3.0), (0.1 * math.pi, -0.1 * math.sqrt(2.0))]  # fmt: skip
     for i, (x, y) in enumerate(pivots[:count]):
@@ -157,7 +160,8 @@ def random_trihedral(rng: np.random.Generator) -> tuple[System | None, int]:
 
 
 def random_spherical(rng: np.random.Generator) -> tuple[System | None, int]:
-    n, axes = int(rng.integers(4, 7)), rng.normal(size=(6, 3))
+    n = int(rng.integers(4, 7))
+    axes = rng.normal(size=(6, 3))
     axes = (axes / np.linalg.norm(axes, axis=1, keepdims=True))[:n]
     return ring("spherical", rng.uniform(-0.5, 0.5, 3) + rng.uniform(0.2, 0.5, (n, 1)) * axes, axes), n - 3
 
@@ -177,7 +181,9 @@ def random_triples(rng: np.random.Generator) -> tuple[System | None, int]:
 
 
 def random_cranks(rng: np.random.Generator) -> tuple[System | None, int]:
-    n, dim, t = int(rng.integers(3, 7)), int(rng.integers(2, 4)), rng.uniform(0.0, 2.0 * math.pi)
+    n = int(rng.integers(3, 7))
+    dim = int(rng.integers(2, 4))
+    t = rng.uniform(0.0, 2.0 * math.pi)
     arm = rng.uniform(0.2, 0.5) * np.array([math.cos(t), math.sin(t), 0.0])
     joints: list[Any] = []
     for i, p in enumerate(rng.uniform(-0.5, 0.5, (n, 3))):
@@ -187,7 +193,9 @@ def random_cranks(rng: np.random.Generator) -> tuple[System | None, int]:
 
 def random_ring_of_scissors(rng: np.random.Generator) -> tuple[System | None, int]:
     """Hoberman's ring: pairs of equal angulated bars whose ends run on lines through the center."""
-    n, inner, outer = int(rng.integers(4, 7)), rng.uniform(0.2, 0.3), rng.uniform(0.5, 0.6)
+    n = int(rng.integers(4, 7))
+    inner = rng.uniform(0.2, 0.3)
+    outer = rng.uniform(0.5, 0.6)
     half = math.pi / n
     bars = [["" if not i else f"a{i}" for i in range(n)], [f"b{i}" for i in range(n)]]
 
@@ -196,7 +204,10 @@ def random_ring_of_scissors(rng: np.random.Generator) -> tuple[System | None, in
 
     joints: list[Any] = []
     for i in range(n):
-        a, b, turn, following = bars[0][i], bars[1][i], 2.0 * half * i, (i + 1) % n
+        a = bars[0][i]
+        b = bars[1][i]
+        turn = 2.0 * half * i
+        following = (i + 1) % n
         joints.append((a, b, at((inner + outer) / 2.0 / math.cos(half), turn), (0, 0, 1)))
         joints.append((a, bars[1][following], at(outer, turn + half), (0, 0, 1)))
         joints.append((b, bars[0][following], at(inner, turn + half), (0, 0, 1)))

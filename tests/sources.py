@@ -44,7 +44,8 @@ def each(paths: Iterable[Path], root: Path) -> Callable[[Check], Callable[[str],
                     failures[path.relative_to(root).as_posix()] = str(error)
             assert not failures, "\n".join(f"{name}: {text}" for name, text in failures.items())
 
-        test.__name__, test.__doc__ = check.__name__, check.__doc__
+        test.__name__ = check.__name__
+        test.__doc__ = check.__doc__
         return pytest.mark.parametrize("folder", folders)(test)
 
     return decorate

@@ -16,7 +16,8 @@ def manseur_target() -> np.ndarray:
     """The pose of the paper, with its rotation of six digits made orthonormal."""
     U, _, V = np.linalg.svd(MANSEUR_R)
     X = np.eye(4)
-    X[:3, :3], X[:3, 3] = U @ V, (-1.140175, 0.0, 0.0)
+    X[:3, :3] = U @ V
+    X[:3, 3] = (-1.140175, 0.0, 0.0)
     return X
 
 
@@ -38,7 +39,8 @@ def test_pinocchio_agrees_with_the_model(arm):
     pin = pytest.importorskip("pinocchio")
     m = arm.model
     frames, tip = arms.frames_of(m)
-    robot, at = pin.Model(), 0
+    robot = pin.Model()
+    at = 0
     for i, (X, kind) in enumerate(zip(frames, m.kinds, strict=True)):
         joint = pin.JointModelRZ() if kind == oracle.TURN else pin.JointModelPZ()
         at = robot.addJoint(at, joint, pin.SE3(X[:3, :3], X[:3, 3]), f"j{i}")
@@ -52,10 +54,12 @@ def test_pinocchio_agrees_with_the_model(arm):
 @pytest.mark.parametrize("name", ["puma560", "randomRRPRRR_2", "so101", "gen3", "sleeve"])
 def test_jacobians_are_derivatives(name):
     m = ARMS[name].model
-    theta, step = m.theta(ARMS[name].random(3, 1)[0]), 1e-6
+    theta = m.theta(ARMS[name].random(3, 1)[0])
+    step = 1e-6
     J = m.jacobian(theta)
     for i in range(m.n):
-        ahead, behind = m.pose(theta + step * np.eye(m.n)[i]), m.pose(theta - step * np.eye(m.n)[i])
+        ahead = m.pose(theta + step * np.eye(m.n)[i])
+        behind = m.pose(theta - step * np.eye(m.n)[i])
         w = Rotation.from_matrix(ahead[:3, :3] @ behind[:3, :3].T).as_rotvec() / (2 * step)
         v = (ahead[:3, 3] - behind[:3, 3]) / (2 * step)
         np.testing.assert_allclose(J[:, i], [*v, *w], rtol=0, atol=1e-8)

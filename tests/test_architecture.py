@@ -146,7 +146,8 @@ def test_folders_of_a_package_are_imported_in_their_order(package):
             module = full.removeprefix("kempe.")
             module = module if module in known else module.rpartition(".")[0]
             if path.stem != "__init__" and module.startswith(f"{package}."):
-                (to, folder), (at, here) = place(package, module), place(package, own)
+                (to, folder) = place(package, module)
+                (at, here) = place(package, own)
                 later = function and folder in LATER.get(own, ())
                 assert folder == here or to < at or later, f"{own}:{line} imports {module}"
 

@@ -154,14 +154,16 @@ def survives(reader, data: bytes) -> bool:
 
 
 def test_truncated_robots_are_refused():
-    data, rng = robot_bytes(), random.Random(1)
+    data = robot_bytes()
+    rng = random.Random(1)
     end = data.rstrip().rfind(b"</robot>") + len(b"</robot>")
     for cut in [rng.randrange(end) for _ in range(200)]:
         assert not survives(read_urdf, data[:cut]), f"cut at {cut}"
 
 
 def test_damaged_robots_never_crash():
-    data, rng = robot_bytes(), random.Random(2)
+    data = robot_bytes()
+    rng = random.Random(2)
     for _ in range(150):
         damaged = bytearray(data)
         for _ in range(rng.choice([1, 1, 2, 5])):
@@ -173,7 +175,8 @@ def test_shuffled_pieces_never_crash():
     rng = random.Random(3)
     pieces = [c.text for c in URDF_CASES if len(c.text) < 5000]
     for _ in range(300):
-        a, b = rng.choice(pieces), rng.choice(pieces)
+        a = rng.choice(pieces)
+        b = rng.choice(pieces)
         survives(read_urdf, (a[: rng.randrange(len(a) + 1)] + b[rng.randrange(len(b) + 1) :]).encode())
 
 

@@ -191,7 +191,8 @@ def one_sided() -> kempe.System:
 
 
 def chain(count: int) -> kempe.System:
-    m, before = kempe.Mechanism("chain"), "ground"
+    m = kempe.Mechanism("chain")
+    before = "ground"
     for k in range(count):
         m.revolute(f"j{k}", m.ground if k == 0 else before, m.body(f"b{k}"), at=(0.0, 0.05, 0.1),
                    rpy=(0.5 * math.pi * (-1) ** k, 0.0, 0.0), limits=(-0.05, 0.05))  # fmt: skip
@@ -199,7 +200,10 @@ def chain(count: int) -> kempe.System:
     return m.build()
 
 
-OPEN, MANY, LOW, LONG = open_loops(), open_loops(30), one_sided(), chain(40)
+OPEN = open_loops()
+MANY = open_loops(30)
+LOW = one_sided()
+LONG = chain(40)
 TURNED = LONG.fk(LONG.mid, LONG.frame_names[-1]) @ np.diag([1.0, -1.0, -1.0, 1.0])
 NEVER = kempe.tasks.Function(lambda q: q[0] ** 2 + 1.0)
 TURN = LINKAGE.trace("A")
@@ -294,7 +298,8 @@ LARGE = {
     "chain: reach.poses": lambda s, b: s.reach.poses(s.fk(s.mid, "b99")[None], "b99", budget=b),
 }
 """Verbs of systems of 40 loops, and of chains of 100 joints, of which nothing is known beforehand."""
-ALLOWED, AFTERWARDS = 3000.0, 200_000
+ALLOWED = 3000.0
+AFTERWARDS = 200_000
 """Calls of functions that a verb may make, by its time limit, and that may follow: about 0.1 s."""
 
 
@@ -363,7 +368,8 @@ def test_an_answer_says_that_its_time_was_up(looks, verb):
 def test_a_verb_ends_at_whichever_look_its_time_is_up(looks, verb, look):
     """Few looks follow: the work is over, and what was done by then is put in order; each is answered, or raises."""
     count = looks(look)
-    answer, done = asked(verb), next(count)
+    answer = asked(verb)
+    done = next(count)
     assert done <= look + 3000
     if isinstance(answer, kempe.errors.TimeLimitError):
         assert done > look
@@ -414,7 +420,8 @@ class Ends:
     """Progress that interrupts, as Ctrl-C, at its call number `at`; `came` says that it did."""
 
     def __init__(self, at: int = 0):
-        self.at, self.came = at, False
+        self.at = at
+        self.came = False
 
     def __call__(self, *done: object) -> None:
         assert not self.came, "the work goes on after an interrupt"
@@ -453,7 +460,8 @@ INTERRUPTED = {
 def test_an_interrupt_goes_on_to_the_caller_with_what_was_done(verb):
     """One Ctrl-C ends a loop over calls: no verb takes it for an answer."""
     pytest.importorskip("matplotlib")
-    ends, calls = Ends(), 0
+    ends = Ends()
+    calls = 0
     with pytest.raises(kempe.Interrupted) as stop:
         for _ in range(2):
             INTERRUPTED[verb](Budget(progress=ends))

@@ -24,7 +24,8 @@ from kempe import calls, tasks
 from kempe.errors import CallError, DescriptionError, InputError, KempeError, RoundedWarning, UnknownNameError
 from kempe.model import namespaces
 
-PUMA, FOUR_BAR = kempe.load("puma560"), kempe.load("four_bar")
+PUMA = kempe.load("puma560")
+FOUR_BAR = kempe.load("four_bar")
 X = PUMA.fk(PUMA.mid, "tool")
 
 
@@ -76,7 +77,8 @@ def answered(call: wrong_calls.Call) -> None:
 
 
 def hunted(hunt: Hunt, count: int) -> None:
-    rng, everything = hunt.rng(), wrong_calls.functions()
+    rng = hunt.rng()
+    everything = wrong_calls.functions()
     for _ in range(hunt.cases(count)):
         answered(wrong_calls.call_of(*everything[rng.integers(len(everything))], rng))
 

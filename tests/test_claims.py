@@ -33,7 +33,8 @@ def tip(robot: kempe.System) -> str:
 
 
 def inside(robot: kempe.System, q) -> bool:
-    v, x = robot.structure.layout.vector_v, np.asarray(q)[..., robot.structure.layout.vector_q]
+    v = robot.structure.layout.vector_v
+    x = np.asarray(q)[..., robot.structure.layout.vector_q]
     return bool(((x >= robot.lower[v] - 1e-9) & (x <= robot.upper[v] + 1e-9)).all())
 
 
@@ -45,7 +46,8 @@ def test_answers_are_inside_the_limits_and_judged_by_the_forward_model(robots, h
     rng = hunt.rng()
     for _ in range(hunt.cases(60)):
         robot = robots[ARMS[rng.integers(len(ARMS))]]
-        frame, size = tip(robot), 20
+        frame = tip(robot)
+        size = 20
         X = robot.fk(robot.random(rng, size), frame)
         X[:, :3, 3] *= rng.choice([1.0, 1.0, 3.0], (size, 1))
         asks_pose = bool(rng.random() < 0.6) and robot.dim == 3
@@ -63,7 +65,8 @@ def test_answers_are_inside_the_limits_and_judged_by_the_forward_model(robots, h
 
 def test_a_frame_that_moves_with_a_loop_is_answered_with_it_closed(hunt):
     """Reachable and far targets of bodies of closed mechanisms: limits, errors, loops by the closure error."""
-    rng, reached = hunt.rng(), 0
+    rng = hunt.rng()
+    reached = 0
     for _ in range(hunt.cases(30)):
         system = kempe.load(str(rng.choice(CLOSED)))
         body = str(rng.choice([n for n in system.body_names if n != system.body_names[0]]))
@@ -86,7 +89,8 @@ def test_the_answer_is_that_of_the_first_start_that_reaches_the_target(robots, h
     for _ in range(hunt.cases(300)):
         robot = robots[ARMS[rng.integers(len(ARMS))]]
         q = robot.random(rng)
-        X, seed = robot.fk(q, tip(robot)), q + rng.normal(size=robot.nq) * rng.choice([0.1, 0.5, 2.0])
+        X = robot.fk(q, tip(robot))
+        seed = q + rng.normal(size=robot.nq) * rng.choice([0.1, 0.5, 2.0])
         many = robot.ik(X, tip(robot), start=seed)
         assert many.success
         few = robot.ik(X, tip(robot), start=seed, budget=kempe.Budget(starts=many.starts))
@@ -97,7 +101,8 @@ def test_the_analytic_answer_is_the_nearest_of_all_solutions(robots, hunt):
     rng = hunt.rng()
     for _ in range(hunt.cases(100)):
         robot = robots[str(rng.choice(["puma560", "ur5"]))]
-        X, seed = robot.fk(robot.random(rng), tip(robot)), robot.random(rng)
+        X = robot.fk(robot.random(rng), tip(robot))
+        seed = robot.random(rng)
         s = robot.ik(X, tip(robot), start=seed, method="analytic")
         a = robot.ik_all(X, tip(robot), limits="turns")
         assert s.success == bool(len(a))
@@ -122,7 +127,8 @@ def test_steps_stay_in_the_limits_of_place_and_speed(robots, hunt):
 
 def test_a_branch_is_never_answered_by_another_one(hunt):
     """Four-bars of random lengths: the branch that is requested, or no success, by the side of the middle joint."""
-    rng, both = hunt.rng(), [0, 0]
+    rng = hunt.rng()
+    both = [0, 0]
     for _ in range(hunt.cases(300)):
         a, b, c, d = rng.uniform(0.2, 1.0, 4)
         system = four_bar(a, b, c, d, cut=None)
@@ -142,7 +148,8 @@ def test_a_branch_is_never_answered_by_another_one(hunt):
 
 def test_a_drive_holds_where_its_input_cannot_be(hunt):
     """Slider-cranks of random lengths: held where the slider is wanted beyond crank and rod in line, else there."""
-    rng, held = hunt.rng(), 0
+    rng = hunt.rng()
+    held = 0
     for _ in range(hunt.cases(5)):
         a = float(rng.uniform(0.1, 0.5))
         b = a * float(rng.uniform(1.3, 3.0))
@@ -156,7 +163,8 @@ def test_a_drive_holds_where_its_input_cannot_be(hunt):
         s0 = system.q_dict(start)["S"]
         wave = s0 + np.concatenate([[0.0], rng.uniform(0.3, 1.6) * a * np.sin(np.linspace(0.1, 9.0, 60))])
         motion = system.drive({"S": wave}, start=start)
-        S, A = motion.values("S"), motion.values("A")
+        S = motion.values("S")
+        A = motion.values("A")
         beyond = (wave > a + b + 1e-9) | (wave < b - a - 1e-9)
         assert np.array_equal(motion.held, beyond) and np.abs(system.loops.closure_error(motion.q)).max() < 1e-9
         np.testing.assert_allclose(S[~beyond], wave[~beyond], atol=1e-9)
@@ -185,14 +193,17 @@ VERBS = {
 @pytest.mark.parametrize("verb", VERBS)
 def test_a_wrong_number_never_becomes_a_plausible_one(robots, verb, hunt):
     """One number is NaN or infinite: alone it is refused, in a batch its row is NaN and the others stay as they are."""
-    rng, do = hunt.rng(), VERBS[verb]
+    rng = hunt.rng()
+    do = VERBS[verb]
     of_target = verb in ("ik", "ik_all")
     for _ in range(hunt.cases(40)):
         robot = robots[str(rng.choice(["puma560", "ur5"] if verb == "ik_all" else ["panda", "puma560", "stanford"]))]
         Q = robot.random(rng, 5)
         T = robot.fk(Q, tip(robot))
-        row, bad = int(rng.integers(5)), BAD[rng.integers(3)]
-        Q2, T2 = Q.copy(), T.copy()
+        row = int(rng.integers(5))
+        bad = BAD[rng.integers(3)]
+        Q2 = Q.copy()
+        T2 = T.copy()
         Q2[row, rng.integers(robot.nq)] = bad
         T2[row, rng.integers(3), rng.integers(4)] = bad
         if verb in ("integrate", "difference"):
@@ -200,7 +211,8 @@ def test_a_wrong_number_never_becomes_a_plausible_one(robots, verb, hunt):
         else:
             with pytest.raises(errors.InputError):
                 do(robot, Q[row] if of_target else Q2[row], T2[row])
-        clean, spoilt = do(robot, Q, T), do(robot, Q if of_target else Q2, T2)
+        clean = do(robot, Q, T)
+        spoilt = do(robot, Q if of_target else Q2, T2)
         clean, spoilt = (x if isinstance(x, np.ndarray) else x.q for x in (clean, spoilt))
         others = np.arange(5) != row
         if verb == "fk of all":
@@ -224,7 +236,8 @@ def test_all_errors_have_one_base(name):
 
 def test_unknown_keys_of_files_are_errors(hunt):
     """A key that no table has, put anywhere into a shipped model."""
-    rng, models = hunt.rng(), sorted(library_models())
+    rng = hunt.rng()
+    models = sorted(library_models())
     for _ in range(hunt.cases(120)):
         lines = write_toml(kempe.read(str(rng.choice(models)))).splitlines()
         heads = [i for i, line in enumerate(lines) if line.startswith("[[")]

@@ -120,7 +120,8 @@ def tip(q1: float, q2: float) -> tuple[float, float, float]:
 
 def test_help_and_version():
     assert Result("--version").out == f"kempe {kempe.__version__}, kernels {VARIANT}\n"
-    alone, requested = Result(), Result("--help")
+    alone = Result()
+    requested = Result("--help")
     assert alone.code == requested.code == 0
     for name in ("info", "check", "fk", "ik", "convert", "library"):
         assert name in alone.out and name in requested.out
@@ -392,7 +393,8 @@ def test_fk_of_bad_rows(arm, tmp_path):
     ],
 )  # fmt: skip
 def test_wrong_configurations(arm, q, said):
-    plain, data = Result("fk", arm, "--q", q), Result("fk", arm, "--q", q, "--json")
+    plain = Result("fk", arm, "--q", q)
+    data = Result("fk", arm, "--q", q, "--json")
     assert plain.code == data.code == 2 and plain.out == data.err == ""
     assert said in plain.err and plain.err.count("\n") == 1 and said in data.json()["error"]
 
@@ -423,7 +425,8 @@ def test_wrong_arrays(arm, tmp_path):
 
 def test_wrong_frame(arm):
     for arguments in (["fk", arm, "--frame", "tipp"], ["ik", arm, "--frame", "tipp", "--target", "1,0,0"]):
-        plain, data = Result(*arguments), Result(*arguments, "--json")
+        plain = Result(*arguments)
+        data = Result(*arguments, "--json")
         assert plain.code == data.code == 2
         assert plain.err == "error: arm has no frame 'tipp'; did you mean 'tip'?\n"
         assert data.json()["error"] in plain.err and "tip" in data.json()["allowed"]
@@ -522,7 +525,8 @@ def test_ik_in_the_plane(tmp_path, four_bar):
 
 
 def test_convert(arm, tmp_path):
-    toml, urdf = tmp_path / "arm.toml", tmp_path / "again.urdf"
+    toml = tmp_path / "arm.toml"
+    urdf = tmp_path / "again.urdf"
     assert Result("convert", arm, toml).code == 0
     assert Result("convert", toml, urdf, "--json").json()["written"] == str(urdf)
     q = np.array([0.3, 0.9])
@@ -531,7 +535,8 @@ def test_convert(arm, tmp_path):
 
 
 def test_convert_refuses(arm, four_bar, tmp_path):
-    ending, loop = Result("convert", arm, tmp_path / "arm.txt"), Result("convert", four_bar, tmp_path / "x.urdf")
+    ending = Result("convert", arm, tmp_path / "arm.txt")
+    loop = Result("convert", four_bar, tmp_path / "x.urdf")
     assert ending.code == loop.code == 2 and ".urdf or .toml" in ending.err and "loop" in loop.err
     assert not (tmp_path / "x.urdf").exists()
     folder = Result("convert", arm, tmp_path / "no" / "arm.toml")
@@ -540,7 +545,8 @@ def test_convert_refuses(arm, four_bar, tmp_path):
 
 @pytest.mark.slow
 def test_library():
-    data, listed = json.loads(Result("library", "--json").out), Result("library").out
+    data = json.loads(Result("library", "--json").out)
+    listed = Result("library").out
     assert [d["name"] for d in data] == list(library_models())
     for model in data:
         assert model["description"], model["name"]

@@ -330,7 +330,8 @@ def test_help_is_whole_in_any_width(columns):
 
 def test_names_of_files_with_a_zero_byte_are_refused(tmp_path):
     """They ended in a ValueError of the operating system's interface."""
-    robot, name = kempe.load("two_link"), f"{tmp_path}/a\0b"
+    robot = kempe.load("two_link")
+    name = f"{tmp_path}/a\0b"
     answer = robot.ik([0.6, 0.3, 0.0], "e")
     for call in (
         lambda: answer.save(f"{name}.csv"), lambda: robot.save_html(f"{name}.html"), lambda: kempe.open_workspace(name),

@@ -16,7 +16,8 @@ from rich.console import Console
 import kempe
 from kempe.views import ik_report
 
-L1, L2 = 0.5, 0.4
+L1 = 0.5
+L2 = 0.4
 LIMITED = """\
 format = 1
 name = "limited"
@@ -182,7 +183,8 @@ def test_many_coordinates_are_columns(tmp_path):
 
 
 def test_files(tmp_path):
-    targets, out = tmp_path / "targets.csv", tmp_path / "q.csv"
+    targets = tmp_path / "targets.csv"
+    out = tmp_path / "q.csv"
     np.savetxt(targets, [[0.5, 0.3], [1.5, 0.0], [0.2, -0.4]], delimiter=",")
     result = Table("ik", "two_link", "--frame", "e", "--target", targets, "--all", "-o", out)
     assert result.code == 1 and "2 of 3 targets reached, 4 solutions" in result.out and "row 1: " in result.out

@@ -181,7 +181,8 @@ def test_help_lists_the_commands_in_order():
 )  # fmt: skip
 def test_wrong_questions(arguments, said, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    plain, data = Result(*arguments), Result(*arguments, "--json")
+    plain = Result(*arguments)
+    data = Result(*arguments, "--json")
     assert plain.code == data.code == 2 and plain.out == data.err == "", plain.out + data.err
     assert said in plain.err and plain.err.startswith("error: ") and plain.err.count("\n") == 1, plain.err
     assert said in data.json()["error"] and not list(tmp_path.iterdir())
@@ -212,7 +213,8 @@ def test_missing_matplotlib_is_reported_first(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setattr("kempe.System.trace", lambda *_, **__: pytest.fail("it worked before it looked"))
     for command in (["plot", "four_bar", tmp_path / "x.png"], ["trace", "four_bar", "--plot", tmp_path / "x.png"]):
-        plain, data = Result(*command), Result(*command, "--json")
+        plain = Result(*command)
+        data = Result(*command, "--json")
         assert plain.code == data.code == 2 and "kempe[view]" in plain.err and plain.err.count("\n") == 1
         assert data.json()["type"] == "MissingExtraError" and not (tmp_path / "x.png").exists()
 
@@ -225,7 +227,8 @@ def test_narrow_terminals_get_all_digits(monkeypatch):
     system = kempe.load("four_bar")
     answer = system.assemble({"A": 0.3})
     for made in (loop_report.assembly(answer), loop_report.path(system.trace())):
-        wide, narrow = io.StringIO(), Terminal()
+        wide = io.StringIO()
+        narrow = Terminal()
         report.show(made, wide)
         report.show(made, narrow)
         numbers = [x for x in wide.getvalue().split() if re.fullmatch(r"-?\d+\.\d{6,9}", x)]
@@ -282,7 +285,8 @@ def test_fk_says_where_loops_are_open(engine, rodded):
 
 def test_classify():
     """The report, and the same as data."""
-    shown, data = Result("classify", "car"), Result("classify", "car", "--q", "0,0,30", "--deg", "--json").json()
+    shown = Result("classify", "car")
+    data = Result("classify", "car", "--q", "0,0,30", "--deg", "--json").json()
     assert shown.code == 0 and "nonholonomic" in shown.out and "(2, 3) at q, degree 2" in shown.out
     assert (data["growth"], data["kind"], data["reachable_dimension"]) == ([2, 3], "nonholonomic", 3)
     assert data["q"]["drive.rz"] == pytest.approx(30.0) and data["angle_unit"] == "deg"
@@ -292,7 +296,8 @@ def test_classify():
 def test_classify_where_loops_are_open():
     """Refused with the distance, or projected."""
     requested = ("classify", "four_bar", "--q", "0.5,0.1,0.2,0.3")
-    done, projected = Result(*requested), Result(*requested, "--project")
+    done = Result(*requested)
+    projected = Result(*requested, "--project")
     assert done.code == 2 and "project" in done.err
     assert projected.code == 0 and "away from what was given" in " ".join(projected.out.split())
 
@@ -327,7 +332,8 @@ def test_dof_at_known_coordinates():
 
 
 def test_dof_where_nothing_closes(engine):
-    plain, data = Result("dof", engine, "--q", "S=3.5"), Result("dof", engine, "--q", "S=3.5", "--json")
+    plain = Result("dof", engine, "--q", "S=3.5")
+    data = Result("dof", engine, "--q", "S=3.5", "--json")
     assert plain.code == data.code == 1 and plain.out.startswith("not closed") and "0.5 m" in plain.out
     assert data.json()["success"] is False and data.json()["q"]["S"] == 3.5
 
@@ -346,7 +352,8 @@ def test_dof_of_chosen_actuators():
 def test_assemble_against_the_closed_form(engine):
     for angle in (20.0, -70.0, 100.0):
         result = Result("assemble", engine, f"A={angle}", "--deg", "--json")
-        data, want = result.json(), math.radians(angle)
+        data = result.json()
+        want = math.radians(angle)
         assert result.code == 0 and data["success"] is True and data["q"]["A"] == pytest.approx(angle, abs=1e-12)
         assert data["q"]["S"] == pytest.approx(reach(want), abs=1e-12)
         assert data["q"]["C"] == pytest.approx(math.degrees(math.asin(math.sin(want) / 2.0)), abs=1e-9)
@@ -416,7 +423,8 @@ def test_modes_of_many_coordinates_are_columns():
 
 
 def test_an_open_loop_is_reported_and_not_written(engine, tmp_path):
-    out, picture = tmp_path / "q.csv", tmp_path / "q.png"
+    out = tmp_path / "q.csv"
+    picture = tmp_path / "q.png"
     pytest.importorskip("matplotlib")
     result = Result("assemble", engine, "S=3.5", "--out", out, "--plot", picture)
     assert result.code == 1 and result.out.startswith("not closed") and "stays open by 0.5 m" in result.out
@@ -427,7 +435,8 @@ def test_an_open_loop_is_reported_and_not_written(engine, tmp_path):
 
 
 def test_assemble_rows_of_a_file(engine, tmp_path):
-    inputs, out = tmp_path / "in.csv", tmp_path / "out.csv"
+    inputs = tmp_path / "in.csv"
+    out = tmp_path / "out.csv"
     inputs.write_text("A\n0.1\n0.2\n0.3\n")
     result = Result("assemble", engine, inputs, "--continuous", "--out", out, "--json")
     want = [reach(a) for a in (0.1, 0.2, 0.3)]
@@ -451,7 +460,8 @@ def test_assemble_rows_of_a_file(engine, tmp_path):
 def test_limits_can_be_left_out(tmp_path):
     path = tmp_path / "limited.toml"
     path.write_text(CRANK_SLIDER.replace("axis = [1, 0]\n", "axis = [1, 0]\nlimits = [2, 4]\n"))
-    within, without = Result("assemble", path, "S=1.5"), Result("assemble", path, "S=1.5", "--no-limits", "--json")
+    within = Result("assemble", path, "S=1.5")
+    without = Result("assemble", path, "S=1.5", "--no-limits", "--json")
     assert within.code == 1 and "limits" in within.out and without.code == 0
     assert reach(without.json()["q"]["A"]) == pytest.approx(1.5, abs=1e-9)
     short = Result("trace", path, "--json").json()
@@ -465,7 +475,8 @@ def test_limits_can_be_left_out(tmp_path):
 def test_trace_against_the_closed_form(engine, tmp_path):
     out = tmp_path / "path.csv"
     result = Result("trace", engine, "--driver", "S", "--frame", "pin", "-o", out, "--points", "50", "--deg", "--json")
-    data, rows = result.json(), table(out)
+    data = result.json()
+    rows = table(out)
     assert result.code == 0 and data["closed"] is True and data["written"] == [str(out)]
     assert data["columns"] == ["s", "A", "B", "C", "S", "pin.x", "pin.y"] and len(data["rows"]) == 50
     np.testing.assert_allclose(np.array(data["rows"]), np.array(rows.tolist()), atol=1e-12)
@@ -515,9 +526,11 @@ def test_trace_with_a_held_coordinate():
 def test_trace_other_branches(tmp_path):
     """A kite has the branch on which two of its bodies turn as one: A stays at a multiple of pi."""
     pytest.importorskip("matplotlib")
-    out, picture = tmp_path / "kite.csv", tmp_path / "kite.svg"
+    out = tmp_path / "kite.csv"
+    picture = tmp_path / "kite.svg"
     result = Result("trace", "kite", "--branches", "--out", out, "--plot", picture, "--json")
-    data, rows = result.json(), table(out)
+    data = result.json()
+    rows = table(out)
     (other,) = data["others"]
     assert [e["kind"] for e in data["singular_points"]] == ["bifurcation"] * 2 and other["closed"]
     assert sorted(set(rows["branch"].tolist())) == [0.0, 1.0] and sum(rows["branch"] == 1) == len(other["rows"])
@@ -548,7 +561,8 @@ def test_an_interrupt_keeps_what_was_done(tmp_path):
     code = "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n" + code
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 130 and "interrupted" in done.stdout and "Traceback" not in done.stderr, done.stderr
-    system, rows = kempe.load("four_bar"), table(out)
+    system = kempe.load("four_bar")
+    rows = table(out)
     assert 10 < len(rows) < 60
     q = np.array(rows.tolist())[:, 1:]
     assert np.abs(system.loops.closure_error(q)).max() < 1e-9

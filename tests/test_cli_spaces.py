@@ -27,7 +27,8 @@ def test_json_holds_the_same():
 @pytest.mark.slow
 def test_samples_and_pictures_are_written(tmp_path):
     pytest.importorskip("matplotlib")
-    out, picture = tmp_path / "q.npy", tmp_path / "spaces.png"
+    out = tmp_path / "q.npy"
+    picture = tmp_path / "spaces.png"
     done = Result("spaces", "two_link", "--frame", "e", "--sample", 9, "-o", out, "--plot", picture)
     assert done.code == 0 and "written to" in done.out and picture.read_bytes()[:4] == b"\x89PNG"
     assert np.array_equal(np.load(out), kempe.load("two_link").configuration_space.sample(9, 0).q)

@@ -70,7 +70,8 @@ def test_what_tasks_contradict_is_said(folder):
 
 def test_every_type_is_read(folder):
     """Each class of the task zoo, with its goal, as the class itself would take it."""
-    panda, link = kempe.load("panda"), '"panda_link4"'
+    panda = kempe.load("panda")
+    link = '"panda_link4"'
     pose = "[0.3, 0.1, 0.5, 0.1, 0.2, 0.3]"
     body = {
         "pose": f"target = {pose}", "position": "target = [0.3, 0, 0.5]\npoint = [0, 0, 0.1]",
@@ -169,7 +170,8 @@ def test_a_batch_of_tasks_in_slices(folder, monkeypatch):
 def test_an_interrupt_leaves_what_was_done(folder, monkeypatch):
     np.savetxt("t.csv", np.tile([0.4, 0.1, 0.5], (10, 1)), delimiter=",")
     monkeypatch.setattr("kempe.cli.inverse_commands.SLICE", 4)
-    calls, whole = [], kempe.System.ik
+    calls = []
+    whole = kempe.System.ik
 
     def ik(self, *given, **options):
         calls.append(1)
@@ -184,7 +186,8 @@ def test_an_interrupt_leaves_what_was_done(folder, monkeypatch):
 
 
 def test_slices_tell_where_they_are():
-    panda, said = kempe.load("panda"), []
+    panda = kempe.load("panda")
+    said = []
     X = panda.fk(panda.random(0, 5), HAND)
     X[3, :3, 3] = 9.0
     answer = slices.in_slices(panda, 5, 2, lambda i, j: panda.ik(X[i:j], HAND), said.append)
@@ -226,7 +229,8 @@ def test_a_path_that_stops(folder):
 
 
 def test_an_interrupted_path():
-    panda, done = kempe.load("panda"), []
+    panda = kempe.load("panda")
+    done = []
     targets = np.column_stack([np.full(9, 0.4), np.linspace(0.0, 0.2, 9), np.full(9, 0.5)])
 
     def progress(count: int) -> None:

@@ -14,7 +14,8 @@ FEW = ("two_link", "--frame", "e", "-n", "2e5", "--cells", "64")
 
 def test_a_map_is_made_drawn_and_looked_up(tmp_path):
     pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra view)")
-    path, picture = tmp_path / "map.zarr", tmp_path / "map.png"
+    path = tmp_path / "map.zarr"
+    picture = tmp_path / "map.png"
     done = Result("workspace", *FEW, "-o", path, "--plot", picture, "--json").json()
     assert done["samples"] == 200_000 and done["cells"] == [64, 64] and done["written"] == [str(path), str(picture)]
     assert abs(done["area"] - np.pi * (0.9**2 - 0.1**2)) < 2 * done["area_error"]
@@ -39,11 +40,13 @@ def test_the_text_says_what_is_proven():
 def three_links(tmp_path):
     """A file of three links in the plane, 0.5, 0.3 and 0.1 m long: the wrist reaches a ring from 0.2 to 0.8 m."""
     m = kempe.Mechanism("three links", dim=2)
-    before, at = m.ground, (0.0, 0.0)
+    before = m.ground
+    at = (0.0, 0.0)
     for k, length in enumerate((0.5, 0.3, 0.1), 1):
         body = m.body(f"B{k}")
         m.revolute(f"J{k}", before, body, at=at)
-        before, at = body, (length, 0.0)
+        before = body
+        at = (length, 0.0)
     m.frame("tool", before, at)
     return str(m.save(tmp_path / "three.toml"))
 

@@ -34,22 +34,38 @@ def marked(name: str, *joints: str) -> kempe.System:
     return kempe.load(text)
 
 
-ARM, SEVEN, LINKAGE = marked("puma560"), marked("iiwa14"), marked("four_bar", *"ABCD")
-TWO, SPATIAL, CAR, BALL = marked("two_link_pose", "q1", "q2"), marked("bennett"), marked("car"), marked("ball")
-FIVE, CRANK, ROCKER = marked("five_bar"), "<b>A", "<b>D"
-TOOL, TIP = ARM.frame_names[-1], SEVEN.frame_names[-1]
-Q, SEVEN_Q, CLOSED = ARM.mid + 0.1, SEVEN.mid + 0.2, LINKAGE.assemble({CRANK: 0.3}).q
+ARM = marked("puma560")
+SEVEN = marked("iiwa14")
+LINKAGE = marked("four_bar", *"ABCD")
+TWO = marked("two_link_pose", "q1", "q2")
+SPATIAL = marked("bennett")
+CAR = marked("car")
+BALL = marked("ball")
+FIVE = marked("five_bar")
+CRANK = "<b>A"
+ROCKER = "<b>D"
+TOOL = ARM.frame_names[-1]
+TIP = SEVEN.frame_names[-1]
+Q = ARM.mid + 0.1
+SEVEN_Q = SEVEN.mid + 0.2
+CLOSED = LINKAGE.assemble({CRANK: 0.3}).q
 STRETCHED = LINKAGE.assemble({CRANK: np.arccos((0.6**2 + 0.4**2 - 0.4**2) / (2 * 0.6 * 0.4))}).q
 """Crank and coupler in one line, 0.6 m, by the law of cosines: a dead point of the rocker."""
 X = ARM.fk(Q, TOOL)
-FAR, WRONG = X.copy(), np.full((4, 4), np.nan)
+FAR = X.copy()
+WRONG = np.full((4, 4), np.nan)
 FAR[:3, 3] += 9.0
-BATCH, EMPTY = np.stack([X, FAR, WRONG]), np.zeros((0, 4, 4))
+BATCH = np.stack([X, FAR, WRONG])
+EMPTY = np.zeros((0, 4, 4))
 REACHED = ARM.fk(np.stack([Q, Q + 0.02, Q + 0.04]), TOOL)
 POSITION = kempe.tasks.Position
-THREE, FIVES, MANY, NINE = Budget(starts=3), Budget(points=5), Budget(starts=64), Budget(points=9)
+THREE = Budget(starts=3)
+FIVES = Budget(points=5)
+MANY = Budget(starts=64)
+NINE = Budget(points=9)
 AT_ONCE = Budget(time_limit=1e-9)
-NONE, POINT = np.zeros(0), np.zeros((4, 4))
+NONE = np.zeros(0)
+POINT = np.zeros((4, 4))
 AHEAD = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1e-3])
 
 
@@ -255,7 +271,8 @@ def rounded() -> kempe.System:
 def apart() -> kempe.System:
     """Two bars that are too short to meet."""
     m = kempe.Mechanism("<b>apart", dim=2)
-    a, b = m.body("a"), m.body("b")
+    a = m.body("a")
+    b = m.body("b")
     m.revolute("A", m.ground, a)
     m.revolute("B", m.ground, b, at=(9.0, 0.0))
     m.revolute("C", a, b, at=(1.0, 0.0), child_at=(1.0, 0.0))
@@ -352,7 +369,8 @@ def test_the_sentence_of_a_report_is_its_status(name):
 @pytest.mark.parametrize("name", ANSWERS)
 def test_configurations_of_answers(name):
     answer, expected = answered(name)
-    system, lead = answer.system, answer.q.shape[:-1]
+    system = answer.system
+    lead = answer.q.shape[:-1]
     assert answer.q.shape[-1] == system.nq and np.shape(answer.residual) == lead == np.shape(answer.judged.holds)
     assert "contradicted" not in answer.verdict
     claimed = np.broadcast_to(answer._claimed(), lead)
@@ -369,7 +387,8 @@ def test_configurations_of_answers(name):
 @pytest.mark.parametrize("name", ANSWERS)
 def test_data_of_an_answer_hold_its_configurations(name):
     answer, _ = answered(name)
-    system, data = answer.system, json.loads(answer.to_json())
+    system = answer.system
+    data = json.loads(answer.to_json())
     assert data["system"] == system.name
 
     def rows(x: Any) -> list[Any]:
@@ -412,7 +431,8 @@ def test_degrees_change_the_angles_of_data_only():
     from kempe.views.facts import answer_facts
 
     answer = LINKAGE.assemble({CRANK: 0.3})
-    rad, deg = answer_facts(answer), answer_facts(answer, True)
+    rad = answer_facts(answer)
+    deg = answer_facts(answer, True)
     assert (rad["angle_unit"], deg["angle_unit"]) == ("rad", "deg") and rad == answer.data()
     assert deg["q"] == pytest.approx({n: np.degrees(x) for n, x in rad["q"].items()})
     assert {k: v for k, v in deg.items() if k not in ("q", "angle_unit")} == {
@@ -421,8 +441,10 @@ def test_degrees_change_the_angles_of_data_only():
 
 def test_the_judge_finds_answers_that_are_altered():
     """Of each sort of answer one is moved away from its target: the judge, and with it the verdict, says so."""
-    modes, path = LINKAGE.assembly_modes({CRANK: 0.3}), ARM.ik_path(REACHED, TOOL, Q)
-    drive, every = LINKAGE.drive(held(4), start=CLOSED), ARM.ik_all(X, TOOL)
+    modes = LINKAGE.assembly_modes({CRANK: 0.3})
+    path = ARM.ik_path(REACHED, TOOL, Q)
+    drive = LINKAGE.drive(held(4), start=CLOSED)
+    every = ARM.ik_all(X, TOOL)
     for answer in (modes, path, drive, every):
         assert answer.judged and answer.judged.names
         answer = pickle.loads(pickle.dumps(answer))

@@ -21,7 +21,8 @@ from kempe.kinematics.closure_rows import jacobian, residual
 from kempe.model.tree.own_tree import own_tree
 
 CLOSED = with_loops()
-FAR, NEAR = 3.0, 0.05
+FAR = 3.0
+NEAR = 0.05
 """How far starts are from a closed configuration, in radians and metres."""
 OPEN = 1e-8
 
@@ -113,7 +114,8 @@ def test_counts_and_ranks_at_every_cut(name):
 
 def assembled(plain: System, s: System, n: int, rng: np.random.Generator) -> None:
     """From near and from far: as closed, and the same; each judges the answer by its own tree."""
-    home, known = plain.q("closed"), driven(plain)[0]
+    home = plain.q("closed")
+    known = driven(plain)[0]
     values = {known: plain.q_dict(home)[known]} if known in plain.coordinate_names else {}
     for size in (FAR, NEAR):
         at = starts(plain, home, size, n, rng)
@@ -158,7 +160,8 @@ def test_what_a_start_says_of_the_joint_left_out_gives_way(limits):
 
 def reached(plain: System, s: System, n: int, rng: np.random.Generator) -> None:
     """Targets within reach from near and from far, one out of reach, and a step."""
-    frame, home = plain.body_names[-1], plain.q("closed")
+    frame = plain.body_names[-1]
+    home = plain.q("closed")
     closed = plain.assemble(start=starts(plain, home, NEAR, n, rng)).q
     targets = plain.fk(closed, frame)
     away = targets + np.array([[0.0, 0, 0, 50.0], [0] * 4, [0] * 4, [0] * 4])
@@ -221,9 +224,11 @@ LONG = pytest.param("scissor", marks=pytest.mark.slow)
 @pytest.mark.parametrize("name", some(["four_bar", "slider_crank", "bennett", LONG], 3))
 def test_motions(name):
     plain, *others = cuts(name)
-    home, driver = plain.q("closed"), driven(plain)[0]
+    home = plain.q("closed")
+    driver = driven(plain)[0]
     values = plain.q_dict(home)[driver] + np.linspace(0.0, 1.0, 30)
-    want, driven_ = plain.trace(driver, home), plain.drive({driver: values}, start=home)
+    want = plain.trace(driver, home)
+    driven_ = plain.drive({driver: values}, start=home)
     for s in few((plain, *others)):
         got = s.trace(driver, home)
         same(got.q, want.q)
@@ -236,7 +241,8 @@ def test_motions(name):
 
 def hunted(shape: Closed, rng: np.random.Generator) -> None:
     """Marked anywhere, also at more joints than there are loops, or at one of several."""
-    names, plain = [link.name for link in shape.links], shape.system()
+    names = [link.name for link in shape.links]
+    plain = shape.system()
     q = shape.values(plain)
     at = np.concatenate([starts(plain, q, size, 2, rng) for size in (FAR, NEAR)])
     known = {n: x for n, x in plain.q_dict(q).items() if n in plain.structure.velocity_names and rng.random() < 0.2}

@@ -69,7 +69,8 @@ def run(path: Path, block: Block, names: dict[str, object]) -> str:
 
 def same_output(got: str, shown: str) -> bool:
     """Whether two outputs have the same words, and numbers that agree; `...` stands for a part of a word."""
-    words, wanted = got.split(), shown.split()
+    words = got.split()
+    wanted = shown.split()
     return len(words) == len(wanted) and all(map(_same_word, words, wanted))
 
 
@@ -123,7 +124,8 @@ def test_code_runs(path, tmp_path, monkeypatch):
 def test_output_in_the_readme(tmp_path, monkeypatch):
     """Each Python block of the README that is followed by a text block prints that text."""
     monkeypatch.chdir(tmp_path)
-    found, names = blocks(ROOT / "README.md"), {"__name__": "__main__"}
+    found = blocks(ROOT / "README.md")
+    names = {"__name__": "__main__"}
     compared = 0
     for block, after in itertools.pairwise([*found, Block("", "", 0)]):
         if is_code(block):
@@ -254,7 +256,8 @@ def test_stations_of_journeys_exist(station):
     parts = match[1].split(".")
     folder = next(i for i in range(len(parts), 0, -1) if (ROOT / "src" / Path(*parts[:i])).is_dir())
     inside = (ROOT / "src" / Path(*parts[:folder])) / "__init__.py"
-    path, names = inside.with_name(f"{parts[folder]}.py"), parts[folder + 1 :]
+    path = inside.with_name(f"{parts[folder]}.py")
+    names = parts[folder + 1 :]
     path, names = (path, names) if path.exists() else (inside, parts[folder:])
     body: list[ast.stmt] = sources.tree(path).body
     for name in names:

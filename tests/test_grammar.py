@@ -81,7 +81,9 @@ MODELS = [pytest.param(n, marks=pytest.mark.slow) if n in LONG else n for n in l
 @pytest.mark.parametrize("name", some(MODELS, 3))
 def test_sentences_of_shipped_models_agree(name):
     system = kempe.load(name)
-    names, tip, q = system.coordinate_names, system.frame_names[-1], system.random(0)
+    names = system.coordinate_names
+    tip = system.frame_names[-1]
+    q = system.random(0)
     calls = [
         lambda: system, lambda: system.structure, lambda: system.configuration_space,
         lambda: system.configuration_space.parametrizations(), lambda: system.mobility(actuated=names[:1]),
@@ -110,7 +112,9 @@ def test_sentences_of_shipped_models_agree(name):
 
 def about(system: kempe.System) -> str:
     """What Kempe says about a mechanism, quickly."""
-    names, tip, assemble = system.coordinate_names, system.frame_names[-1], system.assemble
+    names = system.coordinate_names
+    tip = system.frame_names[-1]
+    assemble = system.assemble
     calls = [
         lambda: system, lambda: system.structure, lambda: system.configuration_space,
         lambda: system.configuration_space.parametrizations(), lambda: system.mobility(local=False),

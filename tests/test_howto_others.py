@@ -30,8 +30,10 @@ def test_pinocchio(page):
     pin = pytest.importorskip("pinocchio")
     robot, q, v = (page[k] for k in ("robot", "q", "v"))
     model = pin.buildModelFromXML(page["urdf"], pin.JointModelFreeFlyer())
-    data, leg = model.createData(), model.getFrameId("leg")
-    at, rate = page["q_pinocchio"], page["v_pinocchio"]
+    data = model.createData()
+    leg = model.getFrameId("leg")
+    at = page["q_pinocchio"]
+    rate = page["v_pinocchio"]
     pin.framesForwardKinematics(model, data, at)
     np.testing.assert_allclose(data.oMf[leg].homogeneous, robot.fk(q, "leg"), rtol=0, atol=1e-14)
     J, own = (pin.computeFrameJacobian(model, data, at, leg, f) for f in (pin.LOCAL_WORLD_ALIGNED, pin.LOCAL))
@@ -55,7 +57,8 @@ def test_mujoco(page):
     mujoco.mj_forward(model, data)
     np.testing.assert_allclose(data.body("leg").xpos, robot.fk(q, "leg")[:3, 3], rtol=0, atol=1e-14)
     np.testing.assert_allclose(data.body("leg").xmat.reshape(3, 3), robot.fk(q, "leg")[:3, :3], rtol=0, atol=1e-14)
-    linear, angular = np.zeros((3, 7)), np.zeros((3, 7))
+    linear = np.zeros((3, 7))
+    angular = np.zeros((3, 7))
     mujoco.mj_jacBody(model, data, linear, angular, model.body("leg").id)
     np.testing.assert_allclose(np.vstack([linear, angular]), robot.jacobian(q, "leg"), rtol=0, atol=1e-14)
     there = data.qpos.copy()

@@ -71,7 +71,8 @@ class Series:
     ndim = 1
 
     def __init__(self, values: Any, names: Any):
-        self.values, self.names = np.asarray(values), list(names)
+        self.values = np.asarray(values)
+        self.names = list(names)
 
     def keys(self) -> list[Any]:
         return self.names
@@ -99,7 +100,8 @@ class Frame(Series):
 def tables(q: np.ndarray, names: tuple[str, ...]) -> dict[str, Any]:
     """A configuration (nq,), or several, labelled by name in another order, in the ways in which people have it."""
     back = list(reversed(names))
-    one, many = q[0], q
+    one = q[0]
+    many = q
     record = np.dtype([(n, float) for n in back])
     out = {
         "dict": (one, {n: one[names.index(n)] for n in back}),
@@ -134,8 +136,10 @@ def usual(system: kempe.System, verb: str = "") -> dict[str, Any]:
     q = np.array(
         system.assemble({system.structure.velocity_names[0]: 1.0}).q if system.structure.closures else system.random(3)
     )
-    name, tip = system.coordinate_names[0], system.frame_names[-1]
-    other, X = system.coordinate_names[-1], system.fk(q, tip)
+    name = system.coordinate_names[0]
+    tip = system.frame_names[-1]
+    other = system.coordinate_names[-1]
+    X = system.fk(q, tip)
     rates = 3 * (system.dim - 1) * len(system.parent) if verb == "maximal_integrate" else system.nv
     return {
         "q": q, "q0": q, "q1": q, "v": np.full(rates, 0.1), "t": np.array(0.5), "frame": tip, "target": X,
@@ -257,7 +261,8 @@ def test_named_coordinates_of_a_loop_are_closed(name, place, robots):
     """Every verb reads them as the configuration that `assemble` finds from home."""
     if name.rpartition(".")[2].startswith("plot"):
         pytest.importorskip("matplotlib")
-    function, system = OF_SYSTEMS[name], robots["four_bar"]
+    function = OF_SYSTEMS[name]
+    system = robots["four_bar"]
     closed = system.assemble({"A": 0.7}).q
     assert np.abs(system.loops.closure_error(closed)).max() < 1e-12
     assert same(call(function, system, {place: {"A": 0.7}}), call(function, system, {place: closed}))
@@ -272,7 +277,8 @@ def test_a_dict_of_a_loop_is_closed(robots):
 
 @pytest.mark.parametrize(("name", "place"), some(places(LOOP_ONLY), 4))
 def test_tables_are_read_by_name(name, place, robots):
-    function, short = OF_SYSTEMS[name], name.rpartition(".")[2]
+    function = OF_SYSTEMS[name]
+    short = name.rpartition(".")[2]
     if short.startswith("plot"):
         pytest.importorskip("matplotlib")
     arms = {"arm_angle": "iiwa14", "self_motion": "iiwa14", "plot": "two_link"}
@@ -298,7 +304,8 @@ def test_bound_forms_read_by_name_too(robots):
 @pytest.mark.parametrize("model", ["four_bar", "slider_crank", "five_bar", "stewart", "jansen", "three_rpr", "rssr"])
 def test_named_values_hunt(model, hunt):
     """What is named is kept, what is not closes the loops, or the reason is reported; the same each time."""
-    system, rng = kempe.load(model), hunt.rng()
+    system = kempe.load(model)
+    rng = hunt.rng()
     names = [system.structure.velocity_names[i] for i in system.structure.layout.vector_v]
     closed = 0
     for _ in range(hunt.cases(20)):
@@ -398,7 +405,8 @@ NUMERIC = [n for n in OF_SYSTEMS if n not in NOT_REQUIRED]
 @pytest.mark.parametrize("name", some(NUMERIC, 4))
 def test_what_is_no_number_is_refused(name, robots):
     """By every parameter that takes numbers, in all verbs: an `InputError`, never an answer."""
-    function, short = OF_SYSTEMS[name], name.rpartition(".")[2]
+    function = OF_SYSTEMS[name]
+    short = name.rpartition(".")[2]
     if short.startswith("plot"):
         pytest.importorskip("matplotlib")
     arm = robots["iiwa14" if short in ("arm_angle", "sweep", "ik_sweep", "self_motion") else "ur5"]
@@ -498,7 +506,8 @@ def test_a_rotation_is_not_three_positions(ask, robots, hunt):
 
 
 def test_the_way_to_an_orientation_is_named(robots):
-    system, R = robots["ur5"], spatial.rot_x(0.3)
+    system = robots["ur5"]
+    R = spatial.rot_x(0.3)
     with pytest.raises(InputError, match=r"not three positions: .*tasks.Orientation.*task='orientation'"):
         system.ik(R, "tool")
     assert system.ik(R, "tool", task="orientation") and system.ik(tasks.Orientation("tool", R))
@@ -589,7 +598,8 @@ def test_a_start_is_read_whole(name, value):
     system = kempe.load(name)
     q = system.assemble().q
     for k, coordinate in enumerate(system.coordinate_names):
-        start, known = q.copy(), {coordinate: q[k]}
+        start = q.copy()
+        known = {coordinate: q[k]}
         start[k] = value
         for given in (start, start.tolist()):
             with pytest.raises(InputError, match=f"start.*{coordinate}.* is {value}; it must be finite"):

@@ -117,7 +117,8 @@ def test_closures_in_numpy(own, kind, dim):
         by_differences = np.stack([(a - b) / 2e-6 for a, b in ends], axis=-1)
         np.testing.assert_allclose(closure.jacobian(s, q), by_differences, rtol=0, atol=1e-6)
         q = shape.values(s)
-        J, K = closure.jacobian(s, q), judge.jacobian(s, q)
+        J = closure.jacobian(s, q)
+        K = judge.jacobian(s, q)
         assert [np.linalg.matrix_rank(M, tol=1e-7) for M in (J, K, np.vstack([J, K]))] == 3 * [len(J)]
         assert not own or closure.size == (6 if dim == 3 else 3) == len(closure_rows.row_names(s))
 
@@ -126,7 +127,8 @@ def test_closures_in_numpy(own, kind, dim):
 def test_coordinates_of_a_cut_joint_can_be_known_held_or_coupled(kind, dim):
     shape = closed(np.random.default_rng(8), dim, 2, [BALL if dim == 3 else Revolute(), Free(), kind])
     s = shape.system(frozenset({"j2"}))
-    q, at = shape.values(s), s.q_dict(shape.values(s))
+    q = shape.values(s)
+    at = s.q_dict(shape.values(s))
     mine = [n for n in s.structure.coordinates_of_joint("j2") if n in s.structure.velocity_names]
     start = s.configuration_space.integrate(q, np.random.default_rng(1).uniform(-NEAR, NEAR, s.nv))
     for name in mine:
@@ -167,7 +169,8 @@ def test_random_mechanisms_at_length(hunt):
 
 
 def hunted(shape: Closed, rng: np.random.Generator) -> None:
-    names, count = [link.name for link in shape.links], len(shape.links) - len(shape.bodies)
+    names = [link.name for link in shape.links]
+    count = len(shape.links) - len(shape.bodies)
     check(shape, [frozenset(rng.choice(names, count, replace=False).tolist()) for _ in range(3)], rng)
 
 
@@ -177,7 +180,8 @@ def hunted(shape: Closed, rng: np.random.Generator) -> None:
 def slotted(cut: str = "", apart: bool = False) -> System:
     """A crank whose pin drives a slotted lever: the pin turns in the lever's slot, and slides along it."""
     m = Mechanism("slotted lever", dim=2)
-    crank, lever = m.body("crank"), m.body("lever")
+    crank = m.body("crank")
+    lever = m.body("lever")
     m.revolute("A", m.ground, crank, cut=cut == "A", actuated=True)
     m.revolute("B", m.ground, lever, at=(1.0, 0.0), cut=cut == "B")
     m.frame("tip", lever, at=(-1.5, 0.0))
@@ -271,7 +275,9 @@ def test_poses_of_the_slotted_lever(s):
 def test_a_slider_crank_of_own_hinges_and_rails(kind, slide):
     """In closed form by dyads where each joint is one motion in its unit, else by search: the same poses."""
     m = Mechanism("slider crank", dim=2)
-    crank, rod, block = m.body("crank"), m.body("rod"), m.body("block")
+    crank = m.body("crank")
+    rod = m.body("rod")
+    block = m.body("block")
     m.revolute("A", m.ground, crank)
     m.joint("B", kind, crank, rod, at=(0.3, 0.0))
     m.revolute("C", rod, block, at=(1.0, 0.0))

@@ -62,8 +62,10 @@ CASES += [Case(words, dim=2) for words in ("P(x) R(z)", "R(z) P(x) R(z)", "P(y) 
 CASES += [Case(words, dim, True) for words in ("P(y) P(x)", "P(x)") for dim in (2, 3)]
 every_case = pytest.mark.parametrize("case", CASES, ids=str)
 
-X_PF_AT, X_PF_RPY = (0.3, -0.2, 0.5), (0.4, -0.7, 1.1)
-X_CM_AT, X_CM_RPY = (-0.1, 0.25, 0.15), (-1.2, 0.3, 0.8)
+X_PF_AT = (0.3, -0.2, 0.5)
+X_PF_RPY = (0.4, -0.7, 1.1)
+X_CM_AT = (-0.1, 0.25, 0.15)
+X_CM_RPY = (-1.2, 0.3, 0.8)
 
 
 def one_joint(case: Case, backwards: bool = False, placed: bool = False, **keywords):
@@ -94,7 +96,8 @@ def expected_pose(case: Case, q, backwards: bool = False, placed: bool = False) 
     X_PF = X_CM = np.eye(4)
     if placed:
         if case.dim == 3:
-            X_PF, X_CM = reference.placement(X_PF_AT, X_PF_RPY), reference.placement(X_CM_AT, X_CM_RPY)
+            X_PF = reference.placement(X_PF_AT, X_PF_RPY)
+            X_CM = reference.placement(X_CM_AT, X_CM_RPY)
         else:
             X_PF = reference.placement(X_PF_AT[:2], (0, 0, X_PF_RPY[2]))
             X_CM = reference.placement(X_CM_AT[:2], (0, 0, X_CM_RPY[2]))
@@ -194,7 +197,8 @@ def test_the_table_tells_types_apart(case):
 @places
 @pytest.mark.parametrize("size", [1.0, 1e3])
 def test_pose_is_the_reference(case, backwards, placed, size):
-    system, rng = one_joint(case, backwards, placed), np.random.default_rng(7)
+    system = one_joint(case, backwards, placed)
+    rng = np.random.default_rng(7)
     for _ in range(5):
         q = sample(system, rng, size)
         expected = expected_pose(case, q, backwards, placed)
@@ -208,7 +212,8 @@ def slides(case: Case) -> bool:
 @both_ways
 @pytest.mark.parametrize("size", some([1.0, 1e4, 1e8], 3))
 def test_poses_are_rigid_motions_at_large_coordinates(case, backwards, size):
-    system, rng = one_joint(case, backwards), np.random.default_rng(3)
+    system = one_joint(case, backwards)
+    rng = np.random.default_rng(3)
     q = np.array([sample(system, rng, size) for _ in range(20)])
     for X in (system.fk(q, "M"), np.array([system.fk(x, "M") for x in q]), system.fk(q)[:, 1]):
         turn = X[:, :3, :3]
@@ -229,7 +234,8 @@ def test_neutral_is_no_motion(case, backwards):
 @every_case
 def test_pose_of_the_bare_joint(case):
     """X_FM of the joint alone slides along z of F in the plane, too."""
-    system, rng = one_joint(case), np.random.default_rng(5)
+    system = one_joint(case)
+    rng = np.random.default_rng(5)
     q = np.array([sample(system, rng) for _ in range(4)])
     expected = [reference.joint_pose(case.type, x, dim=case.dim, particle=case.particle, **case.options) for x in q]
     found = joint_pose(case.kind, q, case.dim, case.particle)
@@ -239,9 +245,12 @@ def test_pose_of_the_bare_joint(case):
 @every_case
 @pytest.mark.parametrize("lead", [(), (0,), (1,), (2, 0, 3), (2, 1, 3), (70,)], ids=str)
 def test_batches(case, lead):
-    system, rng = one_joint(case, placed=True), np.random.default_rng(2)
+    system = one_joint(case, placed=True)
+    rng = np.random.default_rng(2)
     q = np.array([sample(system, rng) for _ in range(int(np.prod(lead)))]).reshape(*lead, system.nq)
-    X, J, bodies = system.fk(q, "M"), system.jacobian(q, "M"), system.fk(q)
+    X = system.fk(q, "M")
+    J = system.jacobian(q, "M")
+    bodies = system.fk(q)
     assert X.shape == (*lead, 4, 4) and J.shape == (*lead, 6, system.nv) and bodies.shape == (*lead, 2, 4, 4)
     assert system.fk(q, ["M", "ground", "M"]).shape == (*lead, 3, 4, 4)
     assert system.random(0, lead).shape == (*lead, system.nq)
@@ -334,16 +343,16 @@ def test_a_loop_is_opened():
 @places
 def test_motion_subspace_is_the_derivative_of_the_pose(case, backwards, placed):
     """Central differences on the manifold, of second order: (X(q (+) h e) - X(q (-) h e)) / 2h."""
-    system, rng, h = one_joint(case, backwards, placed), np.random.default_rng(11), 1e-5
+    system = one_joint(case, backwards, placed)
+    rng = np.random.default_rng(11)
+    h = 1e-5
     q = sample(system, rng, 1.2)
     X = system.fk(q, "M")
     body, aligned, world = (system.jacobian(q, "M", f) for f in ("body", "world_aligned", "world"))
     for i in range(system.nv):
         step = h * np.eye(system.nv)[i]
-        ahead, back = (
-            system.fk(system.configuration_space.integrate(q, step), "M"),
-            system.fk(system.configuration_space.integrate(q, -step), "M"),
-        )
+        ahead = system.fk(system.configuration_space.integrate(q, step), "M")
+        back = system.fk(system.configuration_space.integrate(q, -step), "M")
         twist = reference.twist_between(back, ahead, 2 * h)
         velocity = np.concatenate([(ahead - back)[:3, 3] / (2 * h), X[:3, :3] @ twist[3:]])
         np.testing.assert_allclose(body[:, i], np.concatenate([X[:3, :3].T @ velocity[:3], twist[3:]]), atol=1e-8)
@@ -355,8 +364,10 @@ def test_motion_subspace_is_the_derivative_of_the_pose(case, backwards, placed):
 @every_case
 @given(seed=st.integers(0, 10**6))
 def test_integrate_and_difference_are_inverse(case, seed):
-    system, rng = one_joint(case), np.random.default_rng(seed)
-    q0, q1 = sample(system, rng), sample(system, rng)
+    system = one_joint(case)
+    rng = np.random.default_rng(seed)
+    q0 = sample(system, rng)
+    q1 = sample(system, rng)
     v = system.configuration_space.difference(q0, q1)
     end = system.configuration_space.integrate(q0, v)
     np.testing.assert_allclose(system.fk(end, "M"), system.fk(q1, "M"), rtol=0, atol=1e-13)
@@ -381,7 +392,8 @@ def test_random_stays_within_limits(case):
     system = one_joint(case, limits=bounds or None)
     q = system.random(np.random.default_rng(0), 200)
     plain = system.structure.layout.vector_q
-    lower, upper = system.lower[system.structure.layout.vector_v], system.upper[system.structure.layout.vector_v]
+    lower = system.lower[system.structure.layout.vector_v]
+    upper = system.upper[system.structure.layout.vector_v]
     assert np.all(q[:, plain] >= lower) and np.all(q[:, plain] <= upper)
     if len(plain):
         assert np.all(np.ptp(q[:, plain], axis=0) > 0.09)
@@ -397,7 +409,8 @@ def chain_of_primitives(case: Case):
     """The joint as a chain of revolute, prismatic and spherical joints through intermediate bodies."""
     m = Mechanism("chain")
     names, primitives = case.kind.layout()
-    here, made = m.ground, {}
+    here = m.ground
+    made = {}
     for i, p in enumerate(primitives):
         body = m.body("M" if i == len(primitives) - 1 else f"between {i}")
         axis = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}[p.axis]
@@ -412,7 +425,9 @@ def chain_of_primitives(case: Case):
 
 @pytest.mark.parametrize("case", [c for c in CASES if c.dim == 3 and not c.particle and c.type != "fixed"], ids=str)
 def test_composite_joints_are_chains_of_primitives(case):
-    joint, chain, rng = one_joint(case), chain_of_primitives(case), np.random.default_rng(4)
+    joint = one_joint(case)
+    chain = chain_of_primitives(case)
+    rng = np.random.default_rng(4)
     assert (joint.nq, joint.nv) == (chain.nq, chain.nv)
     for _ in range(5):
         q = sample(joint, rng)
@@ -434,7 +449,8 @@ def test_what_the_lecture_says_the_composites_are():
 @pytest.mark.parametrize("name", ["spherical", "free"])
 @given(angles=st.tuples(*[st.floats(-3, 3)] * 3))
 def test_quaternion_and_angles_are_one_joint(name, angles):
-    ball, turns = one_joint(Case(name)), one_joint(Case(name, options={"angles": True}))
+    ball = one_joint(Case(name))
+    turns = one_joint(Case(name, options={"angles": True}))
     slides = [0.1, -0.2, 0.3] if name == "free" else []
     x, y, z, w = Rotation.from_euler("ZYX", angles).as_quat()
     np.testing.assert_allclose(
@@ -443,7 +459,8 @@ def test_quaternion_and_angles_are_one_joint(name, angles):
 
 
 def test_a_screw_is_between_a_hinge_and_a_slider():
-    hinge, screw = one_joint(Case("revolute")), one_joint(Case("helical", options={"pitch": 0.0}))
+    hinge = one_joint(Case("revolute"))
+    screw = one_joint(Case("helical", options={"pitch": 0.0}))
     np.testing.assert_array_equal(hinge.fk([0.7], "M"), screw.fk([0.7], "M"))
     steep = one_joint(Case("helical", options={"pitch": 1.0}))
     np.testing.assert_allclose(steep.jacobian([0.7], "M")[:, 0], [0, 0, 1, 0, 0, 1], atol=1e-16)
@@ -463,7 +480,8 @@ def test_planar_systems_stay_in_the_plane(case):
 
 @every_case
 def test_types_and_systems_pickle(case):
-    kind, system = case.kind, one_joint(case, placed=True)
+    kind = case.kind
+    system = one_joint(case, placed=True)
     assert pickle.loads(pickle.dumps(kind)) == kind
     copy = pickle.loads(pickle.dumps(system))
     assert copy == system and hash(copy) == hash(system) and copy.structure.hash == system.structure.hash
@@ -479,7 +497,8 @@ def test_description_survives_a_round_trip(case, backwards):
 
 @every_case
 def test_locked_joint_is_a_constant(case):
-    system, rng = one_joint(case, placed=True), np.random.default_rng(9)
+    system = one_joint(case, placed=True)
+    rng = np.random.default_rng(9)
     q = sample(system, rng)
     held = system.mechanism.lock(dict(zip(system.coordinate_names, q.tolist(), strict=True))).build()
     assert held.nq == held.nv == 0
@@ -593,7 +612,8 @@ def test_where_products_do_not_fit():
         joint_type("P(x) R(z)", words="S")
     with pytest.raises(UnknownNameError, match=r"'free', 'P\(x\) R\(z\)'"):
         joint_type("knee")
-    flat, m = Mechanism(dim=2), Mechanism()
+    flat = Mechanism(dim=2)
+    m = Mechanism()
     for words in ("P(x) R(y)", "S", "H(z, 0.1)", "P(x) P(z)"):
         with pytest.raises(DescriptionError, match=r"joint 'J': a .* joint leaves the plane; in the plane"):
             flat.joint("J", words, flat.ground, flat.body(words))

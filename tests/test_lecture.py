@@ -125,7 +125,8 @@ COMBINATIONS = [
 def test_joints_are_combinations_of_revolute_and_prismatic_ones(kind, parts):
     assert kind.decomposition == " ".join(f"{part[0].upper()}({axis})" for part, axis in parts)
     m = Mechanism("combination")
-    whole, here = m.body("whole"), m.ground
+    whole = m.body("whole")
+    here = m.ground
     m.joint("whole", kind, here, whole)
     for i, (part, axis) in enumerate(parts):
         link = m.body(f"link{i}")
@@ -166,7 +167,8 @@ def test_two_ways_to_give_a_configuration():
 
 
 def test_open_chains_take_any_joint_angles_and_closed_ones_do_not():
-    tree, loop = kempe.load("seven_bodies"), kempe.load("four_bar")
+    tree = kempe.load("seven_bodies")
+    loop = kempe.load("four_bar")
     assert tree.structure.closures == () and tree.loops.closure_error(tree.random(0)).shape == (0, 6)
     assert np.abs(loop.loops.closure_error(loop.random(0))).max() > 0.01
     np.testing.assert_allclose(loop.loops.closure_error(loop.q("closed")), 0.0, rtol=0, atol=1e-14)
@@ -257,9 +259,12 @@ def test_configuration_space_and_task_space_of_the_two_link_arm():
 
 def test_fgm_position_and_orientation_separately():
     system = kempe.load("two_link")
-    l1, l2 = system.structure.parameters["l1"], system.structure.parameters["l2"]
-    q1, q2 = 0.4, -1.1
-    R01, R12 = spatial.rot_z(q1), spatial.rot_z(q2)
+    l1 = system.structure.parameters["l1"]
+    l2 = system.structure.parameters["l2"]
+    q1 = 0.4
+    q2 = -1.1
+    R01 = spatial.rot_z(q1)
+    R12 = spatial.rot_z(q2)
     p_e = R01 @ (np.array([l1, 0, 0]) + R12 @ [l2, 0, 0])
     X = system.fk([q1, q2], "e")
     np.testing.assert_allclose(X[:3, 3], p_e, rtol=0, atol=1e-14)
@@ -340,7 +345,8 @@ def closed_form(x: float, y: float, l1: float, l2: float) -> list[tuple[float, f
         return []
     out = []
     for s2 in (-math.sqrt(1 - c2 * c2), math.sqrt(1 - c2 * c2)):
-        alpha, beta = math.atan2(y, x), math.atan2(l2 * s2, l1 + l2 * c2)
+        alpha = math.atan2(y, x)
+        beta = math.atan2(l2 * s2, l1 + l2 * c2)
         out.append((alpha - beta, math.atan2(s2, c2)))
     return out
 
@@ -549,7 +555,8 @@ def printed_by(page: str) -> str:
     """What the cells of a page print."""
     source = (Path(__file__).parents[1] / "docs" / f"{page}.md").read_text(encoding="utf-8")
     cells = re.findall(r"^```\{code-cell\} python\n(.*?)^```$", source, re.DOTALL | re.MULTILINE)
-    printed, names = io.StringIO(), {}
+    printed = io.StringIO()
+    names = {}
     with contextlib.redirect_stdout(printed):
         for cell in cells:
             exec(compile(re.sub(r"^:\w+:.*$", "", cell, flags=re.MULTILINE), f"{page}.md", "exec"), names)

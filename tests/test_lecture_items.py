@@ -398,7 +398,9 @@ def test_46_one_part_of_a_manipulator(arm):
 
 def test_47_position_velocity_force(arm):
     """'we want to control its position, velocity, force, etc.': forces by virtual work, from a difference quotient."""
-    q, h, force = np.array([0.3, -0.5]), 1e-6, np.array([0.0, -10.0])
+    q = np.array([0.3, -0.5])
+    h = 1e-6
+    force = np.array([0.0, -10.0])
     J = arm.jacobian(q, "e")[:2]
     moved = [(arm.fk(q + h * e, "e") - arm.fk(q - h * e, "e"))[:2, 3] / (2 * h) for e in np.eye(2)]
     np.testing.assert_allclose(J.T, moved, rtol=0, atol=1e-9)
@@ -454,7 +456,8 @@ def test_53_x0_and_y0(arm):
 def test_54_the_map_between_the_spaces(arm):
     """'the map between (q_1, q_2) and the position of the end-effector': lines of a grid and their images."""
     left, right = arm.plot_spaces("e", grid=True, resolution=40)
-    lines, images = artists(left), artists(right)
+    lines = artists(left)
+    images = artists(right)
     gids = [name for name in lines if name.startswith("grid:")]
     assert {g.split(":")[1] for g in gids} == {"q1", "q2"}
     for gid in gids:
@@ -511,7 +514,8 @@ def test_60_parts_of_the_orientation(arm):
     sympy = pytest.importorskip("sympy")
     angles = (*sympy.symbols("q1 q2"), 0)
     for of, frame, q in zip(("ground", "B1", "B2"), ("B1", "B2", "e"), angles, strict=True):
-        c, s = sympy.cos(q), sympy.sin(q)
+        c = sympy.cos(q)
+        s = sympy.sin(q)
         assert arm.symbolic.fk(frame, relative_to=of)[:2, :2] == sympy.Matrix([[c, -s], [s, c]])
 
 
@@ -566,7 +570,8 @@ def table(arm: kempe.System) -> kempe.System:
 def test_68_matrices_depend_on_frames(arm):
     """'The form of each homogeneous matrix depends on where the body-fixed frames are placed'"""
     pytest.importorskip("sympy")
-    own, standard = arm.symbolic.steps("e"), table(arm).symbolic.steps("tool")
+    own = arm.symbolic.steps("e")
+    standard = table(arm).symbolic.steps("tool")
     assert own.T[0] != standard.T[0] and own.merged == standard.merged
 
 
@@ -695,7 +700,8 @@ def test_86_both_methods_agree():
     """'fast computation'; 'slower compared to an analytical solution, however, sufficiently fast'"""
     puma = kempe.load("puma560")
     X = puma.fk(puma.random(0, 50), "tool")
-    every, one = puma.ik_all(X, "tool"), puma.ik(X, "tool")
+    every = puma.ik_all(X, "tool")
+    one = puma.ik(X, "tool")
     assert every.complete.all() and one.success.all()
     for found in (every.q[every.mask][:50], one.q):
         assert len(found) == 50

@@ -138,8 +138,10 @@ def test_toolbox_agrees():
     """Models of the Robotics Toolbox; it has the Puma on a pedestal and another hand on the Panda."""
     rtb = pytest.importorskip("roboticstoolbox")
     rng = np.random.default_rng(0)
-    pedestal, hand = np.eye(4), np.eye(4)
-    pedestal[2, 3], hand[2, 3] = 26.45 * 0.0254, 0.103 - 0.1034
+    pedestal = np.eye(4)
+    hand = np.eye(4)
+    pedestal[2, 3] = 26.45 * 0.0254
+    hand[2, 3] = 0.103 - 0.1034
     cases = [
         ("puma560", rtb.models.DH.Puma560(), "tool", pedestal, np.eye(4)),
         ("cobra600", rtb.models.DH.Cobra600(), "tool", np.eye(4), np.eye(4)),
@@ -210,7 +212,8 @@ def test_pinocchio_agrees(name, file, base, ours, theirs, tolerance):
     """The published table and the maker's URDF are the same robot."""
     pin = pytest.importorskip("pinocchio")
     model = pin.buildModelFromUrdf(robot_file(file))
-    data, robot = model.createData(), kempe.load(name)
+    data = model.createData()
+    robot = kempe.load(name)
 
     def placed(frame: str) -> np.ndarray:
         return data.oMf[model.getFrameId(frame)].homogeneous

@@ -47,7 +47,8 @@ def solved(system: System, known: dict[str, float], near: np.ndarray) -> np.ndar
 def path(name: str, driver: str, angles: list[float], frame: str) -> list[complex]:
     """Places of a frame while a driver goes from `closed` through these values, as complex numbers."""
     system = kempe.load(name)
-    q, out = system.q("closed"), []
+    q = system.q("closed")
+    out = []
     for angle in angles:
         for part in np.linspace(system.q_dict(q)[driver], angle, 9)[1:]:
             q = solved(system, {driver: float(part)}, q)
@@ -125,10 +126,8 @@ def test_rank(case: Case):
     q = system.q(case.posture)
     assert nullity(closure_rows.jacobian(system, q), 1e-9) == case.rank
     h = 1e-5 * np.eye(system.nv)
-    ahead, behind = (
-        system.loops.closure_error(system.configuration_space.integrate(q, h)),
-        system.loops.closure_error(system.configuration_space.integrate(q, -h)),
-    )
+    ahead = system.loops.closure_error(system.configuration_space.integrate(q, h))
+    behind = system.loops.closure_error(system.configuration_space.integrate(q, -h))
     assert nullity(((ahead - behind) / 2e-5).reshape(system.nv, -1).T, 1e-6) == case.rank
 
 
@@ -197,7 +196,8 @@ def from_motion(system: System, q: np.ndarray, dim: int, motion: Motion) -> floa
 def test_nothing_else_moves_through_singular_postures(case: Case):
     """What random steps find is on one of the motions, and each motion is found; a structure does not move."""
     motions = branches(case.name) or [(1, lambda x: {})]
-    system, least = kempe.load(case.name), 100 if len(motions) > 4 else 12
+    system = kempe.load(case.name)
+    least = 100 if len(motions) > 4 else 12
     hits: set[int] = set()
     for i, q in enumerate(kicked(case, 0.1, 4 * least)):  # which are hit first depends on the basis of the null space
         if i >= least and len(hits) == len(motions):
@@ -213,7 +213,8 @@ def test_the_cusp_of_the_double_watt_linkage():
     case = next(case for case in PLANAR if case.name == "double_watt")
     system = kempe.load(case.name)
     heights = np.array([system.fk(q, ["p1", "p2"])[:, 1, 3] for q in kicked(case, 0.1, 20)])
-    u, w = heights[:, 1] - heights[:, 0], heights.sum(axis=1)
+    u = heights[:, 1] - heights[:, 0]
+    w = heights.sum(axis=1)
     away = w < -2e-3
     assert w.max() < 2e-3 and 5 < away.sum() < 20 and len(set(np.sign(u[away]))) == 2
     k = -0.06 / 0.08 / (2 * 0.2**2)
@@ -230,7 +231,8 @@ def test_points_of_the_two_kinds_of_motions_of_the_twelve_bar_linkage():
 @pytest.mark.parametrize("name", ["shaky_3r", "pendulum_dead_centre"])
 def test_the_shaky_structures_have_no_play(name):
     """The fixed points are as far apart as the two bars are long: the pin has one place."""
-    joints, numbers = kempe.load(name).structure.joints, kempe.load(name).structure.parameters
+    joints = kempe.load(name).structure.joints
+    numbers = kempe.load(name).structure.parameters
     ground = [joints[n].X_PF.evaluate(numbers)[:3, 3] for n in "AC"]
     bars = [joints["B"].X_PF.evaluate(numbers)[:3, 3], joints["C"].X_CM.evaluate(numbers)[:3, 3]]
     lengths = np.linalg.norm(bars, axis=1)
@@ -304,9 +306,12 @@ def test_evans():
 
 def test_watt_curve():
     """The polar equation of Watt's curve, squared so that both signs fit."""
-    a, b, c = 0.13, 0.12, 0.05
+    a = 0.13
+    b = 0.12
+    c = 0.05
     points = np.array(path("watt_straight", "A", steps([20, 10, -10, -40]), "P")) - a
-    r, t = np.abs(points), np.angle(points)
+    r = np.abs(points)
+    t = np.angle(points)
     s = c * c - (a * np.cos(t)) ** 2
     wanted = (a * np.sin(t)) ** 2 + s
     np.testing.assert_allclose((b * b - r * r - wanted) ** 2, 4 * (a * np.sin(t)) ** 2 * s, rtol=0, atol=1e-14)
@@ -368,9 +373,20 @@ def test_six_bars_turn_fully(name, frame, chain):
 
 
 def jansen(t: float) -> complex:
-    b, c, d, e, f, g, h, i, j, k = 41.5, 39.3, 40.1, 55.8, 39.4, 36.7, 65.7, 49.0, 50.0, 61.9
-    pin, fixed = 15 * turn(t), -38 - 7.8j
-    upper, lower = meet(fixed, b, pin, j, 1), meet(fixed, c, pin, k, -1)
+    b = 41.5
+    c = 39.3
+    d = 40.1
+    e = 55.8
+    f = 39.4
+    g = 36.7
+    h = 65.7
+    i = 49.0
+    j = 50.0
+    k = 61.9
+    pin = 15 * turn(t)
+    fixed = -38 - 7.8j
+    upper = meet(fixed, b, pin, j, 1)
+    lower = meet(fixed, c, pin, k, -1)
     outer = meet(fixed, d, upper, e, 1)
     knee = meet(outer, f, lower, g, -1)
     return meet(knee, h, lower, i, -1) / 100
@@ -388,8 +404,13 @@ def test_jansen_walks():
 
 
 def klann(t: float) -> complex:
-    p9, p11, p15 = 1.366 + 1.366j, 1.009 + 0.574j, 1.599 + 0.75j
-    p27, p29, p35, p37 = 0.741 + 0.75j, 1.331 + 0.75j, 0.232 + 0.866j, 0.866 + 1.5j
+    p9 = 1.366 + 1.366j
+    p11 = 1.009 + 0.574j
+    p15 = 1.599 + 0.75j
+    p27 = 0.741 + 0.75j
+    p29 = 1.331 + 0.75j
+    p35 = 0.232 + 0.866j
+    p37 = 0.866 + 1.5j
     pin = p15 + (p29 - p15) * turn(t)
     elbow = meet(p11, abs(p27 - p11), pin, abs(p29 - p27), 1)
     knee = pin + (elbow - pin) * (p35 - p29) / (p27 - p29)
@@ -409,13 +430,17 @@ def test_klann_walks():
 def test_andrews_squeezer():
     """The six position equations of Hairer and Wanner, at their initial values and after turning the crank."""
     system = kempe.load("andrews_squeezer")
-    c, q = system.structure.parameters, system.q("closed")
+    c = system.structure.parameters
+    q = system.q("closed")
     for beta in (q[0], 0.1, 0.4):
         q = solved(system, {"beta": beta}, q)
         v = system.q_dict(q)
         pin = c["rr"] * turn(v["beta"]) - c["d"] * turn(v["beta"] + v["theta"])
-        gamma, delta, epsilon = turn(v["gamma"]), turn(v["delta"]), turn(v["epsilon"])
-        B, A = complex(c["xb"], c["yb"]), complex(c["xa"], c["ya"])
+        gamma = turn(v["gamma"])
+        delta = turn(v["delta"])
+        epsilon = turn(v["epsilon"])
+        B = complex(c["xb"], c["yb"])
+        A = complex(c["xa"], c["ya"])
         assert_same_places(
             [pin + 1j * c["ss"] * gamma, pin + 1j * c["e"] * turn(v["phi"]) * delta - c["zt"] * delta,
              pin - c["zf"] * turn(v["omega"]) * epsilon + 1j * c["u"] * epsilon],
@@ -430,7 +455,8 @@ def test_andrews_squeezer():
 def test_parallel_robots_reach_poses_by_closed_forms(x, y, w):
     corners = [turn(2 * pi * k / 3) for k in range(3)]
     ends = [complex(x, y) + 0.15 * turn(w) * corner for corner in corners]
-    rrr, rpr = {}, {}
+    rrr = {}
+    rpr = {}
     for k, (corner, end) in enumerate(zip(corners, ends, strict=True), 1):
         elbow = meet(0.5 * corner, 0.25, end, 0.3, 1)
         rrr[f"A{k}"] = float(np.angle(elbow - 0.5 * corner))

@@ -103,7 +103,8 @@ def test_one_mechanism_is_not_driven():
 
 @pytest.mark.parametrize("row", [r for r in SPATIAL if r.name != NOT_DRIVEN], ids=lambda row: row.name)
 def test_what_is_idle_moves_when_the_motors_hold(row: Spatial):
-    system, motors = kempe.load(row.name), motors_of(row.name)
+    system = kempe.load(row.name)
+    motors = motors_of(row.name)
     assert len(motors) == row.dof - row.idle
     A = joint_constraints(system, system.q("closed"), motors)
     left = A.shape[1] - singular_values(A)[1]
@@ -114,7 +115,8 @@ def test_what_is_idle_moves_when_the_motors_hold(row: Spatial):
 def test_each_velocity_is_the_start_of_a_motion(row: Spatial):
     """True freedoms: a step in any direction of the kernel leads to a closed configuration within the step squared."""
     system = kempe.load(row.name)
-    q0, step = system.q("closed"), 1e-3
+    q0 = system.q("closed")
+    step = 1e-3
     J = jacobian(system, q0)
     kernel = np.linalg.svd(J)[2][-row.rank :]
     rng = np.random.default_rng(0)
@@ -165,13 +167,15 @@ every_loop = pytest.mark.parametrize("name", LOOPS)
 def test_pinocchio_closes_the_loop_and_finds_its_freedom(name):
     """The open chain of the published parameters: its end meets its start, its Jacobian has one direction too many."""
     pin = pytest.importorskip("pinocchio")
-    model, before = pin.Model(), pin.SE3.Identity()
+    model = pin.Model()
+    before = pin.SE3.Identity()
     number = 0
     for i, (a, alpha, d) in enumerate(LOOPS[name]):
         number = model.addJoint(number, pin.JointModelRZ(), before, f"q{i + 1}")
         before = pin.SE3(Rotation.from_euler("x", alpha).as_matrix(), np.array([a, 0, d]))
     end = model.addFrame(pin.Frame("end", number, before, pin.FrameType.OP_FRAME))
-    data, system = model.createData(), kempe.load(name)
+    data = model.createData()
+    system = kempe.load(name)
     q = system.q("closed")
     assert system.coordinate_names == tuple(model.names[1:])
     J = pin.computeFrameJacobian(model, data, q, end, pin.WORLD)
@@ -280,8 +284,11 @@ def test_the_rssr_crank_turns_fully_and_the_rocker_follows_its_equation():
         values = system.q_dict(q)
         # C = pivot + r (cos, 0, -sin)(D) in the basis of the rocker's frame
         X = system.structure.joints["D"].X_PF.evaluate(system.structure.parameters)
-        e1, e2, offset = X[:3, 0], X[:3, 1], X[:3, 3] - 0.1 * np.array([np.cos(values["A"]), np.sin(values["A"]), 0])
-        u, v = 2 * 0.25 * e1 @ offset, 2 * 0.25 * e2 @ offset
+        e1 = X[:3, 0]
+        e2 = X[:3, 1]
+        offset = X[:3, 3] - 0.1 * np.array([np.cos(values["A"]), np.sin(values["A"]), 0])
+        u = 2 * 0.25 * e1 @ offset
+        v = 2 * 0.25 * e2 @ offset
         w = 0.4**2 - 0.25**2 - offset @ offset
         roots = np.arctan2(v, u) + np.array([1, -1]) * np.arccos(w / np.hypot(u, v))
         assert np.abs(np.sin((roots - values["D"]) / 2)).min() < 1e-12
@@ -295,7 +302,8 @@ def test_the_rssr_crank_turns_fully_and_the_rocker_follows_its_equation():
 def moved(name: str, seed: int, size: float = 0.1) -> tuple[System, np.ndarray]:
     """A configuration a random way from the posture `closed`, in six small steps."""
     system = kempe.load(name)
-    q, rng = system.q("closed"), np.random.default_rng(seed)
+    q = system.q("closed")
+    rng = np.random.default_rng(seed)
     v = rng.normal(size=system.nv)
     for _ in range(6):
         kernel = np.linalg.svd(jacobian(system, q))[2][np.linalg.matrix_rank(jacobian(system, q), tol=1e-7) :]
@@ -318,7 +326,8 @@ def test_delta_arms_are_those_of_the_textbook():
     system, q = moved("delta_uu", 1)
     p = system.fk(q, "platform")[:3, 3]
     for i, phi in enumerate((0.0, 2 * PI / 3, 4 * PI / 3), 1):
-        x, y = np.cos(phi) * p[0] + np.sin(phi) * p[1], np.cos(phi) * p[1] - np.sin(phi) * p[0]
+        x = np.cos(phi) * p[0] + np.sin(phi) * p[1]
+        y = np.cos(phi) * p[1] - np.sin(phi) * p[0]
         angle = system.q_dict(q)[f"A{i}"]
         reach = 0.2 - 0.05 + 0.25 * np.cos(angle) - x
         assert reach**2 + y**2 + (p[2] + 0.25 * np.sin(angle)) ** 2 == pytest.approx(0.5**2, abs=1e-13)
@@ -327,7 +336,8 @@ def test_delta_arms_are_those_of_the_textbook():
 @pytest.mark.parametrize("name", ["stewart", "stewart_sps", "stewart_dietmaier", "three_upu", "three_rps"])
 def test_a_leg_is_as_long_as_its_coordinate(name):
     system, q = moved(name, 2)
-    joints, values = system.structure.joints, system.q_dict(q)
+    joints = system.structure.joints
+    values = system.q_dict(q)
     below = {j.child: j for j in joints.values() if j.parent == "ground"}
     for i in range(1, 1 + sum(n.startswith("leg") for n in joints)):
         foot = below[f"lower{i}"].X_PF.evaluate(system.structure.parameters)[:3, 3]
@@ -387,7 +397,8 @@ def forty(base: np.ndarray, platform: np.ndarray, legs: np.ndarray, starts: int 
         damping = 1e-3 * np.linalg.norm(f, axis=1)[:, None, None] ** 2 * np.eye(6) + 1e-18 * np.eye(6)
         step = -np.linalg.solve(JT @ J + damping, JT @ f[..., None])[..., 0]
         step *= np.minimum(1, 0.7 / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-30))
-        p, R = p + step[:, :3], Rotation.from_rotvec(step[:, 3:]) * R
+        p = p + step[:, :3]
+        R = Rotation.from_rotvec(step[:, 3:]) * R
     d = p[:, None] + np.einsum("nij,kj->nki", R.as_matrix(), platform) - base
     good = np.abs(np.linalg.norm(d, axis=-1) - legs).max(axis=1) < 1e-12
     found: list[np.ndarray] = []
@@ -400,7 +411,8 @@ def forty(base: np.ndarray, platform: np.ndarray, legs: np.ndarray, starts: int 
 def test_dietmaiers_platform_has_forty_poses():
     """Dietmaier, 1998. From the lengths of the posture and the file's geometry, by Newton from 4000 random poses."""
     system = kempe.load("stewart_dietmaier")
-    q, joints = system.q("closed"), system.structure.joints
+    q = system.q("closed")
+    joints = system.structure.joints
     base, platform = (
         np.array([joints[f"{kind}{i}"].X_PF.evaluate(system.structure.parameters)[:3, 3] for i in range(1, 7)])
         for kind in "US"
@@ -453,10 +465,14 @@ def test_mujoco_agrees_on_the_hexapod(name, freedoms):
     """Legs on the ground, a free platform, six connections: written from the dimensions, not from the file."""
     system = kempe.load(name)
     values = system.q_dict(system.q("closed"))
-    bodies, heads, q = "", {}, {}
+    bodies = ""
+    heads = {}
+    q = {}
     for i in range(6):
-        side, third = (-1, 1)[i % 2], i // 2 * 2 * PI / 3
-        foot, head = third + side * 0.2, third + side * (PI / 3 - 0.2)
+        side = (-1, 1)[i % 2]
+        third = i // 2 * 2 * PI / 3
+        foot = third + side * 0.2
+        head = third + side * (PI / 3 - 0.2)
         heads[f"head{i}"] = 0.15 * np.array([np.cos(head), np.sin(head), 0])
         if name == "stewart":
             low = f'<joint name="x{i}" axis="1 0 0"/><joint name="y{i}" axis="0 1 0"/>'
@@ -477,12 +493,15 @@ def test_mujoco_agrees_on_the_delta():
     """Arms on the ground, rods in ball joints, a free platform: 27 coordinates, 18 equations, 9 freedoms."""
     system = kempe.load("delta_ss")
     values = system.q_dict(system.q("closed"))
-    bodies, edges, q = "", {}, {}
+    bodies = ""
+    edges = {}
+    q = {}
     for i in range(3):
         phi = i * 2 * PI / 3
         rods = ""
         for k, w in (("a", -0.05), ("b", 0.05)):
-            radial, tangent = np.array([np.cos(phi), np.sin(phi), 0]), np.array([-np.sin(phi), np.cos(phi), 0])
+            radial = np.array([np.cos(phi), np.sin(phi), 0])
+            tangent = np.array([-np.sin(phi), np.cos(phi), 0])
             edges[f"edge{i}{k}"] = 0.05 * radial + w * tangent
             rods += (
                 f'<body pos="0.25 {w} 0" quat="{numbers([0.5, -0.5, 0.5, -0.5])}"><joint name="rod{i}{k}" type="ball"/>'

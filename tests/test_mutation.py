@@ -43,7 +43,8 @@ def test_each_change_once_and_no_texts():
 
 @pytest.mark.parametrize("site", sites(SOURCE), ids=lambda s: s.after)
 def test_a_mutant_is_the_source_with_one_change(site):
-    text, tree = ast.unparse(ast.parse(SOURCE)), mutated(SOURCE, site.number)
+    text = ast.unparse(ast.parse(SOURCE))
+    tree = mutated(SOURCE, site.number)
     found = ast.unparse(tree)
     assert found != text and site.after in found
     changed = [(a, b) for a, b in zip(text.splitlines(), found.splitlines(), strict=True) if a != b]

@@ -13,9 +13,11 @@ import kempe
 from kempe import Mechanism, System
 from kempe.errors import hint
 
-MOST_OF_SYSTEM, MOST_OF_MECHANISM = 53, 36
+MOST_OF_SYSTEM = 53
+MOST_OF_MECHANISM = 36
 
-BAR, ARM = kempe.load("four_bar"), kempe.load("iiwa14")
+BAR = kempe.load("four_bar")
+ARM = kempe.load("iiwa14")
 
 
 def listed(thing: object) -> set[str]:
@@ -103,7 +105,8 @@ def test_a_posture_is_a_configuration_by_name():
 def test_of_very_many_names_the_nearest_is_found_among_the_like(monkeypatch):
     """Letters of some hundred names are compared, not of all: 50 000 took 4 seconds for each wrong name."""
     names = [f"link_number_{i}" for i in range(30_000)]
-    own, compared = difflib.get_close_matches, list[int]()
+    own = difflib.get_close_matches
+    compared = list[int]()
     monkeypatch.setattr(
         difflib, "get_close_matches", lambda given, all, **how: (compared.append(len(all)), own(given, all, **how))[1]
     )

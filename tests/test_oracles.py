@@ -25,7 +25,8 @@ FRAMES = {"world_aligned": pin.LOCAL_WORLD_ALIGNED, "world": pin.WORLD, "body": 
 
 def joint_values(s: System, path: Path, q: np.ndarray) -> dict[str, float]:
     """Values of all joints with one coordinate, mimic joints resolved from the text of the file."""
-    values, waiting = s.q_dict(q), mimics(path)
+    values = s.q_dict(q)
+    waiting = mimics(path)
     while waiting:
         ready = [name for name, (source, _, _) in waiting.items() if source in values]
         assert ready
@@ -80,7 +81,8 @@ def configurations(s: System, rng: np.random.Generator) -> list[np.ndarray]:
 
 @every_robot
 def test_poses_are_pinocchios(path):
-    s, other = kempe.load(path), Pinocchio(path)
+    s = kempe.load(path)
+    other = Pinocchio(path)
     for q in configurations(s, np.random.default_rng(0)):
         poses = other.poses(joint_values(s, path, q))
         mine = dict(zip(s.body_names, s.fk(q), strict=True))
@@ -94,7 +96,8 @@ def test_poses_are_pinocchios(path):
 
 @every_robot
 def test_jacobians_are_pinocchios(path):
-    s, other = kempe.load(path), Pinocchio(path)
+    s = kempe.load(path)
+    other = Pinocchio(path)
     follows = {n: (source, factor) for n, (source, factor, _) in mimics(path).items()}
     q = s.random(np.random.default_rng(1))
     values = joint_values(s, path, q)
@@ -137,7 +140,8 @@ def test_poses_are_mujocos(path):
 
 @every_robot
 def test_limits_and_mimics_are_pinocchios(path):
-    s, model = kempe.load(path), Pinocchio(path).model
+    s = kempe.load(path)
+    model = Pinocchio(path).model
     plain = {n: j for n, j in zip(list(model.names)[1:], list(model.joints)[1:], strict=True) if j.nq == 1}
     followed = {source for source, _, _ in mimics(path).values()}
     for name, joint in plain.items():
@@ -167,7 +171,8 @@ def test_joints_with_many_freedoms_are_pinocchios(kind, model):
     s = m.build()
     other = pin.Model()
     other.addJoint(0, model, placement, "j")
-    data, rng = other.createData(), np.random.default_rng(0)
+    data = other.createData()
+    rng = np.random.default_rng(0)
     for _ in range(5):
         q = s.random(rng)
         turn = np.array([[1.0]])

@@ -147,9 +147,11 @@ def results() -> Iterable[tuple[str, Any]]:
 
 def of_arms() -> Iterable[tuple[str, Any]]:
     arm = kempe.load("puma560")
-    tool, q = arm.frame_names[-1], arm.mid + 0.1
+    tool = arm.frame_names[-1]
+    q = arm.mid + 0.1
     X = arm.fk(q, tool)
-    far, wrong = X.copy(), np.full((4, 4), np.nan)
+    far = X.copy()
+    wrong = np.full((4, 4), np.nan)
     far[:3, 3] += 9.0
     batch = np.stack([X, far, wrong])
     yield "ik", arm.ik(X, tool)
@@ -182,7 +184,8 @@ def of_arms() -> Iterable[tuple[str, Any]]:
 
 def of_redundant_arms() -> Iterable[tuple[str, Any]]:
     arm = kempe.load("iiwa14")
-    tip, q = arm.frame_names[-1], arm.mid + 0.2
+    tip = arm.frame_names[-1]
+    q = arm.mid + 0.2
     X = arm.fk(q, tip)
     yield "ik, redundant", arm.ik(X, tip)
     yield "ik_all, a joint to spare", bars("ABC").build().ik_all([0.5, 0.1], "tip", task="position")
@@ -195,8 +198,10 @@ def of_redundant_arms() -> Iterable[tuple[str, Any]]:
 
 
 def of_tasks() -> Iterable[tuple[str, Any]]:
-    arm, few = kempe.load("puma560"), kempe.Budget(starts=3)
-    tool, position = arm.frame_names[-1], kempe.tasks.Position
+    arm = kempe.load("puma560")
+    few = kempe.Budget(starts=3)
+    tool = arm.frame_names[-1]
+    position = kempe.tasks.Position
     p = arm.fk(arm.mid + 0.1, tool)[:3, 3]
     aim = kempe.tasks.Pointing(tool, [0.0, 0.0, -1.0], priority=1)
     yield "ik of tasks", arm.ik([position(tool, p)])
@@ -221,9 +226,11 @@ def first(q: np.ndarray) -> float:
 
 def of_functions() -> Iterable[tuple[str, Any]]:
     """Kernels call functions of the user at addresses, which are others in another process."""
-    arm, few = kempe.load("puma560"), kempe.Budget(starts=3)
+    arm = kempe.load("puma560")
+    few = kempe.Budget(starts=3)
     p = arm.fk(arm.mid + 0.1, "tool")[:3, 3]
-    task, near = kempe.tasks.Function(first), kempe.tasks.Position("tool", p)
+    task = kempe.tasks.Function(first)
+    near = kempe.tasks.Position("tool", p)
     far = kempe.tasks.Position("tool", p + 9.0)
     yield "ik of a function", arm.ik([task])
     yield "ik of a function out of reach", arm.ik([task, far], prefer=first, budget=few)
@@ -273,9 +280,11 @@ def of_loops() -> Iterable[tuple[str, Any]]:
 
 
 def of_motions() -> Iterable[tuple[str, Any]]:
-    linkage, few = kempe.load("four_bar"), kempe.Budget(points=9)
+    linkage = kempe.load("four_bar")
+    few = kempe.Budget(points=9)
     start = linkage.assemble({"A": 0.3}).q
-    car, ball = kempe.load("car"), kempe.load("ball")
+    car = kempe.load("car")
+    ball = kempe.load("ball")
     trace = linkage.trace(start=start)
     yield "trace", trace
     yield "resample", trace.resample(5)
@@ -288,7 +297,8 @@ def of_motions() -> Iterable[tuple[str, Any]]:
 
 
 def of_spaces() -> Iterable[tuple[str, Any]]:
-    two, few = kempe.load("two_link_pose"), kempe.Budget(starts=3)
+    two = kempe.load("two_link_pose")
+    few = kempe.Budget(starts=3)
     yield "sample", two.configuration_space.sample(3, 0)
     yield "workspace", two.workspace("e", n=5000, cells=16)
     yield "planar", two.reach.planar("e")
@@ -299,7 +309,8 @@ def of_spaces() -> Iterable[tuple[str, Any]]:
 
 
 def of_formulas() -> Iterable[tuple[str, Any]]:
-    two, linkage = kempe.load("two_link"), kempe.load("four_bar")
+    two = kempe.load("two_link")
+    linkage = kempe.load("four_bar")
     yield "fk in symbols", two.symbolic.fk("e")
     yield "short", two.symbolic.fk("e", short=True)
     yield "steps", two.symbolic.steps("e")
@@ -313,7 +324,8 @@ def of_formulas() -> Iterable[tuple[str, Any]]:
 
 def of_descriptions() -> Iterable[tuple[str, Any]]:
     m = kempe.Mechanism("described")
-    a, b = m.body("a", mass=1.0, center=[0.1, 0.0, 0.0]), m.body("b")
+    a = m.body("a", mass=1.0, center=[0.1, 0.0, 0.0])
+    b = m.body("b")
     length = m.parameter("length", 0.5)
     joint = m.revolute("A", m.ground, a, limits=(-1.0, 1.0))
     m.revolute("B", a, b, at=(length, 0.0, 0.0))
@@ -385,14 +397,16 @@ def rounded() -> kempe.System:
 
 
 def test_another_process_says_the_same(tmp_path):
-    sent, here = {}, {}
+    sent = {}
+    here = {}
     for name, thing in results():
         # as it was returned, and after it was asked, with all that it keeps of what it said
         with named(name):
             sent[name] = pickle.dumps(thing)
             here[name] = here[name + AGAIN] = said(name, thing)
             sent[name + AGAIN] = pickle.dumps(thing)
-    file, answer = tmp_path / "sent", tmp_path / "said"
+    file = tmp_path / "sent"
+    answer = tmp_path / "said"
     file.write_bytes(pickle.dumps(sent))
     code = "import sys; sys.path.insert(0, sys.argv.pop()); import test_pickles; test_pickles.other()"
     command = [sys.executable, "-c", code, file, answer, Path(__file__).parent]

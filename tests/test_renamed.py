@@ -22,7 +22,8 @@ NEAR = 0.1
 def renamed(system: System, rng: np.random.Generator) -> tuple[System, dict[str, str]]:
     """The same mechanism with other names of bodies and joints, declared in another order; and the new names."""
     m = system.mechanism
-    bodies, joints = list(m.bodies), list(m.joints)
+    bodies = list(m.bodies)
+    joints = list(m.joints)
     texts = [f"{'xyzabc'[int(rng.integers(6))]}{n}" for n in rng.permutation(2 * (len(bodies) + len(joints)))]
     new = {m.ground.name: m.ground.name}
     for name in (*bodies, *joints):
@@ -69,7 +70,8 @@ def pin(m: Mechanism, name: str, parent: str, child: str, x: float, y: float) ->
 def scissor(stages: int) -> System:
     """A scissor lift whose names put the pins in the middle last."""
     m = Mechanism("scissor", dim=2)
-    c, s = 0.8, 0.6
+    c = 0.8
+    s = 0.6
     for k in range(stages):
         m.body(f"a{k}"), m.body(f"b{k}")
     pin(m, "A0", m.ground.name, "a0", 0.0, 0.0)
@@ -163,7 +165,8 @@ def judged(name: str, rng: np.random.Generator, starts: int) -> None:
             tolerance = 1e-7
         assert facts(one, q) == facts(other, carried(one, other, new, q))
     at = one.configuration_space.integrate(q, rng.uniform(-NEAR, NEAR, (starts, one.nv)) / np.sqrt(one.nv))
-    want, got = one.assemble(start=at), other.assemble(start=carried(one, other, new, at))
+    want = one.assemble(start=at)
+    got = other.assemble(start=carried(one, other, new, at))
     assert np.array_equal(want.success, got.success)
     good = want.success & (want.starts == 1)  # later starts are drawn at random, coordinate after coordinate
     np.testing.assert_allclose(got.q[good], carried(one, other, new, want.q)[good], rtol=0, atol=tolerance)

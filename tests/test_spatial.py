@@ -63,8 +63,11 @@ def test_inverse_and_shapes():
 @pytest.mark.parametrize("shape", [(), (0,), (2, 0, 3), (4,), (2, 3)], ids=str)
 def test_every_function_broadcasts(shape):
     rng = np.random.default_rng(1)
-    three, six, four = rng.normal(size=(*shape, 3)), rng.normal(size=(*shape, 6)), rng.normal(size=(*shape, 4))
-    R, X = spatial.exp_so3(three), spatial.exp_se3(six)
+    three = rng.normal(size=(*shape, 3))
+    six = rng.normal(size=(*shape, 6))
+    four = rng.normal(size=(*shape, 4))
+    R = spatial.exp_so3(three)
+    X = spatial.exp_se3(six)
     sizes = {
         "skew": (three, (3, 3)), "unit": (three, (3,)), "align_z": (three, (3, 3)), "exp_so3": (three, (3, 3)),
         "rpy_to_matrix": (three, (3, 3)), "matrix_to_rpy": (R, (3,)), "log_so3": (R, (3,)), "exp_se3": (six, (4, 4)),
@@ -97,7 +100,8 @@ def test_elementary_turns(name, angle):
 
 @given(axis=vectors.filter(lambda v: np.linalg.norm(v) > 1e-200))
 def test_align_takes_z_to_the_axis_by_the_smallest_rotation(axis):
-    R, a = spatial.align_z(axis), spatial.unit(axis)
+    R = spatial.align_z(axis)
+    a = spatial.unit(axis)
     assert is_rotation(R, 2e-15)
     np.testing.assert_allclose(R[:, 2], a, rtol=0, atol=1e-15)
     angle = np.linalg.norm(Rotation.from_matrix(R).as_rotvec())
@@ -169,7 +173,8 @@ def test_quaternion_of_half_turns(direction):
 
 @given(a=quaternions, b=quaternions)
 def test_quaternion_product_is_the_product_of_rotations(a, b):
-    A, B = spatial.quat_wxyz_to_matrix(a), spatial.quat_wxyz_to_matrix(b)
+    A = spatial.quat_wxyz_to_matrix(a)
+    B = spatial.quat_wxyz_to_matrix(b)
     np.testing.assert_allclose(spatial.quat_wxyz_to_matrix(spatial.quat_wxyz_multiply(a, b)), A @ B, rtol=0, atol=1e-13)
     np.testing.assert_allclose(spatial.quat_wxyz_to_matrix(spatial.quat_wxyz_conjugate(a)), A.T, rtol=0, atol=1e-14)
 
@@ -235,7 +240,9 @@ def test_exp_of_many_turns(turns):
 @given(seed=st.integers(0, 10**6))
 def test_adjoint_moves_twists(seed):
     rng = np.random.default_rng(seed)
-    X_AB, X_BC, twist = random_pose(rng), random_pose(rng), rng.normal(size=6)
+    X_AB = random_pose(rng)
+    X_BC = random_pose(rng)
+    twist = rng.normal(size=6)
     Ad = spatial.adjoint
     np.testing.assert_allclose(Ad(X_AB) @ Ad(X_BC), Ad(X_AB @ X_BC), rtol=0, atol=1e-13)
     np.testing.assert_allclose(
@@ -284,7 +291,8 @@ def test_a_pose_is_found_from_its_particles(dim):
     if dim == 3:
         from scipy.spatial.transform import Rotation
 
-        a, b = body - body.mean(axis=0), noisy[0] - noisy[0].mean(axis=0)
+        a = body - body.mean(axis=0)
+        b = noisy[0] - noisy[0].mean(axis=0)
         np.testing.assert_allclose(fit.X[0, :3, :3], Rotation.align_vectors(b, a)[0].as_matrix(), atol=1e-9)
 
 

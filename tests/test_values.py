@@ -83,7 +83,8 @@ def test_python_arithmetic_writes_expressions(data):
     """Whatever order of operations Python reads, the text must read the same."""
     terms = [(Expression(n), x) for n, x in PARAMETERS.items()] + [(x, x) for x in (2.0, -0.5, 1e-3)]
     for _ in range(8):
-        (e1, n1), (e2, n2) = data.draw(st.sampled_from(terms)), data.draw(st.sampled_from(terms))
+        (e1, n1) = data.draw(st.sampled_from(terms))
+        (e2, n2) = data.draw(st.sampled_from(terms))
         name = data.draw(st.sampled_from(list(OPERATIONS)))
         if name == "/" and abs(n2) < 1e-9:
             continue
@@ -104,7 +105,8 @@ def test_powers_and_signs():
 
 
 def test_expressions_are_values():
-    a, b = Expression("a + 1"), Expression(" a + 1")
+    a = Expression("a + 1")
+    b = Expression(" a + 1")
     assert a == b and hash(a) == hash(b) and a != Expression("a+1") and a != "a + 1"
     assert pickle.loads(pickle.dumps(a)) == a and str(a) == "a + 1" and repr(a) == "Expression('a + 1')"
 

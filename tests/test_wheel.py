@@ -166,7 +166,8 @@ def test_each_variant_against_each(fresh, tmp_path):
     first = found[runs.split()[0]]
     for variant, answers in found.items():
         for name in first.files:
-            a, b = first[name], answers[name]
+            a = first[name]
+            b = answers[name]
             bound = 1e-14 if name.split()[-1] in ("pose", "bodies", "jacobian", "residual") else 1e-11
             bound = bound if a.dtype == float else 0.0
             np.testing.assert_allclose(b, a, rtol=0, atol=bound, equal_nan=True, err_msg=f"{variant}: {name}")

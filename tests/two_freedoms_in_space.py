@@ -21,7 +21,10 @@ def spherical_five_bar(a1, b1, b2, a2, d) -> kempe.System:
 
 def turned(axis: str, angle) -> np.ndarray:
     """Rotations (..., 3, 3) about x or z."""
-    c, s, o, i = np.cos(angle), np.sin(angle), np.zeros(np.shape(angle)), np.ones(np.shape(angle))
+    c = np.cos(angle)
+    s = np.sin(angle)
+    o = np.zeros(np.shape(angle))
+    i = np.ones(np.shape(angle))
     rows = {"z": [c, -s, o, s, c, o, o, o, i], "x": [i, o, o, o, c, -s, o, s, c]}[axis]
     return np.stack(rows, axis=-1).reshape(*np.shape(angle), 3, 3)
 
@@ -97,12 +100,14 @@ def pointer(lower: str, upper: str, limits=(0.35, 1.0)) -> kempe.System:
     return m.build()
 
 
-FEET, TOPS = ((0.3, 0.0), (0.0, 0.25)), ((0.2, 0.0, 0.05), (0.0, 0.2, 0.0))
+FEET = ((0.3, 0.0), (0.0, 0.25))
+TOPS = ((0.2, 0.0, 0.05), (0.0, 0.2, 0.0))
 
 
 def lengths_of_pointer(U) -> np.ndarray:
     """Lengths (..., 2) of the legs at the two angles (..., 2) of the universal joint, x before y."""
-    a, b = U[..., 0], U[..., 1]
+    a = U[..., 0]
+    b = U[..., 1]
     y_turn = np.zeros((*b.shape, 3, 3))
     y_turn[..., 0, 0], y_turn[..., 0, 2], y_turn[..., 1, 1] = np.cos(b), np.sin(b), 1.0
     y_turn[..., 2, 0], y_turn[..., 2, 2] = -np.sin(b), np.cos(b)

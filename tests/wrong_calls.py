@@ -127,7 +127,8 @@ def rightly(name: str, system: System, rng: np.random.Generator) -> Any:
     frame = system.frame_names[-1]
     coordinates = system.coordinate_names
     first, last = (coordinates[0], coordinates[-1]) if coordinates else ("", "")
-    ground, body = system.body_names[0], system.body_names[-1]
+    ground = system.body_names[0]
+    body = system.body_names[-1]
     q = system.mid
     draw: dict[str, Callable[[], Any]] = {
         "q": lambda: q, "q0": lambda: q, "q1": lambda: q, "near": lambda: q, "seed": lambda: q, "start": lambda: q,
@@ -163,7 +164,8 @@ def call_of(
             nothing if callable(value) and re.search("Callable|Progress", str(p.annotation)) else value
         )  # whose errors are the caller's
 
-    args, options = [], {}
+    args = []
+    options = {}
     named = False
     must = rng.integers(len(parameters)) if parameters else -1
     for i, p in enumerate(parameters):
@@ -250,7 +252,8 @@ def extreme_call_of(
     able = [p.name for p in parameters if p.name not in NO_NUMBERS and NUMBERS.search(str(p.annotation))]
     if not able:
         return None
-    bad, options = str(rng.choice(able)), {}
+    bad = str(rng.choice(able))
+    options = {}
     for p in parameters:
         right = USUAL.get(p.name, ...) if system is None else rightly(p.name, system, rng)
         if p.name == "inputs" and system is not None and title.endswith("drive"):
@@ -268,7 +271,8 @@ def extreme_call_of(
 
 def answers(system: System) -> Iterator[tuple[str, Any]]:
     """Answers of a system, of each kind that it has."""
-    frame, q = system.frame_names[-1], system.mid
+    frame = system.frame_names[-1]
+    q = system.mid
     yield "query", system.query(frame)
     if system.nq == 0:
         return

@@ -61,7 +61,9 @@ class Old:
     """A module as it is: its statements at the top, each with the comments before it and the text after it."""
 
     def __init__(self, key: str, path: pathlib.Path, package: bool = True):
-        self.key, self.path, self.text = key, path, path.read_text(encoding="utf-8")
+        self.key = key
+        self.path = path
+        self.text = path.read_text(encoding="utf-8")
         self.tree = ast.parse(self.text)
         self.starts = [0, 0]
         for line in self.text.splitlines(keepends=True):
@@ -181,7 +183,8 @@ PLACELESS = [
     k for k, m in OLD.items() if k not in {*REST, *TABLE["deleted"]} and (len(m.tree.body) > 1 or not m.tree.body)
 ]  # the packages' own files have a docstring and nothing else
 for _old in PLACELESS:  # what is new since stays where it is
-    REST[_old], PARTS[_old] = _old, [_old]
+    REST[_old] = _old
+    PARTS[_old] = [_old]
 SPLIT_MODULES = {old for old, _ in SPLIT}
 for (_old, _name), _new in list(SPLIT.items()):  # what one statement defines goes together
     if _old in OLD and _name in OLD[_old].defines:
@@ -254,7 +257,8 @@ def origin(module: str, name: str | None) -> tuple[str, str | None]:
         bound = TOP_BINDINGS[module].get(name)
         if bound is None:
             break
-        module, name = bound.module, bound.of
+        module = bound.module
+        name = bound.of
     return module, name
 
 
@@ -371,7 +375,8 @@ def arrows() -> list[Arrow]:
 def rank(key: str) -> tuple[int, int]:
     """Place of a new module in the order: its line, and that within its folder."""
     folder, _, rest = key.partition(".")
-    first, lines = rest.split(".")[0], [line.split() for line in TABLE["within"].get(folder, [])]
+    first = rest.split(".")[0]
+    lines = [line.split() for line in TABLE["within"].get(folder, [])]
     inner = first if any(first in line for line in lines) else "."
     return LEVEL.get(folder, -1), next((k for k, line in enumerate(lines) if inner in line), -1)
 
@@ -447,7 +452,8 @@ def check() -> None:
         print(line)
     notes: list[str] = []
     for key in DELETED & set(OLD):
-        REST[key], PARTS[key] = key, [key]
+        REST[key] = key
+        PARTS[key] = [key]
     for new in PARTS:
         try:
             merged(new, notes)
@@ -495,7 +501,8 @@ class Edits:
     """Replacements in a text, by place."""
 
     def __init__(self, text: str):
-        self.text, self.made = text, dict[tuple[int, int], str]()
+        self.text = text
+        self.made = dict[tuple[int, int], str]()
 
     def put(self, start: int, end: int, new: str) -> None:
         """Replace the text from `start` to `end`."""
@@ -503,7 +510,8 @@ class Edits:
 
     def within(self, start: int, end: int) -> str:
         """A part of the text, edited."""
-        out, at = [], start
+        out = []
+        at = start
         for (i, j), new in sorted(self.made.items()):
             if start <= i and j <= end and i >= at:
                 out += [self.text[at:i], new]
@@ -520,7 +528,10 @@ class Rewriter:
     """Rewrites the imports of one file and the names that they bind, for a place in the new module `new`, if any."""
 
     def __init__(self, old: Old, new: str | None, idents: dict[str, object]):
-        self.old, self.new, self.idents, self.edits = old, new, idents, Edits(old.text)
+        self.old = old
+        self.new = new
+        self.idents = idents
+        self.edits = Edits(old.text)
         self.header: set[tuple[str, str, str | None, str]] = set()  # kind, module, name, as
         self.notes: list[str] = []
         self.names: dict[str, str | tuple[str, str]] = {}  # of the module's scope: new text, or module for attributes
@@ -729,9 +740,11 @@ class Rewriter:
                 return
             m, n = origin(module, attribute.attr)
             if m == module:
-                there, now = home(m, n), RENAMES.get((m, n or ""), n)
+                there = home(m, n)
+                now = RENAMES.get((m, n or ""), n)
             else:  # handed on: it still is
-                there, now = REST.get(module), attribute.attr
+                there = REST.get(module)
+                now = attribute.attr
             first, last = self.old.span(attribute)
             if there == self.new and self.new is not None:
                 self.shadow(node, now or "")
@@ -831,7 +844,9 @@ def merged(new: str, notes: list[str]) -> str:
         return text
     header: set[tuple[str, str, str | None, str]] = set()
     bodies: list[str] = []
-    main, seen, exported = main_part(new), set[str](), list[str]()
+    main = main_part(new)
+    seen = set[str]()
+    exported = list[str]()
     for p in parts:
         r = Rewriter(OLD[p], new, idents)
         r.run(in_place=False)
@@ -840,7 +855,8 @@ def merged(new: str, notes: list[str]) -> str:
         pieces: list[str] = []
         before = 0
         for i, unit in enumerate(r.old.units):
-            start, end = r.old.span(unit[0])[0], r.old.span(unit[-1])[1]
+            start = r.old.span(unit[0])[0]
+            end = r.old.span(unit[-1])[1]
             rest = r.old.text[end : r.old.text.find("\n", end) if "\n" in r.old.text[end:] else len(r.old.text)]
             if rest.lstrip().startswith("#"):
                 end += len(rest)
@@ -978,7 +994,8 @@ def in_code(text: str) -> str:
         if token.type in (tokenize.STRING, tokenize.COMMENT):
             new = in_text(token.string)
             if new != token.string:
-                (a, b), (c, d) = token.start, token.end
+                (a, b) = token.start
+                (c, d) = token.end
                 edits.put(lines[a - 1] + b, lines[c - 1] + d, new)
     return FULL.sub(full_name, edits.within(0, len(text)))
 

@@ -18,20 +18,27 @@ from kempe_bench.analytic_peers import Solver
 from kempe_bench.bench import Bench
 from kempe_bench.timing import Case, Grid, Row, measure
 
-TIMED, SLOW_TIMED = 200, 20
+TIMED = 200
+SLOW_TIMED = 20
 """Poses that are timed one by one in a turn, and for libraries that need long."""
-JUDGED, SLOW_JUDGED = 2_000, 100
+JUDGED = 2_000
+SLOW_JUDGED = 100
 """Poses whose answers of the other libraries are judged."""
-BATCH, GENERAL_BATCH = 10_000, 1_000
+BATCH = 10_000
+GENERAL_BATCH = 1_000
 """Poses of Kempe's batches, with and without closed form; all are judged."""
-PREPARATIONS, LONG = 5, 0.2
+PREPARATIONS = 5
+LONG = 0.2
 """How often a robot is prepared, and seconds from which twice is enough."""
 PATIENT = ("Puma 560",)
 """Arms that roboticstoolbox is given: it derives equations for seconds to minutes."""
-ONE, MANY, FOUND, WRONG, PREPARED = (
-    "one call, us", "batch, us a pose", "found, %", "wrong answers to 1,000 poses", "preparation, ms",
-)  # fmt: skip
-ONE_RATIO, MANY_RATIO = "one call, times Kempe's", "fastest way, times Kempe's batch"
+ONE = "one call, us"
+MANY = "batch, us a pose"
+FOUND = "found, %"
+WRONG = "wrong answers to 1,000 poses"
+PREPARED = "preparation, ms"
+ONE_RATIO = "one call, times Kempe's"
+MANY_RATIO = "fastest way, times Kempe's batch"
 """Lines of an arm."""
 
 
@@ -41,7 +48,8 @@ class Kempe(Solver):
     batches = True
 
     def __init__(self, arm: Arm, scale: float = 1.0):
-        self.chain, self.free = arm.chain, arm.free
+        self.chain = arm.chain
+        self.free = arm.free
         self.system = arm.build(scale)
         self.options: dict[str, Any] = {"fixed": arm.held} if arm.held else {}
         self.system.inverse.plan(FRAME, **self.options)
@@ -107,7 +115,8 @@ def how() -> list[str]:
 def _fill(table: Grid, bench: Bench, arms: Sequence[Arm], batch: int) -> None:
     for arm in arms:
         bench.say(f"  {arm.title}")
-        solvers, ready = {}, {}
+        solvers = {}
+        ready = {}
         for library, make in _makers(bench, arm).items():
             try:
                 solvers[library], ready[library] = _prepared(make)
@@ -116,7 +125,8 @@ def _fill(table: Grid, bench: Bench, arms: Sequence[Arm], batch: int) -> None:
         times = _timed(solvers, batch)
         verdicts = {name: _verdict(s, batch) for name, s in solvers.items()}
         for library in solvers:
-            one, many = times[library, ONE], times.get((library, MANY))
+            one = times[library, ONE]
+            many = times.get((library, MANY))
             verdict = verdicts[library]
             table.rows.append(Row(library, f"{arm.title}: {ONE}", one.value, one.best))
             if many is not None:

@@ -27,7 +27,11 @@ TOLERANCE = 1e-6
 ERRORS = 1e-3
 """Standard deviation of a calibrated arm's errors, in metres and radians."""
 
-WRIST, PARALLEL, OFFSET, ANY, LOCKED = "spherical wrist", "three parallel axes", "offset wrist", "any 6R", "7R"
+WRIST = "spherical wrist"
+PARALLEL = "three parallel axes"
+OFFSET = "offset wrist"
+ANY = "any 6R"
+LOCKED = "7R"
 """Families; in the last one joint of seven is held."""
 
 Row = tuple[float, float, float, float]
@@ -51,7 +55,8 @@ class Chain:
     @cached_property
     def frames(self) -> Array:
         """Poses (7, 4, 4) of the joints at q = 0, z along their axes, and of the tool."""
-        out, X = [], np.eye(4)
+        out = []
+        X = np.eye(4)
         for step in (*self.X, self.tool):
             X = X @ step
             out.append(X)
@@ -114,7 +119,8 @@ class Arm:
     def chain(self) -> Chain:
         """The arm written out for the others, the held joint as part of a placement."""
         arm = peers.arm_of(self.system, FRAME, Path())
-        placements, X = [], np.eye(4)
+        placements = []
+        X = np.eye(4)
         for link in arm.links:
             X = X @ link.X
             if link.name in self.held:
@@ -168,7 +174,9 @@ def calibrated(rows: Sequence[Row], scale: float) -> Mechanism:
 def any_6r(seed: int, scale: float) -> Mechanism:
     """A table of random numbers: lengths up to 0.5 m, all twists."""
     rng = np.random.default_rng(seed)
-    a, alpha, d = rng.uniform(0.05, 0.5, 6), rng.uniform(-pi, pi, 6), rng.uniform(-0.5, 0.5, 6)
+    a = rng.uniform(0.05, 0.5, 6)
+    alpha = rng.uniform(-pi, pi, 6)
+    d = rng.uniform(-0.5, 0.5, 6)
     return table([(*row, 0.0) for row in zip(a, alpha, d, strict=True)], f"any_6r_{seed}", scale)
 
 

@@ -17,7 +17,8 @@ STRAIGHT = 1e-9
 
 def chain_of(kinbody: Any) -> Chain:
     """The chain that ssik describes by axes and by placements before and after each turn."""
-    steps, X = [], np.eye(4)
+    steps = []
+    X = np.eye(4)
     for joint in kinbody.joints:
         turned = spatial.pose(spatial.align_z(joint.axis))
         steps.append(X @ joint.T_left @ turned)
@@ -41,8 +42,10 @@ def dh_table(chain: Chain) -> tuple[list[tuple[float, float, float]], Array, Arr
 
 def _screws(X: Array) -> tuple[tuple[float, float], tuple[float, float]]:
     """(a, alpha) and (d, theta) of X = Tx(a) Rx(alpha) Rz(theta) Tz(d)."""
-    alpha, theta = float(np.arctan2(-X[1, 2], X[2, 2])), float(np.arctan2(-X[0, 1], X[0, 0]))
-    a, d = float(X[0, 3]), float(X[2, 3] * np.cos(alpha) - X[1, 3] * np.sin(alpha))
+    alpha = float(np.arctan2(-X[1, 2], X[2, 2]))
+    theta = float(np.arctan2(-X[0, 1], X[0, 0]))
+    a = float(X[0, 3])
+    d = float(X[2, 3] * np.cos(alpha) - X[1, 3] * np.sin(alpha))
     made = spatial.pose(spatial.rot_x(alpha), [a, 0.0, 0.0]) @ spatial.pose(spatial.rot_z(theta), [0.0, 0.0, d])
     if np.max(np.abs(made - X)) > STRAIGHT:
         raise UnsupportedError("a placement has six freedoms: no Denavit-Hartenberg table has it in one row")
@@ -55,7 +58,8 @@ def decomposed(chain: Chain) -> tuple[str, Array, Array]:
     Steps vanish between axes that meet, as the closed forms want it. Errors: `UnsupportedError` where a search over
     one or two angles would be needed: with the published package such searches find no answers of these arms.
     """
-    h, o = chain.frames[:6, :3, 2], chain.frames[:6, :3, 3].copy()
+    h = chain.frames[:6, :3, 2]
+    o = chain.frames[:6, :3, 3].copy()
     first, elbow, wrist = (_meeting(h, o, i) for i in (0, 3, 4))
     level = [np.linalg.norm(np.cross(h[i], h[i + 1])) < STRAIGHT for i in (1, 2)]
     if all(level) and wrist is not None:
@@ -74,7 +78,8 @@ def decomposed(chain: Chain) -> tuple[str, Array, Array]:
 
 def _meeting(h: Array, o: Array, i: int) -> Array | None:
     """Where axes i and i + 1 meet, or None where they pass each other or are parallel."""
-    across, apart = np.cross(h[i], h[i + 1]), o[i + 1] - o[i]
+    across = np.cross(h[i], h[i + 1])
+    apart = o[i + 1] - o[i]
     sine = float(np.linalg.norm(across))
     if sine < STRAIGHT or abs(apart @ across) > STRAIGHT * sine:
         return None
@@ -88,10 +93,13 @@ def opw_parameters(chain: Chain) -> tuple[dict[str, float], Array, Array, Array,
     stands upright at zero, axes z, y, y, z, y, z (Brandstoetter, Angerer and Hofbaur, 2014). Errors:
     `UnsupportedError` for other arms.
     """
-    q, (h, o) = np.zeros(6), _axes(chain, np.zeros(6))
-    z, y = h[0], h[1]
+    q = np.zeros(6)
+    (h, o) = _axes(chain, np.zeros(6))
+    z = h[0]
+    y = h[1]
     x = np.cross(y, z)
-    wrist, elbow = _meeting(h, o, 4), _meeting(h, o, 3)
+    wrist = _meeting(h, o, 4)
+    elbow = _meeting(h, o, 3)
     right = [h[i] @ h[j] for i, j in ((0, 1), (2, 3), (3, 4), (4, 5))]
     concurrent = wrist is not None and elbow is not None and np.linalg.norm(wrist - elbow) < STRAIGHT
     if not concurrent or np.max(np.abs([*right, *np.cross(h[1], h[2])])) > STRAIGHT:
@@ -119,7 +127,8 @@ def opw_parameters(chain: Chain) -> tuple[dict[str, float], Array, Array, Array,
 
 def _axes(chain: Chain, q: Array) -> tuple[Array, Array]:
     """Directions and points (6, 3) of the axes at q (6,)."""
-    X, out = np.eye(4), []
+    X = np.eye(4)
+    out = []
     for step, angle in zip(chain.X, q, strict=True):
         X = X @ step
         out.append(X)

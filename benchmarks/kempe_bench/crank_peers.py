@@ -54,9 +54,14 @@ class _Points:
 
     def __init__(self, system: System, q: Array, drive: Drive, step: float):
         dyads = peers.module("pylinkage.dyads")
-        self.ground, self.crank = peers.module("pylinkage.components").Ground, peers.module("pylinkage.actuators").Crank
-        self.rrr, self.fixed = dyads.RRRDyad, dyads.FixedDyad
-        self.system, self.q, self.drive, self.step = system, q, drive, step
+        self.ground = peers.module("pylinkage.components").Ground
+        self.crank = peers.module("pylinkage.actuators").Crank
+        self.rrr = dyads.RRRDyad
+        self.fixed = dyads.FixedDyad
+        self.system = system
+        self.q = q
+        self.drive = drive
+        self.step = step
         self.parts: list[Any] = []
         self.spots: list[Spot] = []
 
@@ -89,19 +94,22 @@ class _Points:
 
 
 def _four_bar(p: _Points, v: dict[str, float]) -> None:
-    A, D = p.fix("A"), p.fix("D")
+    A = p.fix("A")
+    D = p.fix("D")
     p.meet(p.turn(A, "B", v["a"]), D, (v["b"], v["c"]), "C")
 
 
 def _peaucellier(p: _Points, v: dict[str, float]) -> None:
-    origin, Q = p.fix("Oa"), p.fix("Q")
+    origin = p.fix("Oa")
+    Q = p.fix("Q")
     C = p.turn(Q, "Ca", v["crank"])
     A, B = (p.meet(origin, C, (v["arm"], v["side"]), name) for name in ("Aa", "Bb"))
     p.meet(A, B, (v["side"], v["side"]), "D")
 
 
 def _jansen(p: _Points, v: dict[str, float]) -> None:
-    axle, K = p.fix("O"), p.fix("Kb")
+    axle = p.fix("O")
+    K = p.fix("Kb")
     M = p.turn(axle, "Mj", v["m"])
     U = p.meet(M, K, (v["j"], v["b"]), "U")
     V = p.stick(K, U, ("joint", "V"))

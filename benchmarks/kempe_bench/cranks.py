@@ -15,11 +15,13 @@ from kempe_bench.loop_solvers import SparseMujoco
 from kempe_bench.loop_trees import Tree
 from kempe_bench.timing import Case, Grid, cases, measure
 
-STEPS, SINGLE_STEPS = 10_000, 200
+STEPS = 10_000
+SINGLE_STEPS = 200
 """Steps of the crank in one call, and of a loop in Python."""
 ROWS = (10, 100, 1000)
 NOISE = 0.1
-SWEEP, ONE = "Kempe, assemble, array, branch", "Kempe, assembler, one angle"
+SWEEP = "Kempe, assemble, array, branch"
+ONE = "Kempe, assembler, one angle"
 """Names of Kempe's columns: calls that users make, none from inside."""
 
 _PYLINKAGE_LOOP = """
@@ -88,7 +90,8 @@ def row(bench: Bench) -> Grid:
         system = four_bars(n)
         q = system.configuration_space.integrate(system.neutral, _noise(system))
         call = "row.assemble({'A0': 0.2}, start=q)"
-        line, timed = f"{n:,}", cases("Kempe", {"row": system, "q": q}, (f"{n:,}", call))
+        line = f"{n:,}"
+        timed = cases("Kempe", {"row": system, "q": q}, (f"{n:,}", call))
         answer = system.assemble({"A0": 0.2}, start=q)
         if not answer:
             table.remarks.append(f"{line} four-bars: Kempe did not close: {answer.status}")

@@ -34,12 +34,11 @@ def batch(bench: Bench) -> Table:
     arm = bench.arm
     q = arm.random(BATCH)
     names = {"query": arm.system.query(arm.frame), "q": q, "out": np.empty((BATCH, 4, 4))}
-    own, new = f"{BATCH:,} poses into out=", f"{BATCH:,} poses, a new array"
+    own = f"{BATCH:,} poses into out="
+    new = f"{BATCH:,} poses, a new array"
     timed = cases("Kempe", names, (own, "query(q, out=out, threads=1)", BATCH), (new, "query(q, threads=1)", BATCH))
-    loop, rows = (
-        f"Python loop over {LOOP:,}, pose as array",
-        {"q": list(q[:LOOP]), "out": np.zeros((LOOP, 4, 4))},
-    )
+    loop = f"Python loop over {LOOP:,}, pose as array"
+    rows = {"q": list(q[:LOOP]), "out": np.zeros((LOOP, 4, 4))}
     if "pin" in bench.versions:
         timed += cases("Pinocchio", _pinocchio(arm) | rows, (loop, _PINOCCHIO_LOOP, LOOP))
     if "roboticstoolbox-python" in bench.versions:
@@ -72,7 +71,8 @@ def single(bench: Bench) -> Table:
         ("Jacobian: query.jacobian(q)", "query.jacobian(q)"),
     )  # fmt: skip
     if "pin" in bench.versions:
-        place, read = "fk(model, data, q); update(model, data, frame)", "read(model, data, frame, axes)"
+        place = "fk(model, data, q); update(model, data, frame)"
+        read = "read(model, data, frame, axes)"
         timed += cases(
             "Pinocchio", _pinocchio(arm) | given, ("forward and frame update, in its data", place),
             ("forward and frame update, as array", f"{place}.homogeneous"),
@@ -81,10 +81,8 @@ def single(bench: Bench) -> Table:
              f"all(model, data, q); update(model, data, frame); {read}"),
         )  # fmt: skip
     if "mujoco" in bench.versions:
-        place, read = (
-            "qpos[:n] = q; fk(model, data)",
-            "com(model, data); jac(model, data, J[:3], J[3:], body)",
-        )
+        place = "qpos[:n] = q; fk(model, data)"
+        read = "com(model, data); jac(model, data, J[:3], J[3:], body)"
         timed += cases(
             "MuJoCo", _mujoco(arm) | given,
             ("mj_kinematics, read a body", f"{place}; data.xpos[body], data.xmat[body]"),
@@ -126,7 +124,8 @@ def threads(bench: Bench) -> Table:
     calls = [(f"{n} thread{'s' * (n > 1)}", f"query(q, out=out, threads={n})", BATCH) for n in (1, 2)]
     title = f"Threads: {arm.frame} of {arm.system.name}, {BATCH:,} poses into out="
     table = Table(title, "ns a pose", measure(cases("Kempe", names, *calls)))
-    one, two = table.best("Kempe", "1 thread"), table.best("Kempe", "2 threads")
+    one = table.best("Kempe", "1 thread")
+    two = table.best("Kempe", "2 threads")
     assert one is not None and two is not None, "Kempe takes part in every run"
     table.at_least("two threads, at least 1.7 times as fast", one / two, 1.7)
     return table

@@ -24,7 +24,10 @@ LARGE = ("delta_uu", "delta_ss")
 TIMED = ("four_bar", "bennett", *LARGE, "wunderlich")
 RANK = 1e-9
 """Singular values below this part of the largest count as zero, in the rank by hand."""
-TRUE, FIRST_ORDER, EXUDYN, HAND = "Kempe, dof", "Kempe, rank_dof", "Exudyn", "MuJoCo, rank by hand"
+TRUE = "Kempe, dof"
+FIRST_ORDER = "Kempe, rank_dof"
+EXUDYN = "Exudyn"
+HAND = "MuJoCo, rank by hand"
 PUBLISHED = "published"
 
 

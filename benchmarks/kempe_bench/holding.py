@@ -74,15 +74,21 @@ def _symbols(n: int) -> tuple[int, ...]:
     q = [x, y, h, *hitches]
     ahead: list[Any] = [sp.cos(h), sp.sin(h), 0]
     turn: list[Any] = [0, 0, 1]
-    speed, rate_before, rate_turn = sp.Integer(1), sp.Integer(0), sp.Integer(1)
+    speed = sp.Integer(1)
+    rate_before = sp.Integer(0)
+    rate_turn = sp.Integer(1)
     for a in hitches:  # the axle of a trailer, one metre behind its hitch on the axle before, does not slip
         rate = -speed * sp.sin(a)
         ahead.append(rate - rate_before)
         turn.append(-rate_turn)
-        speed, rate_before, rate_turn = speed * sp.cos(a), rate, sp.Integer(0)
+        speed = speed * sp.cos(a)
+        rate_before = rate
+        rate_turn = sp.Integer(0)
     fields = [sp.Matrix(ahead), sp.Matrix(turn)]
     here = {x: 0, y: 0, h: 0, **dict.fromkeys(hitches, ANGLE)}
-    level, all_, growth = fields, list(fields), []
+    level = fields
+    all_ = list(fields)
+    growth = []
     while not growth or growth[-1] < len(q):
         values = np.array([[float(e) for e in f.subs(here)] for f in all_])
         growth.append(int(np.linalg.matrix_rank(values, tol=1e-9)))
@@ -101,14 +107,16 @@ def laws(bench: Bench) -> Grid:
         ("text", lambda m: m.constrain(constraints.OnSurface("tip", "(x - 1)^2 + y^2 = 0.81"), "law")),
     ):
         m = Mechanism("two-link", dim=2)
-        upper, lower = m.body("upper"), m.body("lower")
+        upper = m.body("upper")
+        lower = m.body("lower")
         m.revolute("A", m.ground, upper)
         m.revolute("B", upper, lower, at=(0.6, 0.0))
         m.frame("tip", lower, at=(0.5, 0.0))
         m.frame("pin", m.ground, at=(1.0, 0.0))
         declare(m)
         s = m.build()
-        known, one = {"A": rng.uniform(-0.5, 0.5, CLOSURES)}, Budget(threads=1)
+        known = {"A": rng.uniform(-0.5, 0.5, CLOSURES)}
+        one = Budget(threads=1)
         timed.append(Case("Kempe", who, "s.assemble(known, budget=budget)", {"s": s, "known": known, "budget": one}))
     table.rows += measure(timed, 1.0)
     built_in, text = (row.value for row in table.rows)

@@ -24,7 +24,8 @@ def single(bench: Bench) -> Table:
     """Reachable targets, no seed, one a call and as one batch."""
     arm = bench.arm
     targets = arm.pose(arm.random(BATCH))
-    robot, frame = arm.system, arm.frame
+    robot = arm.system
+    frame = arm.frame
     solvers: dict[str, tuple[Callable[[np.ndarray], np.ndarray], int]] = {
         "Kempe": (lambda X: robot.ik(X, frame).q, TARGETS)
     }

@@ -29,16 +29,19 @@ class Drake(Assembler):
         self.tree = tree
         plant, frames, self.first = drake_plant(tree)
         kinematics = peers.module("pydrake.multibody.inverse_kinematics").InverseKinematics
-        self.plant, self.ik = plant, kinematics(plant, with_joint_limits=False)
+        self.plant = plant
+        self.ik = kinematics(plant, with_joint_limits=False)
         for cut in tree.cuts:
             for point in tree.points(cut):
                 a, b = ((X @ np.append(point, 1.0))[:3] for X in (cut.X_a, cut.X_b))
                 slack = np.array([0.0, 0.0, np.inf if tree.system.dim == 2 else 0.0])
                 self.ik.AddPositionConstraint(frames[cut.b], b, frames[cut.a], a - slack, a + slack)
-        self.program, self.variables = self.ik.prog(), self.ik.q()
+        self.program = self.ik.prog()
+        self.variables = self.ik.q()
         self._hold(known)
         solvers = peers.module("pydrake.solvers")
-        self.solver, self.options = solvers.SnoptSolver(), solvers.SolverOptions()
+        self.solver = solvers.SnoptSolver()
+        self.options = solvers.SolverOptions()
         self.options.SetOption(self.solver.solver_id(), "Major feasibility tolerance", 1e-9)
 
     def _hold(self, known: Iterable[str]) -> None:
@@ -77,11 +80,13 @@ class Drake(Assembler):
 
 def drake_plant(tree: Tree) -> tuple[Any, list[Any], list[int]]:
     """The tree as a Drake plant, the frames of its bodies, and where the coordinates of its moves begin."""
-    tree_module, plants = peers.module("pydrake.multibody.tree"), peers.module("pydrake.multibody.plant")
+    tree_module = peers.module("pydrake.multibody.tree")
+    plants = peers.module("pydrake.multibody.plant")
     place = peers.module("pydrake.math").RigidTransform
     plant = plants.MultibodyPlant(0.0)
     inertia = tree_module.SpatialInertia.SolidSphereWithMass(1.0, 0.1)
-    frames, joints = [plant.world_frame()], []
+    frames = [plant.world_frame()]
+    joints = []
     for limb in tree.limbs:
         offset = tree_module.FixedOffsetFrame(f"{limb.name}_before", frames[limb.parent], place(limb.before))
         here = plant.AddFrame(offset)
@@ -113,18 +118,22 @@ class Exudyn(Assembler):
         system = tree.system
         self.exudyn = peers.module("exudyn")
         self.exudyn.config.printToConsole = False
-        self.system, self.planar, self.tree = system, system.dim == 2, tree
+        self.system = system
+        self.planar = system.dim == 2
+        self.tree = tree
         self.container = self.exudyn.SystemContainer()
         self.bodies = self.container.AddSystem()
         self._describe(peers.module("exudyn.itemInterface"))
         self.bodies.Assemble()
-        self.initial, self.current = self.exudyn.ConfigurationType.Initial, self.exudyn.ConfigurationType.Current
+        self.initial = self.exudyn.ConfigurationType.Initial
+        self.current = self.exudyn.ConfigurationType.Current
         self.settings = self._settings()
         if q is not None:
             self.bodies.systemData.SetODE2Coordinates(self.ready(q[None])[0], configuration=self.initial)
 
     def _describe(self, items: Any) -> None:
-        add, planar = self.bodies.AddObject, self.planar
+        add = self.bodies.AddObject
+        planar = self.planar
         numbers = [add(items.ObjectGround())]
         for _ in self.system.body_names[1:]:
             if planar:
@@ -143,7 +152,8 @@ class Exudyn(Assembler):
         return self.bodies.AddMarker(items.MarkerBodyRigid(bodyNumber=body, **at))
 
     def _join(self, items: Any, link: Link, ends: dict[str, Any]) -> None:
-        add, kind = self.bodies.AddObject, link.joint.type.type_name
+        add = self.bodies.AddObject
+        kind = link.joint.type.type_name
         if kind == "spherical":
             add(items.ObjectJointSpherical(**ends))
         elif self.planar and kind == "revolute":
@@ -162,8 +172,11 @@ class Exudyn(Assembler):
         out.linearSolver.solverType = self.exudyn.LinearSolverType.EigenDense
         out.linearSolver.ignoreSingularJacobian = True
         static = out.staticSolver
-        static.numberOfLoadSteps, static.adaptiveStep, static.verboseMode = 1, False, 0
-        static.newton.absoluteTolerance, static.newton.maxIterations = 1e-10, 50
+        static.numberOfLoadSteps = 1
+        static.adaptiveStep = False
+        static.verboseMode = 0
+        static.newton.absoluteTolerance = 1e-10
+        static.newton.maxIterations = 50
         static.newton.useModifiedNewton = False
         out.solution.file.write = False
         return out

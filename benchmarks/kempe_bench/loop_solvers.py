@@ -55,7 +55,9 @@ class GaussNewton(Assembler):
     """As a part of the residual: of 1e-4 to 1e-1 the one with which most guesses close."""
 
     def __init__(self, tree: Tree, nv: int, place: np.ndarray, first: Sequence[int], known: Iterable[str]):
-        self.tree, self.nv, self.place = tree, nv, place
+        self.tree = tree
+        self.nv = nv
+        self.place = place
         columns = {tree.columns[name] for name in known}
         held = [v for move, v in zip(tree.moves, first, strict=True) if move.column in columns]
         self.free = np.setdiff1d(np.arange(nv), held)
@@ -77,7 +79,8 @@ class GaussNewton(Assembler):
 
     def call(self, guess: Array, /) -> Array:
         """Coordinates found from the guess, or the last ones tried."""
-        x, some = guess, len(self.free) < self.nv
+        x = guess
+        some = len(self.free) < self.nv
         for _ in range(STEPS):
             r, J = self.equations(x)
             size = float(np.sqrt(r @ r))
@@ -114,7 +117,9 @@ class Mujoco(GaussNewton):
         mujoco = peers.module("mujoco")
         self.model = mujoco.MjModel.from_xml_string(mjcf(tree, sparse))
         self.data = mujoco.MjData(self.model)
-        self.turn, self.shift, self.tie = mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_makeConstraint
+        self.turn = mujoco.mj_kinematics
+        self.shift = mujoco.mj_comPos
+        self.tie = mujoco.mj_makeConstraint
         self.integrate = mujoco.mj_integratePos
         joints = [self.model.joint(m.name) for m in tree.moves]
         place = [j.qposadr[0] + np.arange(m.size) for j, m in zip(joints, tree.moves, strict=True)]
@@ -123,7 +128,8 @@ class Mujoco(GaussNewton):
 
     def evaluate(self, x: Array) -> Any:
         """MuJoCo's data with the constraints evaluated."""
-        model, data = self.model, self.data
+        model = self.model
+        data = self.data
         data.qpos[:] = x
         self.turn(model, data)
         self.shift(model, data)
@@ -150,7 +156,8 @@ class SparseMujoco(Mujoco):
 
     def __init__(self, tree: Tree, known: Iterable[str] = ()):
         super().__init__(tree, known, sparse=True)
-        self.csr, self.eye = peers.module("scipy.sparse").csr_matrix, peers.module("scipy.sparse").identity
+        self.csr = peers.module("scipy.sparse").csr_matrix
+        self.eye = peers.module("scipy.sparse").identity
         self.solve = peers.module("scipy.sparse.linalg").spsolve
 
     def equations(self, x: Array) -> tuple[Array, Any]:
@@ -173,14 +180,18 @@ class Pinocchio(GaussNewton):
     def __init__(self, tree: Tree, known: Iterable[str] = ()):
         pin = peers.module("pinocchio")
         self.model, joints = pinocchio_tree(tree)
-        self.data, self.axes = self.model.createData(), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        self.jacobians, self.integrate = pin.computeJointJacobians, pin.integrate
-        self.update, self.read = pin.updateFramePlacement, pin.getFrameJacobian
+        self.data = self.model.createData()
+        self.axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        self.jacobians = pin.computeJointJacobians
+        self.integrate = pin.integrate
+        self.update = pin.updateFramePlacement
+        self.read = pin.getFrameJacobian
         names = [f"{cut.joint.name}_{k}" for cut in tree.cuts for k in range(len(tree.points(cut)))]
         self.pairs = [tuple(self.model.getFrameId(f"{name}_{side}") for side in "ab") for name in names]
         self.size = tree.system.dim
         n = self.size * len(self.pairs)
-        self.r, self.J = np.empty(n), np.empty((n, self.model.nv))
+        self.r = np.empty(n)
+        self.J = np.empty((n, self.model.nv))
         parts = zip((self.model.joints[j] for j in joints), tree.moves, strict=True)
         place = [j.idx_q + (np.array([3, 0, 1, 2]) if m.kind == BALL else np.arange(1)) for j, m in parts]
         first = [self.model.joints[j].idx_v for j in joints]
@@ -188,7 +199,12 @@ class Pinocchio(GaussNewton):
 
     def equations(self, x: Array) -> tuple[Array, Array]:
         """Differences of the ends' positions and of their Jacobians, in the plane two rows a point."""
-        model, data, axes, update, read, n = self.model, self.data, self.axes, self.update, self.read, self.size
+        model = self.model
+        data = self.data
+        axes = self.axes
+        update = self.update
+        read = self.read
+        n = self.size
         self.jacobians(model, data, x)
         for k, (a, b) in enumerate(self.pairs):
             rows = slice(n * k, n * k + n)
@@ -204,14 +220,18 @@ class Pinocchio(GaussNewton):
 def pinocchio_tree(tree: Tree) -> tuple[Any, list[int]]:
     """The tree as a Pinocchio model with frames at both ends of each cut, and the number of each move's joint."""
     pin = peers.module("pinocchio")
-    model, ids, at, joints = pin.Model(), [0], [pin.SE3.Identity()], []
+    model = pin.Model()
+    ids = [0]
+    at = [pin.SE3.Identity()]
+    joints = []
     kinds = {
         TURN: (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ),
         SLIDE: (pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ),
         BALL: (pin.JointModelSpherical,) * 3,
     }
     for limb in tree.limbs:
-        here, before = ids[limb.parent], at[limb.parent] * pin.SE3(limb.before)
+        here = ids[limb.parent]
+        before = at[limb.parent] * pin.SE3(limb.before)
         for move in limb.moves:
             here = model.addJoint(here, kinds[move.kind][move.axis](), before, move.name)
             joints.append(here)

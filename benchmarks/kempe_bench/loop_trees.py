@@ -64,9 +64,11 @@ class Link:
         form = implicit_form(self.joint.type)
         if form is None:
             raise UnsupportedError(f"joint {self.joint.name!r} has no implicit form")
-        slides, turns = form.position, form.turns
+        slides = form.position
+        turns = form.turns
         held = ["xyz".index(axis) for axis in slides]
-        R, errors = between[..., :3, :3], [np.linalg.norm(between[..., held, 3], axis=-1)]
+        R = between[..., :3, :3]
+        errors = [np.linalg.norm(between[..., held, 3], axis=-1)]
         if turns == "x.y":
             errors.append(np.abs(R[..., 0, 1]))
         elif turns == "xy":
@@ -105,14 +107,16 @@ class Tree:
         return Link(joint, self.numbers[joint.parent], X_a, self.numbers[joint.child], X_b)
 
     def _limb(self, i: int) -> Limb:
-        system, back = self.system, self.system.structure.topology.reversed_[i]
+        system = self.system
+        back = self.system.structure.topology.reversed_[i]
         link = self.links[system.structure.parent_joints[i]]
         names = system.structure.coordinates_of_joint(link.joint.name)
         moves = []
         for k, p in enumerate(link.joint.type.layout(system.dim)[1]):
             if p.multiplier != 1.0:
                 raise UnsupportedError(f"{system.name}: joint {link.joint.name!r} couples a turn and a slide")
-            column, axis = self.columns[names[p.coordinate]], "xyz".index(p.axis)
+            column = self.columns[names[p.coordinate]]
+            axis = "xyz".index(p.axis)
             moves.append(Move(f"{link.joint.name}_{k}", p.kind, axis, column, -1 if back else 1))
         ends = (link.X_b, link.X_a) if back else (link.X_a, link.X_b)
         order = tuple(reversed(moves)) if back else tuple(moves)
@@ -142,7 +146,8 @@ class Tree:
 
     def guesses(self, sigma: float, n: int, known: Iterable[str] = ()) -> spatial.Array:
         """Configurations q (n, nq): the posture 'closed' with normal noise on all coordinates of the tree not known."""
-        system, held = self.system, set(known)
+        system = self.system
+        held = set(known)
         moved = self.in_tree & np.array([name not in held for name in system.structure.velocity_names])
         noise = sigma * np.random.default_rng(7).normal(size=(n, system.nv)) * moved
         return system.configuration_space.integrate(system.q("closed"), noise)
@@ -203,7 +208,8 @@ def mjcf(tree: Tree, sparse: bool = False) -> str:
     ElementTree.SubElement(root, "compiler", angle="radian", autolimits="false")
     option = ElementTree.SubElement(root, "option", gravity="0 0 0", jacobian="sparse" if sparse else "dense")
     ElementTree.SubElement(option, "flag", contact="disable")
-    bodies, offsets = [ElementTree.SubElement(root, "worldbody")], [np.eye(4)]
+    bodies = [ElementTree.SubElement(root, "worldbody")]
+    offsets = [np.eye(4)]
     for limb in tree.limbs:
         X = offsets[limb.parent] @ limb.before
         at = {"name": limb.name, "pos": _text(X[:3, 3]), "quat": _text(spatial.matrix_to_quat_wxyz(X[:3, :3]))}

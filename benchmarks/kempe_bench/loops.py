@@ -27,12 +27,19 @@ KNOWN = {"four_bar": ("A",), "stewart": tuple(f"leg{i}" for i in range(1, 7))}
 """What is given in the lines with known inputs: the crank, the lengths of the legs."""
 UNFIT = {"bennett", "sarrus", "bricard_trihedral"}
 """Mechanisms that are not given to Exudyn's static solver."""
-TIMED, RATES = (0.1, 1.0), (0.1, 0.3, 1.0)
+TIMED = (0.1, 1.0)
+RATES = (0.1, 0.3, 1.0)
 """Standard deviations of the guesses whose assembly is timed, and counted."""
-GUESSES, SLOW_GUESSES, BATCH = 100, 10, 1000
+GUESSES = 100
+SLOW_GUESSES = 10
+BATCH = 1000
 TURNS = 5
-CALL, NEAREST, BOUND, MANY = "Kempe, one call", "Kempe, nearest", "Kempe, bound", "Kempe, batch"
-ONE_START, USUAL = "Kempe, starts=1", "Kempe"
+CALL = "Kempe, one call"
+NEAREST = "Kempe, nearest"
+BOUND = "Kempe, bound"
+MANY = "Kempe, batch"
+ONE_START = "Kempe, starts=1"
+USUAL = "Kempe"
 """Names of Kempe's columns."""
 
 
@@ -53,7 +60,8 @@ class Kempe(Assembler):
     """Kempe in one of its ways to be called."""
 
     def __init__(self, tree: Tree, call: Callable[[Array], Any]):
-        self.tree, self.call = tree, call
+        self.tree = tree
+        self.call = call
 
     def ready(self, q: Array) -> Sequence[Array]:
         """The configurations."""
@@ -92,7 +100,8 @@ def known_line(name: str) -> str:
 
 
 def _line(table: Grid, bench: Bench, tree: Tree, line: str, sigma: float, known: tuple[str, ...]) -> None:
-    system, home = tree.system, tree.system.q("closed")
+    system = tree.system
+    home = tree.system.q("closed")
     given = {n: float(home[tree.columns[n]]) for n in known}
     bound = system.loops.assembler(known)
     solvers: dict[str, Assembler] = {
@@ -147,7 +156,8 @@ def timed(solvers: dict[str, Assembler], q: Array) -> dict[str, tuple[float, flo
 
 def _turn(call: Callable[[Any], Any], guesses: Sequence[Any]) -> np.ndarray:
     """Nanoseconds (n,) of the calls."""
-    clock, spent = time.perf_counter_ns, []
+    clock = time.perf_counter_ns
+    spent = []
     collecting = gc.isenabled()
     gc.disable()
     try:
@@ -163,13 +173,15 @@ def _turn(call: Callable[[Any], Any], guesses: Sequence[Any]) -> np.ndarray:
 
 def _goals(table: Grid) -> None:
     for name, title, one, many, times in (("four_bar", "four-bar", 10, 2, 4), ("stewart", "Stewart", 30, 12, 2)):
-        line, known = f"{name}, {TIMED[0]:g}", known_line(name)
+        line = f"{name}, {TIMED[0]:g}"
+        known = known_line(name)
         fast = table.best(CALL, line)
         table.at_most(f"{title} with known inputs, one call, at most {one} us", table.best(CALL, known), one)
         table.at_most(f"{title}, one call, at most {one} us", fast, one)
         table.at_most(f"{title} with known inputs, batch, at most {many} us", table.best(MANY, known), many)
         table.at_most(f"{title}, batch, at most {many} us", table.best(MANY, line), many)
-        other, mine = table.value("MuJoCo", line), table.value(CALL, line)
+        other = table.value("MuJoCo", line)
+        mine = table.value(CALL, line)
         if other is not None and mine is not None:
             text = f"{title}, at least {times} times as fast as Gauss-Newton on MuJoCo's constraints"
             table.at_least(text, other / mine, times)
@@ -182,10 +194,12 @@ def success(bench: Bench) -> Grid:
     table = Grid("Assembly of closed loops from a guess: how many close, by noise in radians", "%")
     for name in MECHANISMS:
         tree = Tree(kempe.load(name))
-        system, solvers = tree.system, peers_of(bench, tree)
+        system = tree.system
+        solvers = peers_of(bench, tree)
         bench.say(f"  {name}")
         for sigma in RATES:
-            q, line = tree.guesses(sigma, BATCH), f"{name}, {sigma:g}"
+            q = tree.guesses(sigma, BATCH)
+            line = f"{name}, {sigma:g}"
             for library, starts in ((USUAL, _starts()), (ONE_START, 1)):
                 answer = system.assemble(start=q, budget=kempe.Budget(starts=starts))
                 opening = np.where(answer.success, tree.opening(tree.coordinates(answer.q)), np.inf)

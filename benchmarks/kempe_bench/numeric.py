@@ -21,7 +21,8 @@ from kempe_bench.timing import Grid, Row
 
 TARGETS = 2_000
 """Targets of a robot; a slow library gets as many of them as fit into its share of the time."""
-SHARE, SMALL_SHARE = 0.25, 0.1
+SHARE = 0.25
+SMALL_SHARE = 0.1
 """Seconds of a library on a robot: for targets anywhere, and for the other sets, without the slow libraries."""
 OFF = 0.05
 """How far each joint of a near start is from the configuration that the target was made from [rad, m]."""
@@ -116,7 +117,8 @@ def _section(bench: Bench, title: str, draw: Draw, share: float, near: bool) -> 
     tried: dict[str, list[int]] = {SOLVERS[p][0]: [] for p in packages}
     with tempfile.TemporaryDirectory() as folder:
         arms, missing = _arms(Path(folder))
-        cases, targets = {}, {}
+        cases = {}
+        targets = {}
         for name, arm in arms.items():
             q, starts = draw(arm, n)
             targets[name] = poses(arm, q)
@@ -143,7 +145,8 @@ def _section(bench: Bench, title: str, draw: Draw, share: float, near: bool) -> 
 
 def _arms(folder: Path) -> tuple[dict[str, peers.Arm], list[str]]:
     """The chains by title, and the titles of those whose descriptions are not installed."""
-    arms, missing = {}, []
+    arms = {}
+    missing = []
     for robot in ROBOTS:
         arm = robot.arm(folder)
         if arm is None:
@@ -162,7 +165,8 @@ def _case(folder: Path, arm: peers.Arm, targets: Array, starts: Array, near: boo
 
 def _batch(name: str, arm: peers.Arm, targets: Array, starts: Array | None) -> list[Row]:
     """Kempe's answer to all targets in one call in one thread: success, microseconds a target."""
-    turns, q = [], targets
+    turns = []
+    q = targets
     for _ in range(3):
         start = time.perf_counter()
         q = arm.system.ik(targets, TIP, start=starts, budget=kempe.Budget(threads=1)).q

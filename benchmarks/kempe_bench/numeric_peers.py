@@ -17,7 +17,8 @@ TOLERANCE = 1e-6
 """Largest position error [m] and rotation angle [rad] of a success."""
 LIMIT = 0.05
 """Seconds that a library may spend on a target."""
-ATTEMPT, STEPS = 30, 15
+ATTEMPT = 30
+STEPS = 15
 """Iterations of a start, and steps of a start by libraries that give velocities."""
 DAMPING = 1e-2
 """Levenberg and Marquardt's factor of libraries that give velocities: of 1e-6 to 1 the one with the best times."""
@@ -90,8 +91,10 @@ class TracIK(Solver):
     """TRAC-IK (Beeson and Ames, 2015), two threads; its tolerance is one of each component, not of the norm."""
 
     def __init__(self, arm: peers.Arm):
-        self.module, self.limits = peers.module("pytracik"), arm.limits
-        speed, text = self.module.SolveType.Speed, arm.file.read_text(encoding="utf-8")
+        self.module = peers.module("pytracik")
+        self.limits = arm.limits
+        speed = self.module.SolveType.Speed
+        text = arm.file.read_text(encoding="utf-8")
         self.robot = self.module.TRAC_IK(BASE, TIP, text, LIMIT, TOLERANCE / np.sqrt(3.0), speed)
 
     def ready(self, targets: Array) -> Sequence[Any]:
@@ -129,7 +132,8 @@ class RoboPlan(Solver):
     """RoboPlan's SimpleIk: damped pseudoinverse with restarts in C++, collision checks off."""
 
     def __init__(self, arm: peers.Arm):
-        core, simple = peers.module("roboplan.core"), peers.module("roboplan.simple_ik")
+        core = peers.module("roboplan.core")
+        simple = peers.module("roboplan.simple_ik")
         text = arm.file.read_text(encoding="utf-8")
         scene = core.Scene("benchmark", core.loadUrdfSceneDescriptionFromXml(text))
         scene.addGroupFromChain("chain", BASE, TIP)
@@ -137,7 +141,9 @@ class RoboPlan(Solver):
             "chain", max_iters=ATTEMPT, max_time=LIMIT, max_restarts=MANY, step_size=1.0, damping=1e-6,
             max_linear_error_norm=TOLERANCE, max_angular_error_norm=TOLERANCE, check_collisions=False,
         )  # fmt: skip
-        self.core, self.scene, self.robot = core, scene, simple.SimpleIk(scene, options)
+        self.core = core
+        self.scene = scene
+        self.robot = simple.SimpleIk(scene, options)
         self.names = scene.getJointGroupInfo("chain").joint_names
 
     def ready(self, targets: Array) -> Sequence[Any]:
@@ -175,7 +181,8 @@ class Klampt(Restarted):
     """Klampt: Newton with step limits at the joint limits."""
 
     def __init__(self, arm: peers.Arm):
-        klampt, self.ik = peers.module("klampt"), peers.module("klampt.model.ik")
+        klampt = peers.module("klampt")
+        self.ik = peers.module("klampt.model.ik")
         self.world = klampt.WorldModel()
         self.robot = self.world.loadRobot(str(arm.file))
         self.link = self.robot.link(TIP)
@@ -238,7 +245,8 @@ class Mink(Steps):
     def __init__(self, arm: peers.Arm):
         mink = peers.module("mink")
         model, _ = peers.mujoco_model(arm.file)
-        self.SE3, self.solve_ik = mink.SE3, mink.solve_ik
+        self.SE3 = mink.SE3
+        self.solve_ik = mink.solve_ik
         self.configuration = mink.Configuration(model)
         self.task = mink.FrameTask(TIP, "body", position_cost=1.0, orientation_cost=1.0, lm_damping=DAMPING)
         bounds = [mink.ConfigurationLimit(model, gain=1.0)]
@@ -255,9 +263,11 @@ class Pink(Steps):
     """pink: a quadratic program for each step, on Pinocchio."""
 
     def __init__(self, arm: peers.Arm):
-        pin, pink = peers.module("pinocchio"), peers.module("pink")
+        pin = peers.module("pinocchio")
+        pink = peers.module("pink")
         model = pin.buildModelFromUrdf(str(arm.file))
-        self.SE3, self.solve_ik = pin.SE3, pink.solve_ik
+        self.SE3 = pin.SE3
+        self.solve_ik = pink.solve_ik
         self.configuration = pink.Configuration(model, model.createData(), pin.neutral(model))
         self.task = pink.FrameTask(TIP, position_cost=1.0, orientation_cost=1.0, lm_damping=DAMPING)
         bounds = [peers.module("pink.limits").ConfigurationLimit(model, config_limit_gain=1.0)]
@@ -318,7 +328,8 @@ class Drake(Restarted):
         self.plant.Finalize()
         self.ik = peers.module("pydrake.multibody.inverse_kinematics").InverseKinematics
         solvers = peers.module("pydrake.solvers")
-        self.snopt, self.options = solvers.SnoptSolver(), solvers.SolverOptions()
+        self.snopt = solvers.SnoptSolver()
+        self.options = solvers.SolverOptions()
         for key, value in (("Major feasibility tolerance", 1e-8), ("Major iterations limit", 100)):
             self.options.SetOption(self.snopt.solver_id(), key, value)
         self.limits = arm.limits
@@ -330,7 +341,8 @@ class Drake(Restarted):
     def attempt(self, target: Any, start: Array) -> Any:
         """One program."""
         program = self.ik(self.plant)
-        frame, world = self.plant.GetFrameByName(TIP), self.plant.world_frame()
+        frame = self.plant.GetFrameByName(TIP)
+        world = self.plant.world_frame()
         for point, place in zip(self.POINTS.T, target.T, strict=True):
             program.AddPositionConstraint(frame, point, world, place - 1e-7, place + 1e-7)
         answer = self.snopt.Solve(program.prog(), start, self.options)
@@ -370,7 +382,8 @@ class Ikpy(Restarted):
 def _near(X: Array, target: Array) -> bool:
     """Whether a library may stop at a pose; ||A - B|| is sqrt(2) times a small angle between rotations."""
     miss = X - target
-    p, R = miss[:3, 3], miss[:3, :3].ravel()
+    p = miss[:3, 3]
+    R = miss[:3, :3].ravel()
     return bool(p @ p <= TOLERANCE**2 and R @ R <= 2.0 * TOLERANCE**2)
 
 

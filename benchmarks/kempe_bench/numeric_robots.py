@@ -15,7 +15,8 @@ from kempe.description.urdf.urdf_writer import write_urdf
 from kempe_bench import peers
 from kempe_bench.peers import Link
 
-BASE, TIP = "base", "tip"
+BASE = "base"
+TIP = "tip"
 """Names of the first and the last body of each chain."""
 BEND = 2.0
 """Limit of a snake's joints, either way [rad]."""
@@ -113,7 +114,8 @@ def _joint(
     joint = ElementTree.SubElement(root, "joint", name=name, type=kind)
     ElementTree.SubElement(joint, "parent", link=parent)
     ElementTree.SubElement(joint, "child", link=child)
-    xyz, rpy = X[:3, 3], spatial.matrix_to_rpy(X[:3, :3])
+    xyz = X[:3, 3]
+    rpy = spatial.matrix_to_rpy(X[:3, :3])
     ElementTree.SubElement(joint, "origin", xyz=_numbers(xyz), rpy=_numbers(rpy))
     return joint
 

@@ -99,7 +99,8 @@ def _read(package: str, case: Case, trouble: str) -> Answers:
     path = _path(case, package, "q.npy")
     if not path.exists():  # the library could not even be given the robot
         return Answers(np.full((1, np.load(_path(case, "starts.npy")).shape[1]), np.nan), np.empty(0), trouble)
-    q, ns = np.load(path), np.load(_path(case, package, "ns.npy"))
+    q = np.load(path)
+    ns = np.load(_path(case, package, "ns.npy"))
     tried = int(np.sum(ns >= 0))
     return Answers(q[: tried + bool(trouble)], ns[:tried], trouble)
 
@@ -127,7 +128,8 @@ def work(package: str, case: Case) -> None:
     write = np.lib.format.open_memmap
     q = write(_path(case, package, "q.npy"), "w+", float, starts.shape)
     ns = write(_path(case, package, "ns.npy"), "w+", np.int64, (len(starts),))
-    q[:], ns[:] = np.nan, -1
+    q[:] = np.nan
+    ns[:] = -1
     for i in (0, -1):  # what is made at first use is not counted
         solver.solve(targets[i], given[i])
     end = time.perf_counter() + case.seconds

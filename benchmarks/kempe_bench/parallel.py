@@ -24,17 +24,23 @@ ROBOTS = {"stewart": "pose", "delta_ss": "position", "three_rrr": "pose"}
 """The robots, and what of their platform is held."""
 SIGMA = 0.3
 """Standard deviation of the noise on the coordinates of the tree from which goals are assembled, in radians, metres."""
-GOALS, BATCH, TURNS = 100, 1000, 5
+GOALS = 100
+BATCH = 1000
+TURNS = 5
 PLATFORM = "platform"
-ONE, MANY, FORMULA = "Kempe, one call", "Kempe, batch", "formula, legs only"
-SUCCESS, MEDIAN = "success, %", "median, us"
+ONE = "Kempe, one call"
+MANY = "Kempe, batch"
+FORMULA = "formula, legs only"
+SUCCESS = "success, %"
+MEDIAN = "median, us"
 
 
 class Goals:
     """The poses of the platform at closed configurations, as plain products have them, and what of them is held."""
 
     def __init__(self, tree: Tree, what: str):
-        self.tree, self.number = tree, tree.numbers[PLATFORM]
+        self.tree = tree
+        self.number = tree.numbers[PLATFORM]
         planar = tree.system.dim == 2
         self.rows = np.array([0, 1, 2] if what == "position" else [0, 1, 5] if planar else range(6))
         self.X = np.empty((0, 4, 4))
@@ -64,7 +70,8 @@ class Kempe(Assembler):
     tolerance = 1e-6
 
     def __init__(self, goals: Goals):
-        self.goals, self.system = goals, goals.tree.system
+        self.goals = goals
+        self.system = goals.tree.system
         self.home = self.system.q("closed")
 
     def ready(self, q: Array) -> Sequence[Array]:
@@ -95,7 +102,8 @@ class Holding(GaussNewton):
 
     def __init__(self, goals: Goals):
         super().__init__(goals.tree)  # pyright: ignore[reportCallIssue]
-        self.goals, self.goal = goals, np.eye(4)
+        self.goals = goals
+        self.goal = np.eye(4)
         self.home = super().ready(goals.tree.system.q("closed")[None])[0]
 
     def platform(self) -> tuple[Array, Array]:
@@ -130,7 +138,8 @@ class MujocoHolding(Holding, Mujoco):
         super().__init__(goals)
         self.number = self.model.body(PLATFORM).id
         self.after = goals.tree.limbs[goals.number - 1].after
-        self.jacobian, self.move = peers.module("mujoco").mj_jac, np.empty((6, self.nv))
+        self.jacobian = peers.module("mujoco").mj_jac
+        self.move = np.empty((6, self.nv))
 
     def platform(self) -> tuple[Array, Array]:
         """Read off MuJoCo's data, whose bodies end before the last placement."""
@@ -181,7 +190,8 @@ def platforms(bench: Bench) -> Grid:
 
 
 def _robot(table: Grid, bench: Bench, tree: Tree, what: str) -> None:
-    system, goals = tree.system, Goals(tree, what)
+    system = tree.system
+    goals = Goals(tree, what)
     closed = system.assemble(start=tree.guesses(SIGMA, BATCH))
     q = closed.q[closed.success]
     solver = Kempe(goals)
@@ -214,7 +224,8 @@ def _success(solver: Assembler, q: Array) -> float:
 
 def _batch(call: Callable[[], Any], n: int) -> tuple[Any, tuple[float, float]]:
     """What a call answers, and microseconds of one of its n results: the median turn, the best."""
-    turns, answer = [], None
+    turns = []
+    answer = None
     for _ in range(TURNS):
         start = time.perf_counter_ns()
         answer = call()

@@ -129,7 +129,8 @@ def arm_of(system: System, frame: str, file: Path) -> Arm:
     beside = set(system.coordinate_names) - {j.name for j in path}
     limits = dict(zip(system.coordinate_names, system.structure.limits.tolist(), strict=True))
     system = system.mechanism.lock({n: float(np.clip(0.0, *limits[n])) for n in beside}).build()
-    links, X = [], np.eye(4)
+    links = []
+    X = np.eye(4)
     for joint in path:
         X = X @ joint.X_PF.evaluate(system.structure.parameters)
         if joint.type.type_name != "fixed":
@@ -177,7 +178,8 @@ def mujoco_model(file: Path) -> tuple[Any, Any]:
 def toolbox_arm(arm: Arm) -> Any:
     """The arm as an elementary transform sequence of roboticstoolbox."""
     toolbox = module("roboticstoolbox")
-    ET, ETS = toolbox.ET, toolbox.ETS
+    ET = toolbox.ET
+    ETS = toolbox.ETS
 
     out = []
     for i, link in enumerate(arm.links):

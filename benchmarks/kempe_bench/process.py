@@ -97,7 +97,8 @@ def memory(bench: Bench) -> Table | None:
     if not os.access("/proc/self/clear_refs", os.W_OK):
         bench.say("  skipped: this system does not tell the peak of memory of one call")
         return None
-    file, frame = str(bench.arm.file), bench.arm.frame
+    file = str(bench.arm.file)
+    frame = bench.arm.frame
     runs = [json.loads(_run(_MEMORY, file, frame, str(MEMORY_POSES))) for _ in range(REPEATS)]
     into, new = (statistics.median(column) for column in zip(*runs, strict=True))
     table = Table(f"Memory: {MEMORY_POSES:,} poses, peak beyond input and output", "MiB", ratios=False)

@@ -93,7 +93,8 @@ class Table:
 
     def ratio(self, library: str, call: str, to: str) -> float | None:
         """How many times Kempe's call `to` a library's call needs, or None."""
-        a, b = self.value(library, call), self.value("Kempe", to)
+        a = self.value(library, call)
+        b = self.value("Kempe", to)
         return None if a is None or b is None else a / b
 
     def behind(self) -> list[str]:

@@ -27,7 +27,8 @@ def humanoid(bench: Bench) -> Table | None:
         bench.say("  skipped: the package example-robot-data is not installed")
         return None
     robot = kempe.load(file)
-    k, q = len(robot.body_names), robot.random(1, BATCH)
+    k = len(robot.body_names)
+    q = robot.random(1, BATCH)
     out = {"out": np.empty((k, 4, 4)), "outs": np.empty((BATCH, k, 4, 4))}
     batch = f"batch of {BATCH:,} into out=, one thread"
     timed = cases(
@@ -52,7 +53,8 @@ def _pinocchio(file: Path) -> list[Case]:
     model = pin.buildModelFromUrdf(str(file))
     names = {"model": model, "data": model.createData(), "q": pin.neutral(model), "array": np.array,
              "fk": pin.forwardKinematics, "frames": pin.updateFramePlacements}  # fmt: skip
-    joints, frames = "fk(model, data, q)", "fk(model, data, q); frames(model, data)"
+    joints = "fk(model, data, q)"
+    frames = "fk(model, data, q); frames(model, data)"
     return cases(
         "Pinocchio", names,
         ("joints only, in its data", joints), ("joints and frames, in its data", frames),
@@ -99,7 +101,8 @@ def chain(n: int) -> System:
 
 def _pinocchio_chain(n: int, robot: System) -> list[Case]:
     pin = peers.module("pinocchio")
-    model, parent = pin.Model(), 0
+    model = pin.Model()
+    parent = 0
     for i in range(n):
         kind = (pin.JointModelRZ(), pin.JointModelRY())[i % 2]
         parent = model.addJoint(parent, kind, pin.SE3(np.eye(3), np.array([0.1, 0.0, 0.02])), f"j{i}")

@@ -20,7 +20,8 @@ LOOPS = {"five bars": (0.9, 1.0, 0.9, 0.8), "six bars": (0.9, 0.5, 1.0, 0.6, 0.8
          "eight bars": (0.9, 0.5, 0.7, 0.4, 0.6, 0.5, 0.8)}  # fmt: skip
 """Lengths of the moving bars; the pins of the ground are 1.1 apart. No three bars are long: all configurations join."""
 GROUND = 1.1
-PAIRS, LIMIT = 20, 5.0
+PAIRS = 20
+LIMIT = 5.0
 STEP = 0.25
 """Longest step in radians, by the largest difference of a coordinate, of a way that counts."""
 CLOSED = 1e-3
@@ -83,11 +84,13 @@ def loop_of(lengths: tuple[float, ...]) -> Any:
     import kempe
 
     m = kempe.Mechanism("loop", dim=2)
-    before, at = m.ground, (0.0, 0.0)
+    before = m.ground
+    at = (0.0, 0.0)
     for k, length in enumerate(lengths):
         bar = m.body(f"bar {k}")
         m.revolute(f"q{k}", before, bar, at=at)
-        before, at = bar, (length, 0.0)
+        before = bar
+        at = (length, 0.0)
     m.revolute("last", before, m.ground, at=at, child_at=(GROUND, 0.0), cut=True)
     return m.build()
 
@@ -106,8 +109,10 @@ def of_kempe(system: Any, a: Array, b: Array) -> Array | None:
 
 def of_ompl(kind: str, lengths: tuple[float, ...], a: Array, b: Array) -> Array | None:
     """A way by one of OMPL's constrained state spaces."""
-    base, geometric = peers.module("ompl.base"), peers.module("ompl.geometric")
-    bars, n = np.asarray(lengths), len(lengths)
+    base = peers.module("ompl.base")
+    geometric = peers.module("ompl.geometric")
+    bars = np.asarray(lengths)
+    n = len(lengths)
 
     class Closure(base.Constraint):
         def function(self, x: Array, out: Array) -> None:
@@ -122,7 +127,8 @@ def of_ompl(kind: str, lengths: tuple[float, ...], a: Array, b: Array) -> Array 
               "atlas": ("AtlasStateSpace", "ConstrainedSpaceInformation"),
               "tangent bundle": ("TangentBundleStateSpace", "TangentBundleSpaceInformation")}  # fmt: skip
     space_name, information_name = spaces[kind]
-    around, bounds = base.RealVectorStateSpace(n), base.RealVectorBounds(n)
+    around = base.RealVectorStateSpace(n)
+    bounds = base.RealVectorBounds(n)
     bounds.setLow(-np.pi)
     bounds.setHigh(np.pi)
     around.setBounds(bounds)

@@ -26,7 +26,8 @@ GOALS = 300
 """Goals of a robot; a slow library gets as many of them as fit into its share of the time."""
 SHARE = 1.0
 """Seconds of a library in each line."""
-FOUND, FOUND_WITH_MASS = 99.0, 98.0
+FOUND = 99.0
+FOUND_WITH_MASS = 98.0
 """Percent of the goals that Kempe is to reach at least, without and with the centre of mass."""
 FIGURES = SUCCESS, MEDIAN, P99 = "success, %", "median, ms", "99th percentile, ms"
 BATCH = "Kempe, batch"
@@ -162,7 +163,9 @@ def _batch(line: Line, goals: Array, near: bool) -> list[Row]:
     held: list[tasks.Task] = [tasks.Pose(name, goals[:, i]) for i, name in enumerate(line.body.frames)]
     if line.mass:
         held.append(tasks.CentreOfMass(goals[:, -1, :3, 3]))
-    turns, q, seed = [], np.empty(0), line.body.start if near else None
+    turns = []
+    q = np.empty(0)
+    seed = line.body.start if near else None
     for _ in range(3):
         start = time.perf_counter()
         answer = line.body.system.ik(held, start=seed, tolerance=line.tolerance, budget=kempe.Budget(threads=1))

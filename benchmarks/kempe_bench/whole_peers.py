@@ -16,11 +16,13 @@ from kempe.spatial import Array
 from kempe_bench import peers
 from kempe_bench.whole_robots import BASE, Body, mujoco_body, pinocchio_body
 
-COARSE, FINE = (1e-4, 1e-3), (1e-6, 1e-6)
+COARSE = (1e-4, 1e-3)
+FINE = (1e-6, 1e-6)
 """Largest errors of a success in metres and radians: as in published comparisons, and as Kempe has it."""
 LIMIT = 0.1
 """Seconds after which a library that is started again gives up a target."""
-STEPS, STEPS_ONCE = 20, 100
+STEPS = 20
+STEPS_ONCE = 100
 """Steps of a start: of 20, 40 and 100 the number with the least time for a success, and that with most successes."""
 DAMPING = 1e-2
 """Levenberg and Marquardt's factor of libraries that give velocities: of 1e-6 to 1 the one with the most successes."""
@@ -43,8 +45,13 @@ class WholeBody:
     """Where each of our coordinates is in the library's own."""
 
     def __init__(self, body: Body, mass: bool, tolerance: tuple[float, float], once: bool):
-        self.body, self.mass, self.tolerance, self.once = body, mass, tolerance, once
-        self.limits, self.names, self.steps = body.limits, body.names, STEPS_ONCE if once else STEPS
+        self.body = body
+        self.mass = mass
+        self.tolerance = tolerance
+        self.once = once
+        self.limits = body.limits
+        self.names = body.names
+        self.steps = STEPS_ONCE if once else STEPS
         self.prepare()
 
     def prepare(self) -> None:
@@ -145,7 +152,8 @@ class Mink(Steps):
         """Tasks without a goal."""
         mink = peers.module("mink")
         model, self.place = mujoco_body(self.body)
-        self.SE3, self.solve_ik = mink.SE3, mink.solve_ik
+        self.SE3 = mink.SE3
+        self.solve_ik = mink.solve_ik
         self.configuration = mink.Configuration(model)
         self.held = [mink.FrameTask(name, "body", 1.0, 1.0, lm_damping=DAMPING) for name in self.body.frames]
         if self.mass:
@@ -164,9 +172,11 @@ class Pink(Steps):
 
     def prepare(self) -> None:
         """Tasks without a goal."""
-        pin, pink = peers.module("pinocchio"), peers.module("pink")
+        pin = peers.module("pinocchio")
+        pink = peers.module("pink")
         model, self.place = pinocchio_body(self.body)
-        self.SE3, self.solve_ik = pin.SE3, pink.solve_ik
+        self.SE3 = pin.SE3
+        self.solve_ik = pink.solve_ik
         self.configuration = pink.Configuration(model, model.createData(), pin.neutral(model))
         self.held = [pink.FrameTask(name, 1.0, 1.0, lm_damping=DAMPING) for name in self.body.frames]
         if self.mass:
@@ -192,13 +202,15 @@ class Newton(WholeBody):
         """The model, where its limits are, and the rows of the equations."""
         self.pin = peers.module("pinocchio")
         self.model, self.place = pinocchio_body(self.body)
-        self.data, self.axes = self.model.createData(), self.pin.ReferenceFrame.LOCAL
+        self.data = self.model.createData()
+        self.axes = self.pin.ReferenceFrame.LOCAL
         self.frames = [self.model.getFrameId(name) for name in self.body.frames]
         self.at_q = np.array([j.idx_q for j in self.model.joints if j.nq == 1])
         self.at_v = np.array([j.idx_v for j in self.model.joints if j.nq == 1])
         self.bounds = self.model.lowerPositionLimit[self.at_q], self.model.upperPositionLimit[self.at_q]
         rows = 6 * len(self.frames) + 3 * self.mass
-        self.e, self.J = np.empty(rows), np.empty((rows, self.model.nv))
+        self.e = np.empty(rows)
+        self.J = np.empty((rows, self.model.nv))
 
     def ready(self, goals: Array) -> Sequence[Any]:
         """Poses, then the position of the centre."""
@@ -207,7 +219,9 @@ class Newton(WholeBody):
 
     def attempt(self, goal: Any, start: Array) -> Any:
         """Steps from one start."""
-        q, linear, angular = self.own(start), self.tolerance[0] ** 2, self.tolerance[1] ** 2
+        q = self.own(start)
+        linear = self.tolerance[0] ** 2
+        angular = self.tolerance[1] ** 2
         for _ in range(self.steps + 1):
             e = self.equations(goal, q)
             if all(x[:3] @ x[:3] <= linear and x[3:] @ x[3:] <= angular for x in np.split(e, range(6, len(e), 6))):
@@ -218,7 +232,9 @@ class Newton(WholeBody):
 
     def equations(self, goal: Any, q: Array) -> Array:
         """Errors (rows,); their Jacobian is `J` then."""
-        pin, model, data = self.pin, self.model, self.data
+        pin = self.pin
+        model = self.model
+        data = self.data
         if self.mass:
             self.J[-3:] = pin.jacobianCenterOfMass(model, data, q)
             self.e[-3:] = data.com[0] - goal[1]
@@ -231,7 +247,8 @@ class Newton(WholeBody):
 
     def step(self, q: Array, J: Array, e: Array) -> Array:
         """The damped step of least norm, taken again without the joints that it pushes out."""
-        free, v = np.ones(self.model.nv), np.zeros(self.model.nv)
+        free = np.ones(self.model.nv)
+        v = np.zeros(self.model.nv)
         for _ in range(2):
             A = (J * free) @ J.T
             A.flat[:: len(A) + 1] += DAMPING * (e @ e) + LEAST
@@ -258,9 +275,11 @@ class Drake(WholeBody):
         at = next(j.position_start() for j in joints if j.num_positions() == BASE)
         first = {j.name(): j.position_start() for j in joints}
         self.place = np.array([*(at + k for k in (4, 5, 6, 0, 1, 2, 3)), *(first[name] for name in self.names)])
-        self.context, self.rotation = self.plant.CreateDefaultContext(), peers.module("pydrake.math").RotationMatrix
+        self.context = self.plant.CreateDefaultContext()
+        self.rotation = peers.module("pydrake.math").RotationMatrix
         solvers = peers.module("pydrake.solvers")
-        self.snopt, self.options = solvers.SnoptSolver(), solvers.SolverOptions()
+        self.snopt = solvers.SnoptSolver()
+        self.options = solvers.SolverOptions()
         for key, value in (("Major feasibility tolerance", 1e-7), ("Major iterations limit", 100)):
             self.options.SetOption(self.snopt.solver_id(), key, value)
 
@@ -274,14 +293,18 @@ class Drake(WholeBody):
 
     def attempt(self, goal: Any, start: Array) -> Any:
         """One program."""
-        program, world = self.kinematics.InverseKinematics(self.plant), self.plant.world_frame()
-        slack, angle, origin = 0.5 * self.tolerance[0], 0.9 * self.tolerance[1], np.zeros(3)
+        program = self.kinematics.InverseKinematics(self.plant)
+        world = self.plant.world_frame()
+        slack = 0.5 * self.tolerance[0]
+        angle = 0.9 * self.tolerance[1]
+        origin = np.zeros(3)
         for name, (p, R) in zip(self.body.frames, goal[0], strict=True):
             frame = self.plant.GetFrameByName(name)
             program.AddPositionConstraint(frame, origin, world, p - slack, p + slack)
             program.AddOrientationConstraint(world, R, frame, self.rotation(), angle)
         if self.mass:
-            low, high = goal[1] - slack, goal[1] + slack
+            low = goal[1] - slack
+            high = goal[1] + slack
             held = self.kinematics.ComInPolyhedronConstraint(
                 self.plant, None, world, np.eye(3), low, high, self.context
             )

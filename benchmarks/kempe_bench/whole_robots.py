@@ -18,11 +18,13 @@ from kempe_bench import peers
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-GROUND, FLOATING = "world", "floating_base"
+GROUND = "world"
+FLOATING = "floating_base"
 """Names of the fixed link and of the joint of six freedoms that the files are given: MuJoCo asks for this link's."""
 BASE = 7
 """Coordinates of the base: position, then quaternion, w first."""
-MOVED, TURNED = 0.2, 0.3
+MOVED = 0.2
+TURNED = 0.3
 """How far the base is from the origin along each axis [m], and about each axis [rad], at most."""
 PART = 0.25
 """Part of its range by which a joint is at most away from its place in a posture near standing."""
@@ -97,11 +99,13 @@ class Body:
     def standing(self, n: int, random: np.random.Generator) -> Array:
         """The same with each joint at most `PART` of its range away from where it is at `start`."""
         lower, upper = self.limits.T
-        reach, middle = PART * (upper - lower), self.start[BASE:]
+        reach = PART * (upper - lower)
+        middle = self.start[BASE:]
         return self._drawn(n, random, np.maximum(middle - reach, lower), np.minimum(middle + reach, upper))
 
     def _drawn(self, n: int, random: np.random.Generator, lower: Array, upper: Array) -> Array:
-        p, w = random.uniform(-MOVED, MOVED, (n, 3)), random.uniform(-TURNED, TURNED, (n, 3))
+        p = random.uniform(-MOVED, MOVED, (n, 3))
+        w = random.uniform(-TURNED, TURNED, (n, 3))
         quat_wxyz = spatial.matrix_to_quat_wxyz(spatial.exp_so3(w))
         return np.concatenate([p, quat_wxyz, random.uniform(lower, upper, (n, len(lower)))], axis=1)
 
@@ -155,8 +159,10 @@ def poses(body: Body, q: Array) -> tuple[Array, Array]:
     """Poses (n, frames, 4, 4) of the frames and centres of mass (n, 3) at q (n, 7 + joints), by Pinocchio."""
     pin = peers.module("pinocchio")
     model, place = pinocchio_body(body)
-    data, numbers = model.createData(), [model.getFrameId(name) for name in body.frames]
-    X, centre = np.empty((len(q), len(numbers), 4, 4)), np.empty((len(q), 3))
+    data = model.createData()
+    numbers = [model.getFrameId(name) for name in body.frames]
+    X = np.empty((len(q), len(numbers), 4, 4))
+    centre = np.empty((len(q), 3))
     own = np.empty(model.nq)
     for row, frames, c in zip(q, X, centre, strict=True):
         own[place] = row

@@ -12,8 +12,13 @@ from kempe_bench.bench import Bench
 from kempe_bench.timing import Case, Table, measure
 
 ARMS = {"puma560": "tool", "panda": "tool"}
-SAMPLES, BY_HAND, CELLS = 20_000_000, 20_000, 256
-ONE, TWO, NUMPY, TORCH = "Kempe, one thread", "Kempe, two threads", "numpy, by hand", "pytorch-kinematics"
+SAMPLES = 20_000_000
+BY_HAND = 20_000
+CELLS = 256
+ONE = "Kempe, one thread"
+TWO = "Kempe, two threads"
+NUMPY = "numpy, by hand"
+TORCH = "pytorch-kinematics"
 
 
 def binned(bench: Bench) -> Table:
@@ -39,7 +44,8 @@ def binned(bench: Bench) -> Table:
             timed.append(_torch(system, frame, timed[-1].names["box"]))
         table.rows += measure(timed, 1e9)
     table.at_most(f"one thread, ns a sample of {next(iter(ARMS))}", table.best(ONE, "puma560"), 50.0)
-    one, two = table.best(ONE, "puma560"), table.best(TWO, "puma560")
+    one = table.best(ONE, "puma560")
+    two = table.best(TWO, "puma560")
     if one and two:
         table.at_least("two threads, times one", one / two, 1.8)
     table.remarks += [
@@ -58,7 +64,8 @@ def by_hand(system, frame: str, n: int, box: list[tuple[float, float]]) -> np.nd
     X = np.broadcast_to(np.eye(4), (n, 4, 4))
     for row in rows:
         angle = table.multiplier[row] * q[:, table.iq[row]] + table.offset[row]
-        s, c = np.sin(angle), np.cos(angle)
+        s = np.sin(angle)
+        c = np.cos(angle)
         turn = np.zeros((n, 4, 4))
         turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1] = c, -s, s, c
         turn[:, 2, 2] = turn[:, 3, 3] = 1.0
@@ -80,7 +87,8 @@ def counted(points: np.ndarray, box: list[tuple[float, float]]) -> np.ndarray:
 
 def _torch(system, frame: str, box: list[tuple[float, float]]) -> Case:
     """The same map with the forward model of pytorch-kinematics, one thread, float32, and the same counting."""
-    torch, kinematics = peers.module("torch"), peers.module("pytorch_kinematics")
+    torch = peers.module("torch")
+    kinematics = peers.module("pytorch_kinematics")
     torch.set_num_threads(1)
     chain = kinematics.build_serial_chain_from_urdf(write_urdf(system.mechanism).encode(), frame)
     names = chain.get_joint_parameter_names()

@@ -33,7 +33,8 @@ def has(package: str) -> bool:
 
 def poe(h: np.ndarray, p: np.ndarray, home: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Pose by axes h (6, 3) and steps p (7, 3) between points on them, at q = 0, and the tool's rotation there."""
-    R, at = np.eye(3), p[0]
+    R = np.eye(3)
+    at = p[0]
     for axis, step, angle in zip(h, p[1:], q, strict=True):
         R = R @ spatial.exp_so3(axis * angle)
         at = at + R @ step
@@ -68,8 +69,10 @@ def test_arms_at_zero(title, place):
 
 def between(X: np.ndarray) -> np.ndarray:
     """Angles and distances of neighbouring axes, which no choice of frames and zeros changes."""
-    h, o = X[:6, :3, 2], X[:6, :3, 3]
-    across, step = np.cross(h[:-1], h[1:]), np.diff(o, axis=0)
+    h = X[:6, :3, 2]
+    o = X[:6, :3, 3]
+    across = np.cross(h[:-1], h[1:])
+    step = np.diff(o, axis=0)
     sine = np.linalg.norm(across, axis=-1)
     beside = np.linalg.norm(step - np.sum(step * h[:-1], axis=-1)[:, None] * h[:-1], axis=-1)
     skew = np.abs(np.sum(step * across, axis=-1)) / np.maximum(sine, 1e-12)
@@ -88,7 +91,8 @@ def test_ssik_describes_the_same_arms(title):
 
 
 def test_the_calibrated_arm_is_near_the_nominal_one_and_generic():
-    near, nominal = BY_TITLE["UR10e calibrated"].chain.frames, BY_TITLE["UR10e"].chain.frames
+    near = BY_TITLE["UR10e calibrated"].chain.frames
+    nominal = BY_TITLE["UR10e"].chain.frames
     assert 1e-4 < np.max(np.abs(near - nominal)) < 20 * analytic_arms.ERRORS
     for i, j in ((1, 2), (2, 3), (1, 3)):
         assert np.linalg.norm(np.cross(near[i, :3, 2], near[j, :3, 2])) > 1e-4
@@ -158,7 +162,8 @@ def check(solver: analytic_peers.Solver) -> None:
 
 
 def test_answers_are_judged():
-    chain, q = BY_TITLE["Puma 560"].chain, analytic_arms.random(6)
+    chain = BY_TITLE["Puma 560"].chain
+    q = analytic_arms.random(6)
     answers = [
         np.array([q[0], q[0] + 1e-9]),
         np.array([q[1] + 2 * np.pi]),  # the same configuration

@@ -41,7 +41,8 @@ def points_tell(tree: Tree) -> bool:
 @pytest.mark.parametrize("name", [*loops.MECHANISMS, *MORE])
 def test_the_tree_is_the_systems(name):
     s = kempe.load(name)
-    tree, q = Tree(s), s.random(2, 5)
+    tree = Tree(s)
+    q = s.random(2, 5)
     np.testing.assert_allclose(np.stack(tree.poses(tree.coordinates(q)), axis=-3), s.fk(q), atol=1e-12)
 
 
@@ -95,7 +96,8 @@ def test_peers_jacobians_are_those_of_their_residuals(name, library):
     pytest.importorskip(library)
     tree = Tree(kempe.load(name))
     peer = PEERS[library](tree)
-    x, h = peer.ready(tree.guesses(0.2, 1))[0], 1e-6
+    x = peer.ready(tree.guesses(0.2, 1))[0]
+    h = 1e-6
     J = peer.equations(x)[1].copy()
     for i, e in enumerate(np.eye(peer.nv)):
         ahead, behind = (peer.equations(peer.add(x, way * h * e))[0].copy() for way in (1.0, -1.0))
@@ -120,8 +122,10 @@ def test_what_is_known_stays(name, library):
 def test_sparse_equations_are_the_dense_ones():
     pytest.importorskip("mujoco")
     s = cranks.four_bars(12)
-    tree, q = Tree(s), s.random(0)
-    dense, sparse = Mujoco(tree), SparseMujoco(tree, ("A0",))
+    tree = Tree(s)
+    q = s.random(0)
+    dense = Mujoco(tree)
+    sparse = SparseMujoco(tree, ("A0",))
     (r, J), (rs, Js) = (p.equations(p.ready(q[None])[0]) for p in (dense, sparse))
     np.testing.assert_array_equal(r, rs)
     np.testing.assert_allclose(Js.toarray(), J, atol=1e-15)
@@ -169,7 +173,8 @@ def test_exudyn_gets_the_same_mechanism(name):
     from kempe.kinematics.closure_rows import jacobian
 
     s = kempe.load(name)
-    tree, q = Tree(s), s.q("closed")
+    tree = Tree(s)
+    q = s.q("closed")
     values = np.linalg.svd(jacobian(s, q), compute_uv=False)
     peer = Exudyn(tree, q)
     assert peer.freedoms() == s.nv - int(np.sum(values > 1e-8 * values.max()))
@@ -183,7 +188,9 @@ def test_exudyn_gets_the_same_mechanism(name):
 @pytest.mark.parametrize("name", crank_peers.DRIVES)
 def test_pylinkage_draws_what_kempe_draws(name, monkeypatch):
     pytest.importorskip("pylinkage")
-    s, drive, n = kempe.load(name), crank_peers.DRIVES[name], 400
+    s = kempe.load(name)
+    drive = crank_peers.DRIVES[name]
+    n = 400
     reported = crank_peers.linkage(s, n)
     drawn = reported.model.step_fast(iterations=n)
     start = s.assemble({drive.crank: drive.start}, start=s.q("closed")).q

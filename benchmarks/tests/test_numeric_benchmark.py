@@ -44,12 +44,14 @@ def case_of(folder, arm: peers.Arm, n: int, seconds: float = 60.0) -> tuple[Case
 def test_chains_move_as_the_robots_do(arm_of, title):
     """Between two configurations the frame moves as Pinocchio says for the whole robot, read from its own file."""
     pin = pytest.importorskip("pinocchio")
-    robot, arm = BY_TITLE[title], arm_of(title)
+    robot = BY_TITLE[title]
+    arm = arm_of(title)
     path = peers.robot_file(robot.file)
     if path is None:
         pytest.skip("example-robot-data is not installed")
     model = pin.buildModelFromUrdf(str(path))
-    data, frame = model.createData(), model.getFrameId(robot.frame)
+    data = model.createData()
+    frame = model.getFrameId(robot.frame)
     joints = []
     joint = model.frames[frame].parentJoint
     while joint:
@@ -171,7 +173,8 @@ def test_a_single_failure_is_seen():
 
 @pytest.mark.slow
 def test_a_library_answers_in_a_process(arm_of, tmp_path):
-    bad, good = arm_of("iiwa 14"), arm_of("SO-101")
+    bad = arm_of("iiwa 14")
+    good = arm_of("SO-101")
     cases, targets = zip(*(case_of(tmp_path / str(i), arm, 30) for i, arm in enumerate((bad, good))), strict=True)
     broken = dataclasses.replace(cases[0], file=str(tmp_path / "none.urdf"))
     first, second = numeric_worker.answers("kempe", [broken, cases[1]])

@@ -46,14 +46,16 @@ def test_the_file_for_all_is_the_robot(body_of, title):
     body = body_of(title)
     path = peers.robot_file(BY_TITLE[title].file)
     model = pin.buildModelFromUrdf(str(path), pin.JointModelFreeFlyer())
-    data, q = model.createData(), body.anywhere(5, np.random.default_rng(0))
+    data = model.createData()
+    q = body.anywhere(5, np.random.default_rng(0))
     X, centre = whole_robots.poses(body, q)
     at = [model.joints[model.getJointId(name)].idx_q for name in body.names]
     assert len(at) == model.nq - BASE
     np.testing.assert_array_equal(body.limits.T, [model.lowerPositionLimit[at], model.upperPositionLimit[at]])
     for row, frames, c in zip(q, X, centre, strict=True):
         x = np.empty(model.nq)
-        x[:BASE], x[at] = row[[0, 1, 2, 4, 5, 6, 3]], row[BASE:]
+        x[:BASE] = row[[0, 1, 2, 4, 5, 6, 3]]
+        x[at] = row[BASE:]
         np.testing.assert_allclose(pin.centerOfMass(model, data, x), c, atol=1e-12)
         pin.framesForwardKinematics(model, data, x)
         for name, T in zip(body.frames, frames, strict=True):
@@ -130,7 +132,8 @@ def test_derivatives_of_the_newton_steps(body_of, mass):
     rng = np.random.default_rng(4)
     q = body.anywhere(2, rng)
     goal = solver.ready(whole.goals_of(body, q[:1], mass))[0]
-    x, h = solver.own(q[1]), 1e-6
+    x = solver.own(q[1])
+    h = 1e-6
     solver.equations(goal, x)
     J = solver.J.copy()
     for v in rng.normal(size=(5, solver.model.nv)):
@@ -202,7 +205,8 @@ def test_a_library_that_is_wrong_or_dies(quick, body_of, monkeypatch):
     def pretended(package, cases):
         out = []
         for case in cases:
-            n, q = FEWEST, np.tile(np.load(f"{case.folder}/starts.npy")[:1], (FEWEST, 1))
+            n = FEWEST
+            q = np.tile(np.load(f"{case.folder}/starts.npy")[:1], (FEWEST, 1))
             out.append(Answers(q, np.full(n, 2_000_000), ""))
         if package != "kempe":
             out[-1] = Answers(np.full((1, q.shape[1]), np.nan), np.empty(0), "signal 6")
@@ -266,7 +270,8 @@ def test_peers_hold_platforms(platform, made):
         peer.goal = goal
         assert np.abs(peer.equations(x)[0]).max() < 1e-8
     # near the goal, since the turning rate is the derivative of a rotation's logarithm only there
-    x, h = peer.add(held[-1], 1e-5 * np.ones(peer.nv)), 1e-6
+    x = peer.add(held[-1], 1e-5 * np.ones(peer.nv))
+    h = 1e-6
     J = peer.equations(x)[1].copy()
     for v in np.random.default_rng(6).normal(size=(3, peer.nv)):
         ahead, behind = (peer.equations(peer.add(x, s * h * v))[0].copy() for s in (1, -1))

@@ -86,7 +86,9 @@ class Usual:
     """What a verb spends where nobody says otherwise; its keywords are the fields of a `Budget` that it reads."""
 
     def __init__(self, verb: str, **reads: Any):
-        self.verb, self.reads, self.budget = verb, reads, _filled(reads)
+        self.verb = verb
+        self.reads = reads
+        self.budget = _filled(reads)
 
     def of(self, budget: object) -> Budget:
         """The budget, completed; `time_limit` is None where there is none. Errors: `InputError`."""

@@ -76,7 +76,8 @@ def shortened(message: object) -> object:
     """A message whose long lines have their middle left out: an echo is in the middle, what is allowed at the end."""
     if not isinstance(message, str) or len(message) <= LONGEST:
         return message
-    head, tail = LONGEST // 2, LONGEST // 2 - 40
+    head = LONGEST // 2
+    tail = LONGEST // 2 - 40
     lines = (
         line if len(line) <= LONGEST else f"{line[:head]} ... ({len(line)} characters in all) ... {line[-tail:]}"
         for line in message.split("\n")
@@ -117,7 +118,10 @@ class UnknownNameError(KempeError, KeyError):
     """A name that the system does not have; `name`, `kind` and the `allowed` names are kept."""
 
     def __init__(self, kind: str, name: object, allowed: Iterable[str], owner: str = ""):
-        self.kind, self.name, self.allowed, self.owner = kind, name, tuple(allowed), owner
+        self.kind = kind
+        self.name = name
+        self.allowed = tuple(allowed)
+        self.owner = owner
         super().__init__(f"{owner + ' has ' if owner else ''}no {kind} {shown(name)}{hint(name, self.allowed)}")
 
     def __reduce__(self):
@@ -142,7 +146,9 @@ class CallError(KempeError, TypeError):
     """A call with an argument that the function does not have (`name`; `allowed` are kept), or without one it needs."""
 
     def __init__(self, function: str, name: str, allowed: Iterable[str] = ()):
-        self.function, self.name, self.allowed = function, name, tuple(allowed)
+        self.function = function
+        self.name = name
+        self.allowed = tuple(allowed)
         own = INSTEAD.get((function, name))
         said = f"; {own}" if own else hint(name, self.allowed)
         wrong = f" has no option {name!r}{said}" if self.allowed else f": {name}"
@@ -171,7 +177,8 @@ class TimeLimitError(KempeError, TimeoutError):
     """The time limit of a verb was over before anything was known that it could answer."""
 
     def __init__(self, verb: str, limit: float | None):
-        self.verb, self.limit = verb, limit
+        self.verb = verb
+        self.limit = limit
         super().__init__(f"{verb}: the time limit of {limit or 0.0:g} s was over before anything was known; "
                          "allow more by kempe.Budget(time_limit=...)")  # fmt: skip
 
@@ -197,7 +204,8 @@ class MissingExtraError(KempeError, ImportError):
     """An optional dependency is not installed; the text says how to install it."""
 
     def __init__(self, package: str, extra: str):
-        self.package, self.extra = package, extra
+        self.package = package
+        self.extra = extra
         said = f"pip install '{requirement(package)}'"
         super().__init__(f"this needs the package {package!r} (extra kempe[{extra}]): install it with  {said}")
 
@@ -222,9 +230,11 @@ def requirement(package: str) -> str:
 
 def warn(message: str, kind: type[Warning] = RoundedWarning) -> None:
     """Warn at the line that called Kempe; by default, that numbers were taken as what they nearly are."""
-    level, frame = 1, inspect.currentframe()
+    level = 1
+    frame = inspect.currentframe()
     while frame and frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] == "kempe":
-        level, frame = level + 1, frame.f_back
+        level = level + 1
+        frame = frame.f_back
     warnings.warn(message, kind, stacklevel=level)
 
 
@@ -237,7 +247,8 @@ def shown(x: object) -> str:
     return text if 0 < len(text) <= 80 else f"{text[:60]}... ({type(x).__name__})"
 
 
-HINTED, COMPARED = 200, 500
+HINTED = 200
+COMPARED = 500
 """Characters of a name, and names, that are compared letter by letter: more take long."""
 
 

@@ -22,7 +22,9 @@ from kempe.kernels.forward.table_layout import BALL, SLIDE, TURN
 from kempe.reals import is_real
 from kempe.words import paragraphs
 
-R, P, Q = TURN, SLIDE, BALL
+R = TURN
+P = SLIDE
+Q = BALL
 """Kinds of primitives in the table of the kernels: turn, slide, unit quaternion."""
 
 
@@ -76,7 +78,9 @@ class JointType:
         primitives = self.layout(dim)[1]
         if dim == 2:
             primitives = tuple(p._replace(axis="x") if p.kind == P and p.axis == "z" else p for p in primitives)
-        slides, turns, turned = np.zeros((0, 3)), np.zeros((0, 3)), np.eye(3)
+        slides = np.zeros((0, 3))
+        turns = np.zeros((0, 3))
+        turned = np.eye(3)
         for k, p in enumerate(primitives, 1):  # at some configuration that is not special
             own = np.eye(3) if p.kind == Q else p.multiplier * turned[:, "xyz".index(p.axis)][None]
             if p.kind == P:
@@ -124,7 +128,8 @@ class JointType:
         return self.short or "".join("RPS"[p.kind] for p in _unique(self.layout()[1]))
 
     def _repr_html_(self) -> str:
-        n, m = self.dof(), self.constraints()
+        n = self.dof()
+        m = self.constraints()
         return paragraphs([f"{self.type_name}: {self.summary}; {n} DoF, {m} constraint{'s' * (m != 1)}"])
 
     @property

@@ -228,7 +228,10 @@ def _constant(steps: tuple[Step, ...]) -> spatial.Array:
             for row in rows:
                 row[3] += row[axis] * x
             continue
-        c, s, i, j = math.cos(x), math.sin(x), (axis + 1) % 3, (axis + 2) % 3
+        c = math.cos(x)
+        s = math.sin(x)
+        i = (axis + 1) % 3
+        j = (axis + 2) % 3
         for row in rows:
             row[i], row[j] = c * row[i] + s * row[j], c * row[j] - s * row[i]
     out = np.array([*rows, [0.0, 0.0, 0.0, 1.0]])

@@ -127,7 +127,8 @@ def _matrix(x: Any) -> Any:
     if x.__class__ in PLAIN or isinstance(x, (str, np.ndarray)):
         return None
     for position, orientation in ROS:
-        p, q = getattr(x, position, None), getattr(x, orientation, None)
+        p = getattr(x, position, None)
+        q = getattr(x, orientation, None)
         if all(hasattr(p, n) for n in "xyz") and all(hasattr(q, n) for n in "wxyz"):
             R = spatial.quat_wxyz_to_matrix([getattr(q, n) for n in "wxyz"])
             return spatial.pose(R, [getattr(p, n) for n in "xyz"])
@@ -158,7 +159,9 @@ def _of_pair(x: Any, what: str) -> Array | None:
         return None
     lead = np.broadcast_shapes(p.shape[:-1], R.shape[:-2])
     out = np.zeros((*lead, n + 1, n + 1))
-    out[..., :n, :n], out[..., :n, n], out[..., n, n] = R, p, 1.0
+    out[..., :n, :n] = R
+    out[..., :n, n] = p
+    out[..., n, n] = 1.0
     return out
 
 

@@ -38,9 +38,12 @@ def skew(v: ArrayLike) -> Array:
     """Matrix (..., 3, 3) of the cross product with `v` (..., 3)."""
     v = numbers(v, "v", 3)
     out = np.zeros((*v.shape, 3))
-    out[..., 0, 1], out[..., 0, 2] = -v[..., 2], v[..., 1]
-    out[..., 1, 0], out[..., 1, 2] = v[..., 2], -v[..., 0]
-    out[..., 2, 0], out[..., 2, 1] = -v[..., 1], v[..., 0]
+    out[..., 0, 1] = -v[..., 2]
+    out[..., 0, 2] = v[..., 1]
+    out[..., 1, 0] = v[..., 2]
+    out[..., 1, 2] = -v[..., 0]
+    out[..., 2, 0] = -v[..., 1]
+    out[..., 2, 1] = v[..., 0]
     return out
 
 
@@ -53,7 +56,9 @@ def pose(R: ArrayLike | None = None, p: ArrayLike | None = None) -> Array:
     if p.shape[:-1] != shape:
         shape = together({"R": shape, "p": p.shape[:-1]})
     out = np.zeros((*shape, 4, 4))
-    out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = turn, p, 1.0
+    out[..., :3, :3] = turn
+    out[..., :3, 3] = p
+    out[..., 3, 3] = 1.0
     return out
 
 
@@ -106,8 +111,10 @@ def rot_z(angle: ArrayLike) -> Array:
 
 def _rot(angle: ArrayLike, axis: int) -> Array:
     angle = numbers(angle, "angle")
-    c, s = np.cos(angle), np.sin(angle)
-    i, j = (axis + 1) % 3, (axis + 2) % 3
+    c = np.cos(angle)
+    s = np.sin(angle)
+    i = (axis + 1) % 3
+    j = (axis + 2) % 3
     out = np.zeros((*angle.shape, 3, 3))
     out[..., axis, axis] = 1.0
     out[..., i, i], out[..., j, j] = c, c
@@ -122,16 +129,21 @@ def align_z(axis: ArrayLike) -> Array:
     Axes along x, y or z give exact permutations. A zero axis gives NaN.
     """
     a = unit(numbers(axis, "axis", 3))
-    x, y, z = a[..., 0], a[..., 1], a[..., 2]
+    x = a[..., 0]
+    y = a[..., 1]
+    z = a[..., 2]
     across = np.hypot(x, y)
     upright = across < 1e-200  # the quotients would be inexact, and any do
     across = np.where(upright, 1.0, across)
-    u, w = np.where(upright, 0.0, x / across), np.where(upright, 1.0, y / across)
+    u = np.where(upright, 0.0, x / across)
+    w = np.where(upright, 1.0, y / across)
     k = 1.0 - z  # a turn about (-w, u, 0) with cosine z
     out = np.empty((*a.shape, 3))
     out[..., 0, 0], out[..., 0, 1], out[..., 0, 2] = 1.0 - k * u * u, -k * u * w, x
     out[..., 1, 0], out[..., 1, 1], out[..., 1, 2] = -k * u * w, 1.0 - k * w * w, y
-    out[..., 2, 0], out[..., 2, 1], out[..., 2, 2] = -x, -y, z
+    out[..., 2, 0] = -x
+    out[..., 2, 1] = -y
+    out[..., 2, 2] = z
     return out
 
 
@@ -158,7 +170,8 @@ def matrix_to_rpy(R: ArrayLike) -> Array:
 def quat_wxyz_to_matrix(quat_wxyz: ArrayLike) -> Array:
     """Rotation (..., 3, 3) of quaternions (..., 4), normalised first; a zero quaternion gives NaN."""
     q = unit(numbers(quat_wxyz, "quat_wxyz", 4))
-    w, v = q[..., 0, None, None], q[..., 1:]
+    w = q[..., 0, None, None]
+    v = q[..., 1:]
     K = skew(v)
     return np.eye(3) + 2.0 * (w * K + K @ K)
 
@@ -172,8 +185,12 @@ def matrix_to_quat_wxyz(R: ArrayLike) -> Array:
     # squares of (w, x, y, z), times 4
     squares = np.concatenate([1.0 + trace[..., None], 1.0 - trace[..., None] + 2.0 * d], axis=-1)
     products = np.empty((*m.shape[:-2], 4, 4))
-    wx, wy, wz = (m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1])
-    xy, xz, yz = (m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1])
+    wx = m[..., 2, 1] - m[..., 1, 2]
+    wy = m[..., 0, 2] - m[..., 2, 0]
+    wz = m[..., 1, 0] - m[..., 0, 1]
+    xy = m[..., 0, 1] + m[..., 1, 0]
+    xz = m[..., 0, 2] + m[..., 2, 0]
+    yz = m[..., 1, 2] + m[..., 2, 1]
     for row, values in enumerate(
         [(squares[..., 0], wx, wy, wz), (wx, squares[..., 1], xy, xz), (wy, xy, squares[..., 2], yz),
          (wz, xz, yz, squares[..., 3])]
@@ -188,7 +205,8 @@ def matrix_to_quat_wxyz(R: ArrayLike) -> Array:
 @quiet
 def quat_wxyz_multiply(a: ArrayLike, b: ArrayLike) -> Array:
     """Product (..., 4) of quaternions (w, x, y, z)."""
-    a, b = numbers(a, "a", 4), numbers(b, "b", 4)
+    a = numbers(a, "a", 4)
+    b = numbers(b, "b", 4)
     if a.shape != b.shape:
         together({"a": a.shape, "b": b.shape})
     aw, ax, ay, az = np.moveaxis(a, -1, 0)
@@ -241,7 +259,8 @@ def log_so3(R: ArrayLike) -> Array:
 def exp_se3(twist: ArrayLike) -> Array:
     """Pose (..., 4, 4) of the screw motion `twist` = [v; w] (..., 6) (Murray, Li, Sastry, 1994, eq. 2.36)."""
     twist = numbers(twist, "twist", 6)
-    v, w = twist[..., :3], twist[..., 3:]
+    v = twist[..., :3]
+    w = twist[..., 3:]
     K = skew(w)
     _, b, c = _series(np.linalg.norm(w, axis=-1))
     V = np.eye(3) + b[..., None, None] * K + c[..., None, None] * (K @ K)
@@ -275,9 +294,11 @@ def _series(angle: Array) -> tuple[Array, Array, Array]:
 def adjoint(X: ArrayLike) -> Array:
     """Matrix (..., 6, 6) that takes twists [v; w] seen from B to twists seen from A, for X = X_AB."""
     given = _poses(X)
-    R, p = given[..., :3, :3], given[..., :3, 3]
+    R = given[..., :3, :3]
+    p = given[..., :3, 3]
     out = np.zeros((*given.shape[:-2], 6, 6))
-    out[..., :3, :3], out[..., 3:, 3:] = R, R
+    out[..., :3, :3] = R
+    out[..., 3:, 3:] = R
     out[..., :3, 3:] = skew(p) @ R
     return out
 
@@ -319,15 +340,18 @@ def fit_pose(particles: ArrayLike, places: ArrayLike) -> PoseFit:
     >>> round(float(fit_pose([[0, 0], [1, 0]], [[2, 1], [2, 2.2]]).residual), 12)
     0.1
     """
-    given, there = numbers(particles, "particles"), numbers(places, "places")
+    given = numbers(particles, "particles")
+    there = numbers(places, "places")
     for name, x in (("particles", given), ("places", there)):
         if x.ndim < 2 or x.shape[-1] not in (2, 3) or x.shape[-2:] != given.shape[-2:] or x.shape[-2] < x.shape[-1]:
             need = "(..., n, 3) with at least 3 points, or, in the plane, (..., n, 2) with at least 2"
             raise InputError(f"{name} have shape {x.shape}; both must be {need}")
     dim = given.shape[-1]
     given, there = np.broadcast_arrays(given, there)
-    centre, target = given.mean(axis=-2), there.mean(axis=-2)
-    a, b = given - centre[..., None, :], there - target[..., None, :]
+    centre = given.mean(axis=-2)
+    target = there.mean(axis=-2)
+    a = given - centre[..., None, :]
+    b = there - target[..., None, :]
     bad = ~(np.isfinite(a) & np.isfinite(b)).all(axis=(-1, -2))
     U, S, Vt = svd(np.where(bad[..., None, None], 0.0, np.swapaxes(b, -1, -2) @ a))
     sense = np.ones((*bad.shape, dim))

@@ -41,7 +41,9 @@ class Status(IntEnum):
     def __new__(cls, value: int, sentence: str, proof: bool = False) -> Status:
         """The member of this number, with its sentence."""
         out = int.__new__(cls, value)
-        out._value_, out.sentence, out.proof = value, sentence, proof
+        out._value_ = value
+        out.sentence = sentence
+        out.proof = proof
         return out
 
     def __str__(self) -> str:

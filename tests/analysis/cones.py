@@ -15,7 +15,9 @@ def dot(a: Row, b: Row) -> Fraction:
 
 def reduced(rows: list[Row]) -> tuple[list[Row], list[int]]:
     """Reduced echelon form and its pivots."""
-    m, pivots, at = [list(r) for r in rows], list[int](), 0
+    m = [list(r) for r in rows]
+    pivots = list[int]()
+    at = 0
     for c in range(len(m[0]) if m else 0):
         p = next((i for i in range(at, len(m)) if m[i][c]), None)
         if p is None:

@@ -39,7 +39,8 @@ def joint_frames(system: System, q: np.ndarray) -> dict[str, np.ndarray]:
         M = pose[joint.child] @ joint.X_CM.evaluate(system.structure.parameters)
         K = np.eye(4)
         if joint.type.type_name == "universal":
-            x, y = F[:3, 0], M[:3, 1]
+            x = F[:3, 0]
+            y = M[:3, 1]
             K[:3, :3] = np.stack([x, y, np.cross(x, y)], axis=1)
         else:
             K[:3, :3] = F[:3, :3]
@@ -65,7 +66,8 @@ def rebuilt(system: System, q: np.ndarray, change: Change) -> System:
         joint = joints[k]
         K = change.move @ mirror @ frames[joint.name] @ mirror
         K[:3, 3] *= change.scale
-        kind, ends = joint.type.type_name, (name(joint.parent), name(joint.child))
+        kind = joint.type.type_name
+        ends = (name(joint.parent), name(joint.child))
         if joint.name in change.swap and kind in SWAPPABLE:
             ends = ends[::-1]
         where = {"at": placement_of_pose(K), "child_at": placement_of_pose(K)}

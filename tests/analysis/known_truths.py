@@ -28,7 +28,8 @@ def dead_centres(rng: np.random.Generator, stages: int = 0, weak: float = 0.0) -
     """
     stages = stages or int(rng.integers(1, 8))
     w = World("dead centres", 2)
-    p, along = np.zeros(2), np.array([1.0, 0.0])
+    p = np.zeros(2)
+    along = np.array([1.0, 0.0])
     first, second = rng.uniform(0.7, 1.4, 2) if not weak else (weak, 1.0)
     w.turn("ground", "a", p)
     w.turn("a", "b", p + first * along)
@@ -55,7 +56,8 @@ def weak_dead_centres(rng: np.random.Generator) -> Truth:
 def flat_loop(rng: np.random.Generator) -> Truth | None:
     """A flat loop of bars: the form sum s_i l_i t_i^2 on the plane sum s_i l_i t_i = 0 decides (Morse's lemma)."""
     n = int(rng.integers(2, 6))
-    lengths, signs = rng.uniform(0.6, 1.4, size=n), rng.choice([1, -1], size=n)
+    lengths = rng.uniform(0.6, 1.4, size=n)
+    signs = rng.choice([1, -1], size=n)
     v = lengths * signs
     if v.sum() < 0:
         v = -v
@@ -63,7 +65,8 @@ def flat_loop(rng: np.random.Generator) -> Truth | None:
     eigen = np.linalg.eigvalsh(plane @ np.diag(v) @ plane.T)
     if v.sum() < 0.2 or np.abs(eigen).min() < 0.05:
         return None
-    w, x = World("flat loop", 2), np.concatenate([[0.0], np.cumsum(v)])
+    w = World("flat loop", 2)
+    x = np.concatenate([[0.0], np.cumsum(v)])
     bodies = ["ground", *(f"b{i}" for i in range(n)), "ground"]
     for i in range(n + 1):
         w.turn(bodies[i], bodies[i + 1], (x[i], 0.0))
@@ -73,7 +76,8 @@ def flat_loop(rng: np.random.Generator) -> Truth | None:
 def row_of_parallelograms(rng: np.random.Generator) -> Truth:
     """Flat parallelograms, each of which turns the next: one freedom, in many branches."""
     n = int(rng.integers(1, 5))
-    w, x = World("row", 2), 0.0
+    w = World("row", 2)
+    x = 0.0
     crank = float(rng.uniform(0.5, 1.0))
     w.turn("ground", "c0", (0, 0))
     for i in range(n):
@@ -88,7 +92,8 @@ def row_of_parallelograms(rng: np.random.Generator) -> Truth:
 def parallelograms_apart(rng: np.random.Generator) -> Truth:
     """Flat parallelograms one on the other's coupler: as many freedoms as there are."""
     n = int(rng.integers(1, 4))
-    w, before = World("apart", 2), "ground"
+    w = World("apart", 2)
+    before = "ground"
     for i in range(n):
         a, b, p = *rng.uniform(0.6, 1.5, 2), rng.uniform(-1, 1, 2)
         e = np.array([cos(i), sin(i)])
@@ -102,15 +107,18 @@ def parallelograms_apart(rng: np.random.Generator) -> Truth:
 
 def scissor(rng: np.random.Generator) -> Truth:
     """Pairs of crossed bars in a row: one freedom, however long."""
-    n, t = int(rng.integers(2, 41)), float(rng.uniform(0.3, 1.2))
+    n = int(rng.integers(2, 41))
+    t = float(rng.uniform(0.3, 1.2))
     w = World("scissor", 2)
-    up, down = np.array([cos(t), sin(t)]), np.array([-cos(t), sin(t)])
+    up = np.array([cos(t), sin(t)])
+    down = np.array([-cos(t), sin(t)])
     base = np.zeros(2)
     w.turn("ground", "a0", base)
     w.slide("ground", "k", (1, 0), 2 * cos(t) * X)
     w.turn("k", "b0", 2 * cos(t) * X)
     for i in range(n):
-        left, right = base, base + [2 * cos(t), 0]
+        left = base
+        right = base + [2 * cos(t), 0]
         w.turn(f"a{i}", f"b{i}", left + up)
         if i + 1 < n:
             w.turn(f"b{i}", f"a{i + 1}", right + 2 * down)
@@ -121,7 +129,9 @@ def scissor(rng: np.random.Generator) -> Truth:
 
 def loop_in_a_group(rng: np.random.Generator) -> Truth:
     """A loop in space of joints that stay in a group of three dimensions; tilted by what is no rounding it is rigid."""
-    kind, n, R = int(rng.integers(0, 4)), int(rng.integers(4, 7)), rotation(rng)
+    kind = int(rng.integers(0, 4))
+    n = int(rng.integers(4, 7))
+    R = rotation(rng)
     points = rng.uniform(-1, 1, (n, 3)) @ np.diag([1.0, 1.0, float(rng.random() < 0.5)]) @ R.T
     if kind == 0:  # in parallel planes
         joints = [("revolute", p, R[:, 2]) for p in points]
@@ -143,7 +153,8 @@ def loop_in_a_group(rng: np.random.Generator) -> Truth:
 
 def sarrus(rng: np.random.Generator) -> Truth:
     """Chains of three parallel hinges in two or more directions between ground and platform: one straight line."""
-    R, w = rotation(rng), World("Sarrus")
+    R = rotation(rng)
+    w = World("Sarrus")
     for c in range(2):
         z = R @ [cos(c * 1.3), sin(c * 1.3), 0]
         p = rng.uniform(-1, 1, (3, 3))
@@ -164,7 +175,8 @@ def frameworks(rng: np.random.Generator) -> Truth | None:
         if np.linalg.cond(points.T @ points) > 50:
             return None
         return framework("K33 on a conic", points, bipartite(3, 3), (0, 3), 2), 0
-    m, n = int(rng.integers(2, 5)), int(rng.integers(2, 5))
+    m = int(rng.integers(2, 5))
+    n = int(rng.integers(2, 5))
     points = rng.uniform(-1, 1, (m + n, dim))
     edges = bipartite(m, n)
     rigidity = np.zeros((len(edges), dim * (m + n)))
@@ -187,7 +199,8 @@ def bipartite(m: int, n: int) -> list[tuple[int, int]]:
 
 def bars(rng: np.random.Generator) -> Truth | None:
     """Random bars with two or three loops: where their constraints are independent, what is left of 3 a body."""
-    n, w = int(rng.integers(3, 9)), World("bars", 2)
+    n = int(rng.integers(3, 9))
+    w = World("bars", 2)
     edges = [(int(rng.integers(0, i)), i) for i in range(1, n + 1)]
     while len(edges) < n + 2 + int(rng.integers(0, 2)):
         i, k = sorted(rng.choice(n + 1, size=2, replace=False).tolist())
@@ -214,7 +227,8 @@ def hinges(rng: np.random.Generator) -> Truth:
 
 def gimbal(rng: np.random.Generator) -> Truth:
     """Hinges about three axes through one point, the third in line with the first, and rods: the middle turns."""
-    w, rods = World("gimbal"), int(rng.integers(1, 4))
+    w = World("gimbal")
+    rods = int(rng.integers(1, 4))
     w.turn("ground", "outer", (0, 0, 0), Z)
     w.turn("outer", "middle", (0, 0, 0), Y)
     w.turn("middle", "inner", (0, 0, 0), Z)
@@ -226,7 +240,8 @@ def gimbal(rng: np.random.Generator) -> Truth:
 def stopped_row(rng: np.random.Generator) -> Truth:
     """A row of flat parallelograms whose first crank is stretched with a bar: rigid, one after the other."""
     w, _ = row_of_parallelograms(rng)
-    end, more = w.joints[1][4], float(rng.uniform(0.5, 1.5))
+    end = w.joints[1][4]
+    more = float(rng.uniform(0.5, 1.5))
     w.turn("c0", "stop", end)
     w.turn("stop", "ground", end + more * X)
     return w, 0
@@ -234,7 +249,8 @@ def stopped_row(rng: np.random.Generator) -> Truth:
 
 def nearly_flat(rng: np.random.Generator) -> Truth | None:
     """A flat loop that is bent by more than rounding: regular, a motion even where the flat one is rigid."""
-    n, w = int(rng.integers(3, 6)), World("nearly flat", 2)
+    n = int(rng.integers(3, 6))
+    w = World("nearly flat", 2)
     off = 10.0 ** rng.uniform(-10, -1)
     v = rng.uniform(0.6, 1.4, size=n) * rng.choice([1, -1], size=n)
     if abs(v.sum()) < 0.2:
@@ -248,9 +264,12 @@ def nearly_flat(rng: np.random.Generator) -> Truth | None:
 
 def nearly_parallel(rng: np.random.Generator) -> Truth:
     """Two chains of three hinges whose directions differ by what is no rounding: one straight line, as Sarrus' has."""
-    R, w, off = rotation(rng), World("nearly parallel"), 10.0 ** rng.uniform(-10, -1)
+    R = rotation(rng)
+    w = World("nearly parallel")
+    off = 10.0 ** rng.uniform(-10, -1)
     for c in range(2):
-        z, p = R @ [cos(c * off), sin(c * off), 0], rng.uniform(-1, 1, (3, 3))
+        z = R @ [cos(c * off), sin(c * off), 0]
+        p = rng.uniform(-1, 1, (3, 3))
         w.turn("ground", f"a{c}", p[0], z)
         w.turn(f"a{c}", f"b{c}", p[1], z)
         w.turn(f"b{c}", "top", p[2], z)
@@ -259,14 +278,17 @@ def nearly_parallel(rng: np.random.Generator) -> Truth:
 
 def nearly_coplanar(rng: np.random.Generator) -> Truth:
     """Three slides in a loop whose directions leave one plane by what is no rounding: rigid."""
-    R, off = rotation(rng), 10.0 ** rng.uniform(-10, -1)
+    R = rotation(rng)
+    off = 10.0 ** rng.uniform(-10, -1)
     along = [[cos(a), sin(a), off * (k == 2)] for k, a in enumerate(np.cumsum(rng.uniform(0.5, 0.9, 3)))]
     return loop("nearly coplanar", [("prismatic", rng.uniform(-1, 1, 3), R @ unit(a)) for a in along]), 0
 
 
 def nearly_overconstrained(rng: np.random.Generator) -> Truth:
     """Three cranks of one length and direction but for an error that is no rounding: rigid; in the plane or space."""
-    off, v, w = 10.0 ** rng.uniform(-10, -1), rng.uniform(-1, 1, 2), World("nearly", int(rng.integers(2, 4)))
+    off = 10.0 ** rng.uniform(-10, -1)
+    v = rng.uniform(-1, 1, 2)
+    w = World("nearly", int(rng.integers(2, 4)))
     for k, p in enumerate(rng.uniform(-2, 2, (3, 2))):
         w.turn("ground", f"c{k}", p)
         w.turn(f"c{k}", "top", p + v + off * (k == 2) * unit(rng.normal(size=2)))
@@ -275,7 +297,8 @@ def nearly_overconstrained(rng: np.random.Generator) -> Truth:
 
 def three_cranks(rng: np.random.Generator) -> Truth:
     """Cranks of one length and direction: one of them is redundant, and the platform goes around."""
-    v, w = rng.uniform(-1, 1, 2), World("cranks", int(rng.integers(2, 4)))
+    v = rng.uniform(-1, 1, 2)
+    w = World("cranks", int(rng.integers(2, 4)))
     for k, p in enumerate(rng.uniform(-2, 2, (int(rng.integers(2, 6)), 2))):
         w.turn("ground", f"c{k}", p)
         w.turn(f"c{k}", "top", p + v)
@@ -291,7 +314,8 @@ def wunderlich(rng: np.random.Generator) -> Truth:
     edges = [(a, b) for a in range(8) for b in range(a) if np.abs(np.subtract(corners[a], corners[b])).sum() == 1]
     if rng.random() < 0.5:
         return framework("Wunderlich of rods", points, edges, (0, 4), 2), 2
-    w, first = World("Wunderlich of bars", 2), {}
+    w = World("Wunderlich of bars", 2)
+    first = {}
     for a, b in edges:
         bar = "ground" if {a, b} == {0, 4} else f"bar{a}{b}"
         for c in (a, b):
@@ -304,7 +328,9 @@ def wunderlich(rng: np.random.Generator) -> Truth:
 
 def side_by_side(rng: np.random.Generator) -> Truth:
     """Four mechanisms that share nothing but the ground, one of them singular: their numbers add up."""
-    whole, total, odd = World("side by side", 2), 0, int(rng.integers(4))
+    whole = World("side by side", 2)
+    total = 0
+    odd = int(rng.integers(4))
     for n in range(4):
         part, truth = dead_centres(rng, 1) if n == odd else three_cranks(rng)
         total += truth

@@ -28,7 +28,8 @@ def around(*angles: float, radius: float = 1.0, z: float = 0.0) -> list[tuple[fl
 
 OCTAHEDRON = [(i, k) for i in range(6) for k in range(i + 1, 6) if (i, k) not in ((0, 1), (2, 3), (4, 5))]
 A, B, C = np.random.default_rng(5).normal(size=(3, 3))
-HALF_TURN, MIRROR = np.diag([-1.0, -1.0, 1.0]), np.diag([1.0, 1.0, -1.0])
+HALF_TURN = np.diag([-1.0, -1.0, 1.0])
+MIRROR = np.diag([1.0, 1.0, -1.0])
 SQUARE = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.4, 0.8, 0.0), (0.4, 0.8, 0.0)]
 ON_AXES = [(1, 0), (-1.7, 0), (0.6, 0), (0, 1.2), (0, -0.8), (0, 2.1)]
 HEXAGON = np.array(around(0.1, 0.9, 2.2, 3.0, 4.3, 5.1))
@@ -65,7 +66,8 @@ def hoberman(n: int, inner: float = 1.4, outer: float = 2.3) -> World:
 
     for i in range(n):
         j = (i + 1) % n
-        a, b = "ground" if i == 0 else f"a{i}", "ground" if j == 0 else f"a{j}"
+        a = "ground" if i == 0 else f"a{i}"
+        b = "ground" if j == 0 else f"a{j}"
         w.turn(a, f"b{i}", ray(2 * i, middle))
         w.turn(a, f"b{j}", ray(2 * i + 1, outer))
         w.turn(f"b{i}", b, ray(2 * i + 1, inner))
@@ -75,9 +77,11 @@ def hoberman(n: int, inner: float = 1.4, outer: float = 2.3) -> World:
 def four_upu() -> World:
     """Legs between crosses whose outer axes are parallel: all motions but two turns (Zhao and Huang, 2000)."""
     w = World("4-UPU")
-    base, top = [(2, 0, 0), (0, 2, 0), (-2, 0.3, 0), (0.1, -2, 0)], [(0.6, 0.1), (0.2, 0.7), (-0.5, 0.1), (0.1, -0.6)]
+    base = [(2, 0, 0), (0, 2, 0), (-2, 0.3, 0), (0.1, -2, 0)]
+    top = [(0.6, 0.1), (0.2, 0.7), (-0.5, 0.1), (0.1, -0.6)]
     for i, (a, b) in enumerate(zip(base, top, strict=True)):
-        a, b = np.array(a, dtype=float), np.array([*b, 1.4])
+        a = np.array(a, dtype=float)
+        b = np.array([*b, 1.4])
         across = unit(np.cross(Z, b - a))
         w.cross("ground", f"a{i}", a, Z, across)
         w.slide(f"a{i}", f"b{i}", b - a, a, name=f"leg{i}")
@@ -87,7 +91,8 @@ def four_upu() -> World:
 
 def cardan_shafts(first: float, second: float) -> World:
     w = World("two Cardan joints")
-    d, e = np.array([sin(first), 0, cos(first)]), np.array([sin(first + second), 0, cos(first + second)])
+    d = np.array([sin(first), 0, cos(first)])
+    e = np.array([sin(first + second), 0, cos(first + second)])
     w.turn("ground", "in", -Z, Z)
     w.cross("in", "mid", np.zeros(3), Y, np.cross(Y, d))
     w.cross("mid", "out", d, np.cross(Y, d), Y)
@@ -97,9 +102,12 @@ def cardan_shafts(first: float, second: float) -> World:
 
 def miura(nx: int, ny: int, fold: float) -> World:
     """Panels of Miura's fold, all alike; flat at 0. The first panel is the ground."""
-    w, corner = World("Miura"), 1.0
+    w = World("Miura")
+    corner = 1.0
     deep = sqrt(1 + cos(fold) ** 2 * np.tan(corner) ** 2)
-    step, shift, high = cos(fold) * np.tan(corner) / deep, 1 / deep, sin(fold) * sin(corner)
+    step = cos(fold) * np.tan(corner) / deep
+    shift = 1 / deep
+    high = sin(fold) * sin(corner)
     long = sqrt(1 - (sin(fold) * sin(corner)) ** 2)
 
     def at(i: int, j: int) -> np.ndarray:
@@ -126,7 +134,8 @@ def griffis_duffy() -> World:
 
 
 def prism(turn: float) -> World:
-    bottom, top = around(0, 2 * pi / 3, 4 * pi / 3), around(turn, turn + 2 * pi / 3, turn + 4 * pi / 3, z=1.0)
+    bottom = around(0, 2 * pi / 3, 4 * pi / 3)
+    top = around(turn, turn + 2 * pi / 3, turn + 4 * pi / 3, z=1.0)
     edges = [(3, 4), (4, 5), (3, 5), *((i, 3 + i) for i in range(3)), *(((i + 1) % 3, 3 + i) for i in range(3))]
     return framework("twisted prism", bottom + top, edges, pinned=(0, 1, 2))
 

@@ -14,7 +14,9 @@ TURN = 2.0 * math.pi
 def four_bar(a: float, b: float, c: float, d: float, tracer: tuple[float, float] = (0.0, 0.0), **limits) -> System:
     """Crank a, coupler b, rocker c, ground d, joints A, B, C, D; crank and rocker angles are those of the links."""
     m = Mechanism("four-bar", dim=2)
-    crank, coupler, rocker = m.body("crank"), m.body("coupler"), m.body("rocker")
+    crank = m.body("crank")
+    coupler = m.body("coupler")
+    rocker = m.body("rocker")
     m.revolute("A", m.ground, crank, limits=limits.get("A"))
     m.revolute("B", crank, coupler, at=(a, 0), limits=limits.get("B"))
     m.revolute("D", m.ground, rocker, at=(d, 0), limits=limits.get("D"))
@@ -26,7 +28,9 @@ def four_bar(a: float, b: float, c: float, d: float, tracer: tuple[float, float]
 def slider_crank(r: float, rod: float, offset: float = 0.0, limits=None) -> System:
     """Crank r, rod, slider along x at height `offset`; joints A, B, C (pin on the slider), S (slide)."""
     m = Mechanism("slider-crank", dim=2)
-    crank, link, slider = m.body("crank"), m.body("rod"), m.body("slider")
+    crank = m.body("crank")
+    link = m.body("rod")
+    slider = m.body("slider")
     m.revolute("A", m.ground, crank)
     m.revolute("B", crank, link, at=(r, 0))
     m.revolute("C", link, slider, at=(rod, 0), cut=True)
@@ -63,7 +67,8 @@ def bennett(a: float, b: float, alpha: float, beta: float) -> System:
 
 def circles(p, r: float, q, s: float, side: float):
     """Points (..., 2) at distance r from p and s from q (..., 2), on the left of p -> q for side = 1."""
-    p, q = np.asarray(p, dtype=float), np.asarray(q, dtype=float)
+    p = np.asarray(p, dtype=float)
+    q = np.asarray(q, dtype=float)
     v = q - p
     d = np.linalg.norm(v, axis=-1, keepdims=True)
     x = (d**2 + r**2 - s**2) / (2.0 * d)
@@ -104,7 +109,8 @@ JANSEN = dict(zip("abcdefghijklm", (38, 41.5, 39.3, 40.1, 55.8, 39.4, 36.7, 65.7
 
 def jansen_points(theta) -> dict[str, np.ndarray]:
     """Points (..., 2) of Theo Jansen's leg at crank angle theta (...), by circles one after the other."""
-    n, theta = JANSEN, np.asarray(theta, dtype=float)
+    n = JANSEN
+    theta = np.asarray(theta, dtype=float)
     Q = np.broadcast_to([-n["a"], -n["l"]], (*theta.shape, 2))
     X = n["m"] * np.stack([np.cos(theta), np.sin(theta)], axis=-1)
     Y = circles(Q, n["b"], X, n["j"], 1.0)
@@ -128,7 +134,8 @@ def peaucellier() -> System:
     """Peaucellier's cell with OA = OC = 3, rhombus 1.6, OQ = QB = 1, in a pose off its axis."""
     t = 0.4
     B = np.array([1.0 + np.cos(t), np.sin(t)])
-    A, C = circles([0, 0], 3.0, B, 1.6, 1.0), circles([0, 0], 3.0, B, 1.6, -1.0)
+    A = circles([0, 0], 3.0, B, 1.6, 1.0)
+    C = circles([0, 0], 3.0, B, 1.6, -1.0)
     points = {"Q": (1.0, 0.0), "O": (0.0, 0.0), "A": A, "C": C, "B": B, "D": A + C - B}
     return linkage("peaucellier", {k: tuple(map(float, v)) for k, v in points.items()}, {
         "ground": ("Q", "O"), "crank": ("Q", "B"), "OA": ("O", "A"), "OC": ("O", "C"), "AB": ("A", "B"),

@@ -107,7 +107,9 @@ def growth_by_symbols(system: Pfaffian, q: np.ndarray, free: list[int], steps: i
     """The growth vector at q, up to brackets of so many letters, from all words of the fields."""
     symbols, A = system.symbolic()
     X = fields(A, symbols, free)
-    words, span, out = list(X), [], []
+    words = list(X)
+    span = []
+    out = []
     for _ in range(steps):
         span += [at_point(w, symbols, q) for w in words]
         values = np.linalg.svd(np.array(span) / np.max(np.abs(span), axis=1, initial=1e-9, keepdims=True))[1]

@@ -40,7 +40,8 @@ class Rods:
                 return axes
 
     def ball(self, a: str, b: str, at: np.ndarray, form: str | None = None) -> None:
-        w, (x, y, z) = self.world, self.axes()
+        w = self.world
+        (x, y, z) = self.axes()
         form = form or str(self.rng.choice(FORMS))
         here, there, far = (at + d * axis for d, axis in zip(self.rng.uniform(-0.3, 0.3, 3), (x, y, z), strict=True))
         if form in ("S", "A"):
@@ -54,7 +55,8 @@ class Rods:
             w.turn(a, link, here, x)
             w.cross(link, b, at, y, np.cross(y, z))
         else:
-            one, two = self.name("link"), self.name("link")
+            one = self.name("link")
+            two = self.name("link")
             w.turn(a, one, here, x)
             w.turn(one, two, there, y)
             if form == "RRfR":
@@ -79,9 +81,13 @@ class Rods:
 
 def rssr(r: Rods, ground: str) -> None:
     """A rod between two arms, of one body or of two that are fixed, perhaps with something fixed to it."""
-    a, b, rod = r.arm(ground), r.arm(ground), r.name("rod")
-    p, q = r.point(), r.point()
-    group, far = {rod}, rod
+    a = r.arm(ground)
+    b = r.arm(ground)
+    rod = r.name("rod")
+    p = r.point()
+    q = r.point()
+    group = {rod}
+    far = rod
     if r.rng.random() < 0.3:
         far = r.name("rod")
         r.world.joint("fixed", rod, far, r.point(), r.axis())
@@ -96,15 +102,21 @@ def rssr(r: Rods, ground: str) -> None:
 
 def rusr(r: Rods, ground: str) -> None:
     """A rod that a universal joint keeps from spinning."""
-    a, b, rod = r.arm(ground), r.arm(ground), r.name("rod")
+    a = r.arm(ground)
+    b = r.arm(ground)
+    rod = r.name("rod")
     r.universal(a, rod, r.point())
     r.ball(rod, b, r.point())
 
 
 def leg(r: Rods, ground: str) -> None:
     """A leg whose hip goes through the ball of a rod beside it: the rod spins, the leg swings."""
-    hip, axis, x = r.point(), r.axis(), r.rng.uniform(0.1, 0.5)
-    thigh, shin, rod = r.name("thigh"), r.name("shin"), r.name("rod")
+    hip = r.point()
+    axis = r.axis()
+    x = r.rng.uniform(0.1, 0.5)
+    thigh = r.name("thigh")
+    shin = r.name("shin")
+    rod = r.name("rod")
     marked = {"actuated": True} if r.rng.random() < 0.3 else {}
     r.world.turn(ground, thigh, hip, axis, **marked)
     r.world.turn(thigh, shin, r.point(), r.axis())
@@ -115,8 +127,11 @@ def leg(r: Rods, ground: str) -> None:
 
 def strut(r: Rods, ground: str) -> None:
     """A telescopic leg, driven or not, between an arm and the ground: both halves spin together."""
-    a, low, high = r.arm(ground), r.name("cylinder"), r.name("piston")
-    p, q = r.point(), r.point()
+    a = r.arm(ground)
+    low = r.name("cylinder")
+    high = r.name("piston")
+    p = r.point()
+    q = r.point()
     marked = {"actuated": True} if r.rng.random() < 0.5 else {}
     r.ball(ground, low, p)
     r.world.slide(low, high, q - p if r.rng.random() < 0.7 else r.axis(), p, **marked)
@@ -126,7 +141,9 @@ def strut(r: Rods, ground: str) -> None:
 
 def carrier(r: Rods, ground: str) -> None:
     """A rod that carries a pendulum."""
-    a, b, rod = r.arm(ground), r.arm(ground), r.name("rod")
+    a = r.arm(ground)
+    b = r.arm(ground)
+    rod = r.name("rod")
     r.ball(a, rod, r.point())
     r.ball(rod, b, r.point())
     r.world.turn(rod, r.name("pendulum"), r.point(), r.axis())
@@ -134,8 +151,12 @@ def carrier(r: Rods, ground: str) -> None:
 
 def motor(r: Rods, ground: str) -> None:
     """A rod that is turned: one hinge of its balls has a motor."""
-    a, b, rod, p = r.arm(ground), r.arm(ground), r.name("rod"), r.point()
-    one, two = r.name("link"), r.name("link")
+    a = r.arm(ground)
+    b = r.arm(ground)
+    rod = r.name("rod")
+    p = r.point()
+    one = r.name("link")
+    two = r.name("link")
     joints = list(zip((a, one, two), (one, two, rod), r.axes(), strict=True))
     driven = int(r.rng.integers(3))
     for k, (i, k_, z) in enumerate(joints):
@@ -145,7 +166,10 @@ def motor(r: Rods, ground: str) -> None:
 
 def tied(r: Rods, ground: str) -> None:
     """A rod that a second rod holds off its axis: only the second spins."""
-    a, b, rod, second = r.arm(ground), r.arm(ground), r.name("rod"), r.name("rod")
+    a = r.arm(ground)
+    b = r.arm(ground)
+    rod = r.name("rod")
+    second = r.name("rod")
     r.ball(a, rod, r.point())
     r.ball(rod, b, r.point())
     r.ball(rod, second, r.point())
@@ -155,7 +179,11 @@ def tied(r: Rods, ground: str) -> None:
 
 def engine(r: Rods, ground: str) -> None:
     """A piston that can turn in its bore, on a rod: both spin."""
-    crank, rod, piston, p, axis = r.arm(ground), r.name("rod"), r.name("piston"), r.point(), r.axis()
+    crank = r.arm(ground)
+    rod = r.name("rod")
+    piston = r.name("piston")
+    p = r.point()
+    axis = r.axis()
     form = r.rng.integers(3)
     if form == 0:
         r.world.joint("cylindrical", ground, piston, p, axis)
@@ -191,7 +219,9 @@ def hinges(r: Rods, ground: str) -> None:
 
 def beam(r: Rods, ground: str) -> None:
     """A bar on three balls or more in one line, held by several arms, perhaps telescopic; or bent: then none spins."""
-    p, d, n = r.point(), r.axis(), int(r.rng.integers(3, 6))
+    p = r.point()
+    d = r.axis()
+    n = int(r.rng.integers(3, 6))
     bent = r.rng.random() < 0.3
     bar = [r.name("bar")]
     if r.rng.random() < 0.3 and not bent:
@@ -206,8 +236,11 @@ def beam(r: Rods, ground: str) -> None:
 
 def spindle(r: Rods, ground: str) -> None:
     """A shaft in bearings on one axis, and a ball on it, held by different arms; perhaps driven, or with a wheel."""
-    p, d, shaft = r.point(), r.axis(), r.name("shaft")
-    kind, marked = int(r.rng.integers(3)), {}
+    p = r.point()
+    d = r.axis()
+    shaft = r.name("shaft")
+    kind = int(r.rng.integers(3))
+    marked = {}
     if kind == 1:
         marked = {"actuated": True}
     r.world.turn(ground, shaft, p, d, **marked)
@@ -220,7 +253,9 @@ def spindle(r: Rods, ground: str) -> None:
 
 def floating(r: Rods, ground: str) -> None:
     """A bar that is held by nothing but massless rods at points of a line; or a plate."""
-    bar, p, d = r.name("bar"), r.point(), r.axis()
+    bar = r.name("bar")
+    p = r.point()
+    d = r.axis()
     plate = r.rng.random() < 0.3
     r.world.joint("free", ground, bar, r.point(), r.axis(), **({"angles": True} if r.rng.random() < 0.5 else {}))
     for k in range(int(r.rng.integers(3, 6))):
@@ -231,7 +266,10 @@ def floating(r: Rods, ground: str) -> None:
 
 def tethered(r: Rods, ground: str) -> None:
     """A bar on a ball, whose other end a massless rod, a line or a plane holds; the line and the plane may be on it."""
-    arm, bar, p, q = r.arm(ground), r.name("bar"), r.point(), r.point()
+    arm = r.arm(ground)
+    bar = r.name("bar")
+    p = r.point()
+    q = r.point()
     r.ball(arm, bar, p)
     kind = int(r.rng.integers(4))
     if kind == 0:

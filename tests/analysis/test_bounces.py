@@ -26,7 +26,10 @@ def flown(planes, gravity, e, y, v, duration) -> Flight:
 def test_times_and_speeds_of_bounces_are_a_geometric_series(hunt):
     rng = hunt.rng()
     for _ in range(hunt.cases(100)):
-        e, h, v, g = rng.uniform(0.05, 0.97), rng.uniform(0.01, 5), rng.uniform(-3, 3), rng.uniform(0.5, 20)
+        e = rng.uniform(0.05, 0.97)
+        h = rng.uniform(0.01, 5)
+        v = rng.uniform(-3, 3)
+        g = rng.uniform(0.5, 20)
         impact = math.sqrt(v * v + 2 * g * h)
         first = (v + impact) / g
         end = first + 2 * e * impact / (g * (1 - e))
@@ -87,7 +90,8 @@ def test_between_planes_nothing_penetrates_or_gains_energy(hunt):
     rng = hunt.rng()
     for _ in range(hunt.cases(60)):
         planes = groove(rng)
-        k, e = len(planes[0].normal), rng.choice([0.0, 0.4, 0.8, 1.0, rng.random()])
+        k = len(planes[0].normal)
+        e = rng.choice([0.0, 0.4, 0.8, 1.0, rng.random()])
         up = np.zeros(k)
         up[-1] = 1.0
         flight = flown(planes, -G * up, e, 2.0 * up, rng.normal(size=k), 2.0)
@@ -119,7 +123,8 @@ def test_a_groove_brings_to_rest():
 @pytest.mark.parametrize("share", [0.5, 1 - 1e-7, 1 - 1e-12, 1 + 1e-12, 1.5])
 def test_wall_hit_while_bounces_on_the_floor_fade(share):
     """The wall is reached shortly before the bounces on the floor end: the order in time is kept."""
-    e, g = 0.5, 10.0
+    e = 0.5
+    g = 10.0
     end = 3 * math.sqrt(2 / g)  # t1 (1 + 2 e / (1 - e)) for a fall from 1 m
     planes = [Plane("floor", np.array([0.0, 1.0]), 0.0), Plane("wall", np.array([-1.0, 0.0]), end * share)]
     flight = flown(planes, [0, -g], e, [0, 1.0], [1.0, 0], 3 * end)
@@ -135,7 +140,9 @@ def test_wall_hit_while_bounces_on_the_floor_fade(share):
 def test_roots_of_gaps(hunt):
     rng = hunt.rng()
     for _ in range(hunt.cases(1000)):
-        g, r, a = 10.0 ** rng.uniform(-12, 3), rng.normal() * 10.0 ** rng.uniform(-6, 3), rng.normal()
+        g = 10.0 ** rng.uniform(-12, 3)
+        r = rng.normal() * 10.0 ** rng.uniform(-6, 3)
+        a = rng.normal()
         t = first_zero(g, r, a)
         roots = np.roots([0.5 * a, r, g])
         real = sorted(x.real for x in roots if abs(x.imag) < 1e-12 * abs(x) and x.real > 0)
@@ -152,6 +159,7 @@ def test_nearest_in_cone_against_least_squares(hunt):
     rng = hunt.rng()
     for _ in range(hunt.cases(300)):
         k = int(rng.integers(1, 4))
-        N, v = rng.normal(size=(int(rng.integers(1, 6)), k)), rng.normal(size=k)
+        N = rng.normal(size=(int(rng.integers(1, 6)), k))
+        v = rng.normal(size=k)
         x = v + N.T @ nnls(N.T, -v)[0]
         assert nearest_in_cone(v, N) == pytest.approx(x, abs=1e-9)

@@ -19,7 +19,8 @@ CHEAP = [name for name in SYSTEMS if name != "three trailers"]
 
 def reached(system: Pfaffian, q: object, seed: int = 0) -> Reach:
     """What motions reach from q."""
-    rows, rng = system.rows(), np.random.default_rng(seed)
+    rows = system.rows()
+    rng = np.random.default_rng(seed)
     place = EvaluationPoint(rows, np.array(q, dtype=float), 0.0, (), lambda q: q)
     return reach(place, random_place(place, rng), range(len(rows.names)), rng)
 
@@ -30,7 +31,8 @@ def words_by_symbols(system: Pfaffian, q: np.ndarray, free: list[int], letters: 
     basis = fields(A, symbols, free)
     X: list[Any] = [sum((sympy.Rational(float(c)) * x for c, x in zip(row, basis, strict=True)), 0 * basis[0])
                     for row in letters]  # fmt: skip
-    word, out = X[-1], []
+    word = X[-1]
+    out = []
     for x in [None, *X[-2::-1]]:
         word = word if x is None else bracket(x, word, symbols)
         out.append(at_point(word, symbols, q))
@@ -40,7 +42,8 @@ def words_by_symbols(system: Pfaffian, q: np.ndarray, free: list[int], letters: 
 @pytest.mark.parametrize("name", some(CHEAP, 4))
 def test_words_are_those_of_sympy(name: str, hunt: Hunt) -> None:
     """Brackets of up to four random letters, three with five coordinates, at a random point, to their rounding."""
-    system, rng = SYSTEMS[name], hunt.rng()
+    system = SYSTEMS[name]
+    rng = hunt.rng()
     q = rng.uniform(0.2, 1.2, size=len(system.names))
     at = distribution(system.rows(), q)
     length = 4 if len(q) < 5 else 3
@@ -149,7 +152,8 @@ def test_degree_of_four_trailers_across() -> None:
 @pytest.mark.parametrize("n", [0, 1, 2, 3, 4, 5])
 def test_growth_of_trailers(n: int, hunt: Hunt) -> None:
     """(2, 3, ..., n + 3) at random configurations, none of which is near a singular one, and never doubtful."""
-    rows, rng = trailers(n).rows(), hunt.rng()
+    rows = trailers(n).rows()
+    rng = hunt.rng()
     for _ in range(hunt.cases(170)):
         q = rng.uniform(-2, 2, size=3 + n)
         q[3:] = q[2] + np.cumsum(rng.uniform(-1.1, 1.1, size=n))
@@ -160,10 +164,13 @@ def test_growth_of_trailers(n: int, hunt: Hunt) -> None:
 @pytest.mark.parametrize("name", LITERATURE)
 def test_growth_does_not_depend_on_how_rows_are_written(name: str, hunt: Hunt) -> None:
     """Sums of rows with factors that are functions, in other units, and coordinates in another order."""
-    system, rng = SYSTEMS[name], hunt.rng()
+    system = SYSTEMS[name]
+    rng = hunt.rng()
     for _ in range(hunt.cases(12)):
         q, here, _ = (SINGULAR if name in SINGULAR and rng.random() < 0.5 else LITERATURE)[name]
-        names, m, order = system.names, len(system.text), rng.permutation(len(q))
+        names = system.names
+        m = len(system.text)
+        order = rng.permutation(len(q))
         mix = (np.eye(m) + rng.uniform(-0.3, 0.3, size=(m, m)) / m).tolist()
         factors = [[f"({mix[i][j]!r}*(2 + sin({rng.choice(names)})))" for j in range(m)] for i in range(m)]
         sums = [[" + ".join(f"{f}*({row[j]})" for f, row in zip(own, system.text, strict=True)) for j in order]

@@ -28,7 +28,8 @@ from kempe.spatial import matrix_to_quat_wxyz, rot_x, rot_y, rot_z
 
 
 def hunted(hunt: Hunt, kind, cases: int) -> list[tuple[Mobility, int]]:
-    rng, out = hunt.rng(), []
+    rng = hunt.rng()
+    out = []
     for _ in range(hunt.cases(cases)):
         found = kind(rng)
         if found is not None:
@@ -122,7 +123,8 @@ def ball_on_rods(angles: bool, ry: float, rods: int, rng: np.random.Generator, f
     tree = m.build()
     pose = tree.fk(tree.q(values))[-1]
     for k in range(rods):
-        a, b = rng.uniform(-2, 2, 3), rng.uniform(-1, 1, 3)
+        a = rng.uniform(-2, 2, 3)
+        b = rng.uniform(-1, 1, 3)
         m.distance(f"rod{k}", m.ground, body, at=a, child_at=b, length=float(np.linalg.norm(pose[:3] @ [*b, 1.0] - a)))
     system = m.build()
     return system, system.q(values)
@@ -133,7 +135,8 @@ def test_freedoms_of_a_chart_are_no_freedoms(free, hunt):
     """The same body by quaternion is the judge, at and near the angles' own singularity."""
     rng = hunt.rng()
     for _ in range(hunt.cases(12)):
-        rods, seed = int(rng.integers(1, 5 + 3 * free)), int(rng.integers(2**31))
+        rods = int(rng.integers(1, 5 + 3 * free))
+        seed = int(rng.integers(2**31))
         ry = float(rng.choice([-1, 1])) * pi / 2 + float(rng.choice([0.0, 0.0, 1e-9, 1e-6, 1e-3, 0.3]))
         system, q = ball_on_rods(True, ry, rods, np.random.default_rng(seed), free)
         m = mobility(system, q)
@@ -213,7 +216,8 @@ def test_a_long_row_of_flat_parallelograms():
 ])  # fmt: skip
 def test_certain_is_not_wrong_however_it_is_described(name, posture, hunt):
     system = kempe.load(name)
-    q, rng = system.q(posture), hunt.rng()
+    q = system.q(posture)
+    rng = hunt.rng()
     truth = mobility(system, q)
     names = [j.name for j in system.structure.joints.values()]
     assert truth.certain
@@ -234,7 +238,8 @@ def test_certain_is_not_wrong_however_it_is_described(name, posture, hunt):
 def test_newton_and_kantorovich():
     """x^2 = a: regular at sqrt(a) as long as that is above the root of rounding, and the root is within the radius."""
     for power in np.arange(0, 9, 0.25):
-        a, x = 10.0**-power, float(np.sqrt(10.0**-power)) * (1 + 1e-9)
+        a = 10.0**-power
+        x = float(np.sqrt(10.0**-power)) * (1 + 1e-9)
         sure = certify(np.array([2 * x]), (1, 1), abs(x * x - a), 2.0, 1e-16, 1)
         assert sure.regular and abs(np.sqrt(a) - x) <= sure.radius
     assert not certify(np.array([2e-8]), (1, 1), 1e-16, 2.0, 1e-16, 1).regular
@@ -268,7 +273,8 @@ def test_groups_are_filled_or_not():
 
 def test_bennett_in_any_configuration(hunt):
     """All around its motion; two links a little longer are not proven to move."""
-    system, rng = kempe.load("bennett"), hunt.rng()
+    system = kempe.load("bennett")
+    rng = hunt.rng()
     path = system.trace("q1")
     for q in path.resample(200).q[rng.choice(200, 8)]:
         m = mobility(system, q)
@@ -292,7 +298,8 @@ def test_axes_that_nearly_meet_leave_lengths_typical(off, hunt):
     """Two balls of three hinges whose axes miss each other by little: links of that length are no unit of measure."""
     rng = hunt.rng()
     for _ in range(hunt.cases(5)):
-        centers, around = rng.uniform(-1, 1, (2, 3)), rng.normal(size=(6, 3, 3))
+        centers = rng.uniform(-1, 1, (2, 3))
+        around = rng.normal(size=(6, 3, 3))
         joints = [("revolute", centers[i // 3] + off * p, z / np.linalg.norm(z)) for i, (p, z, _) in enumerate(around)]
         system = known_truths.loop("two balls of hinges", joints).build()
         m = mobility(system, system.neutral)

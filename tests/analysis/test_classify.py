@@ -42,7 +42,8 @@ def sliding(names: tuple[str, ...], rows: Any, b: Any = 0, time: bool = False) -
 def test_mechanisms_of_the_literature(name: str, hunt: Hunt) -> None:
     """Growth, degree, what is reached and the kind, at random configurations."""
     make, growth, positions = KNOWN[name]
-    system, rng = make(), hunt.rng()
+    system = make()
+    rng = hunt.rng()
     for _ in range(hunt.cases(2)):
         found = system.classify(close_by(system, rng), project=True)
         assert (found.growth, found.growth_around) == (growth, growth)
@@ -62,7 +63,8 @@ def test_reached_by_motions(name: str) -> None:
     brackets but the rows.
     """
     make, growth, _ = KNOWN[name]
-    system, rng = make(), np.random.default_rng(3)
+    system = make()
+    rng = np.random.default_rng(3)
     start = system.classify(close_by(system, rng), project=True).q
     wishes = rng.normal(size=(9, system.nv))
     changes = 1e-4 * np.eye(wishes.size).reshape(-1, *wishes.shape)
@@ -104,7 +106,8 @@ def holding(system: System, q: Array) -> Array:
 @pytest.mark.parametrize("name", some([n for n in SYSTEMS if n not in ("two trailers", "three trailers")], 3))
 def test_equations_of_velocity_against_symbols(name: str, hunt: Hunt) -> None:
     """Systems of rows that are written, on slides: the growth of all brackets by sympy, at a random point."""
-    given, rng = SYSTEMS[name], hunt.rng()
+    given = SYSTEMS[name]
+    rng = hunt.rng()
     system = sliding(given.names, given.text)
     q = rng.uniform(0.2, 1.2, size=len(given.names))
     found = system.classify(q)
@@ -126,7 +129,8 @@ def polynomial(names: list[str], rng: np.random.Generator) -> str:
 @pytest.mark.parametrize("n", [3, 4, 5, pytest.param(6, marks=pytest.mark.slow)])
 def test_random_rows_against_symbols(n: int, hunt: Hunt) -> None:
     """Random rows, mixed by a matrix of functions: growth by sympy from rows that are not mixed, at a random point."""
-    rng, names = hunt.rng(), [f"u{i}" for i in range(n)]
+    rng = hunt.rng()
+    names = [f"u{i}" for i in range(n)]
     for _ in range(hunt.cases(3)):
         m = int(rng.integers(1, n - 1))
         plain = [[polynomial(names, rng) for _ in range(n - m)] + ["1" if i == j else "0" for j in range(m)]
@@ -158,7 +162,8 @@ def exact_rows(names: list[str], m: int, rng: np.random.Generator) -> list[list[
 
 def test_random_exact_forms_are_integrable(hunt: Hunt) -> None:
     """With integrating factors, and mixed: motions stay in leaves, of the dimension of the free velocities."""
-    rng, regular = hunt.rng(), 0
+    rng = hunt.rng()
+    regular = 0
     for _ in range(hunt.cases(25)):
         n = int(rng.integers(2, 7))
         m = int(rng.integers(1, n))
@@ -176,7 +181,8 @@ def test_random_exact_forms_are_integrable(hunt: Hunt) -> None:
 
 def test_exact_forms_beside_one_that_is_not(hunt: Hunt) -> None:
     """m exact forms and one that turns in what they leave: m functions keep their value, all else is reached."""
-    rng, regular = hunt.rng(), 0
+    rng = hunt.rng()
+    regular = 0
     for _ in range(hunt.cases(15)):
         n = int(rng.integers(4, 7))
         m = int(rng.integers(1, n - 2))
@@ -224,9 +230,11 @@ def test_two_axles_go_straight_ahead() -> None:
 
 def test_wheels_on_one_axle_are_harmless() -> None:
     """The second wheel of an axle takes nothing: all numbers are those of the car with one."""
-    one, two = trailers(2), trailers(2, second=True)
+    one = trailers(2)
+    two = trailers(2, second=True)
     q = close_by(one, np.random.default_rng(1))
-    a, b = one.classify(q), two.classify(q)
+    a = one.classify(q)
+    b = two.classify(q)
     assert (a.growth, a.degree, a.velocity_dof, a.kind) == (b.growth, b.degree, b.velocity_dof, b.kind)
     assert b.constraints["left wheel 0"].growth == b.constraints["wheel 0"].growth
 
@@ -246,7 +254,8 @@ def test_a_wheel_that_never_moves_takes_nothing(axis, growth) -> None:
 def test_kinds_of_all_sorts_beside_each_other() -> None:
     """A rod is holonomic, a wheel nonholonomic, a contact unilateral; `data` is plain and says the same."""
     m = Mechanism("all", dim=2)
-    car, mass = m.body("car"), m.body("mass")
+    car = m.body("car")
+    mass = m.body("mass")
     m.joint("P", "planar", m.ground, car)
     m.joint("M", "planar", m.ground, mass)
     m.distance("rod", car, mass, 2.0)
@@ -375,7 +384,8 @@ def test_leaf() -> None:
 
 def test_turn_and_place_do_not_matter(hunt: Hunt) -> None:
     """The same car elsewhere, turned otherwise."""
-    system, rng = trailers(2), hunt.rng()
+    system = trailers(2)
+    rng = hunt.rng()
     inner = {"H0": 0.4, "H1": -0.7}
     found = [system.classify({**inner, "car.x": x, "car.y": y, "car.rz": z}) for x, y, z in 3 * rng.normal(size=(3, 3))]
     assert {(f.growth, f.degree, f.doubtful) for f in found} == {((2, 3, 4, 5), 4, False)}
@@ -417,7 +427,8 @@ def test_starts_that_are_not_closed() -> None:
 def test_what_cannot_be_closed_is_refused() -> None:
     """No configuration at all."""
     m = Mechanism("far", dim=2)
-    a, b = m.body("a"), m.body("b")
+    a = m.body("a")
+    b = m.body("b")
     m.joint("A", "revolute", m.ground, a)
     m.joint("B", "revolute", a, b, at=(1.0, 0.0))
     m.distance("rod", m.ground, b, 5.0, child_at=(1.0, 0.0))
@@ -451,7 +462,8 @@ def test_random_motions_keep_what_their_rows_hold(times: int) -> None:
     m.constrain(constraints.Pointing("pin", (0.6, 0.0, 0.8)), "axis")
     system = m.build()
     q = system.assemble(start=system.random(4)).q
-    rows, rng = tangent_rows(system), np.random.default_rng(times)
+    rows = tangent_rows(system)
+    rng = np.random.default_rng(times)
     place = EvaluationPoint(rows, q, 0.0, tuple(range(len(rows.names))), lambda q: q)
     for _ in range(times):
         place = moved_place(place, (), rng)

@@ -36,7 +36,8 @@ def between_free_bodies(kind: JointType, dim: int, rng: np.random.Generator) -> 
             return at
         return at | ({prefix + "rpy": rng.uniform(-1, 1, 3)} if dim == 3 else {prefix + "angle": rng.uniform(-1, 1)})
 
-    a, b = m.body("a"), m.body("b")
+    a = m.body("a")
+    b = m.body("b")
     m.free("A", m.ground, a)
     m.free("B", m.ground, b)
     m.joint("J", kind, a, b, cut=True, **place(""), **place("child_"), **({"axis": (0.6, 0.8)} if slider else {}))
@@ -63,11 +64,13 @@ def taken(s: System, q: np.ndarray) -> int:
 
 def seen(kind: JointType, dim: int, values: np.ndarray) -> int:
     """Freedoms of the joint by differences of its pose, written out elsewhere."""
-    steps, h = kind.layout(dim)[1], 1e-6
+    steps = kind.layout(dim)[1]
+    h = 1e-6
     along = (0.6, 0.8) if dim == 2 else None
     twists = []
     for i in range(len(values)):
-        ahead, back = values.copy(), values.copy()
+        ahead = values.copy()
+        back = values.copy()
         ahead[i], back[i] = ahead[i] + h, back[i] - h
         twists.append(twist_between(pose_of(steps, back.tolist(), dim, along),
                                     pose_of(steps, ahead.tolist(), dim, along), 2 * h))  # fmt: skip
@@ -118,7 +121,8 @@ def test_random_types_between_free_bodies_at_length(hunt):
                                            and (d == 3 or t.planar)])  # fmt: skip
 def test_rank_of_joints_of_particles(name, dim):
     m = Mechanism("particle", dim)
-    body, point = m.body("a"), m.particle("p")
+    body = m.body("a")
+    point = m.particle("p")
     m.free("A", m.ground, body, **({"at": (0.3, 0.1), "angle": 0.4} if dim == 2 else {"rpy": (0.3, 0.2, 0.1)}))
     m.free("B", m.ground, point)
     m.joint("J", name, body, point, cut=True, **({"axis": (0.6, 0.8)} if dim == 2 and name == "prismatic" else {}))
@@ -262,9 +266,11 @@ def test_declared_constraints_take_what_they_hold(name, dim):
             m.constrain(make(dim), f"it {k}")
         s = m.build()
         q = s.assemble(start=s.random(5)).q
-        found, count = s.mobility(q, local=False), taken[dim - 2]
+        found = s.mobility(q, local=False)
+        count = taken[dim - 2]
         assert (found.rank_dof, found.redundant_here) == (s.nv - count, count * (times - 1))
-        at, free = screws(s, q), np.linalg.svd(closure_rows.jacobian(s, q))[2][count:].T
+        at = screws(s, q)
+        free = np.linalg.svd(closure_rows.jacobian(s, q))[2][count:].T
         for i, edge in enumerate(e for e in structure(s).edges if not e.joint):
             W = at.wrench_rows(i + 2, edge.of, dim)
             moves = about_center(s, q, edge.of.child, at) - about_center(s, q, edge.of.parent, at)

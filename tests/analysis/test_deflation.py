@@ -18,7 +18,8 @@ STILL = {"SA": 0.0, "SB": 0.0, "SC": 0.0}
 
 def bars_in_line(m: Mechanism, lengths=(0.2, 0.3)) -> str:
     """The first of two bars between fixed points: to first order they move, truly they do not."""
-    one, two = m.body("s1"), m.body("s2")
+    one = m.body("s1")
+    two = m.body("s2")
     m.revolute("SA", m.ground, one)
     m.revolute("SB", one, two, at=(lengths[0], 0))
     m.revolute("SC", m.ground, two, at=(sum(lengths), 0), child_at=(lengths[1], 0))
@@ -55,7 +56,8 @@ def test_a_pendulum_on_bars_in_line_turns_all_round():
 
 @pytest.mark.parametrize("driver", some(["A", "D"], 3))
 def test_a_four_bar_on_bars_in_line_moves_as_on_the_ground(driver):
-    alone, hanging = four_bar(False), four_bar(True)
+    alone = four_bar(False)
+    hanging = four_bar(True)
     a = alone.trace(driver, alone.assemble({"A": 0.3}).q)
     b = hanging.trace(driver, hanging.assemble({"A": 0.3, **STILL}).q)
     assert a.closed and b.closed and b.s[-1] == pytest.approx(a.s[-1], abs=1e-9) and "unseen" not in a.status
@@ -82,7 +84,8 @@ def test_hunt_four_bars_on_bars_in_line(hunt):
         start = alone.assemble(start={"A": float(rng.uniform(-3, 3))})
         assert start
         A = alone.q_dict(start.q)
-        a, b = alone.trace("A", start.q), hanging.trace("A", hanging.q({**A, **STILL}))
+        a = alone.trace("A", start.q)
+        b = hanging.trace("A", hanging.q({**A, **STILL}))
         assert a.closed == b.closed and b.s[-1] == pytest.approx(a.s[-1], abs=1e-7)
 
 
@@ -114,7 +117,8 @@ def test_two_freedoms_on_bars_in_line_are_refused():
 
 def rssr_on_bars(draw: np.random.Generator, on_bars: bool, form: str) -> kempe.System:
     """A rod between two arms, on the ground or on bars in line; `form` says whether the rod spins (SS) or not (SU)."""
-    w, ground = World("rssr"), "ground"
+    w = World("rssr")
+    ground = "ground"
     if on_bars:
         w.turn("ground", "s1", (0, 0, 0), name="SA")
         w.turn("s1", "s2", (0.3, 0, 0), name="SB")

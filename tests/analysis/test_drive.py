@@ -22,7 +22,8 @@ def crossed(a: float, d: float, A: float) -> np.ndarray:
     """The antiparallelogram with cranks a and links d at crank angle A: B, D, C by the mirror image of C."""
     B = a * np.array([math.cos(A), math.sin(A)])
     C = circles(B, d, [d, 0.0], a, -1.0 if math.sin(A) > 0 else 1.0)
-    b, D = math.atan2(*(C - B)[::-1]), math.atan2(*(C - [d, 0.0])[::-1])
+    b = math.atan2(*(C - B)[::-1])
+    D = math.atan2(*(C - [d, 0.0])[::-1])
     return np.array([A, b - A, D, D - b])
 
 
@@ -32,13 +33,15 @@ def parallel_error(q):
 
 def crossed_error(q):
     """tan(D/2) = (d + a)/(d - a) * -tan(A/2) for links 1 and 2, without poles."""
-    A, D = q[:, 0] / 2, q[:, 2] / 2
+    A = q[:, 0] / 2
+    D = q[:, 2] / 2
     return float(np.abs(np.sin(D) * np.cos(A) * 1.0 + 3.0 * np.sin(A) * np.cos(D)).max())
 
 
 def kite_error(q):
     """The pin C is the mirror image of the pivot A about the line from D to B (links 1, 1, 2, 2)."""
-    A, D = q[:, 0], q[:, 2]
+    A = q[:, 0]
+    D = q[:, 2]
     return same_angle(D, 2 * np.arctan2(np.sin(A), np.cos(A) - 2.0) - math.pi)
 
 
@@ -84,7 +87,10 @@ def test_a_full_turn_back_and_forth_retraces():
 
 
 def test_at_a_toggle_the_last_pose_is_held_and_it_goes_on_when_the_input_comes_back():
-    a, b, c, d = 2.0, 1.5, 2.2, 3.0
+    a = 2.0
+    b = 1.5
+    c = 2.2
+    d = 3.0
     limit = math.acos((a * a + d * d - (b + c) ** 2) / (2 * a * d))
     inputs = np.concatenate([np.linspace(0.5, 2.5, 40), np.linspace(2.5, 0.5, 40)])
     motion = drive(four_bar(a, b, c, d), {"A": inputs}, start={"A": 0.5})
@@ -100,7 +106,10 @@ def test_at_a_toggle_the_last_pose_is_held_and_it_goes_on_when_the_input_comes_b
 
 
 def test_the_toggle_itself_is_reached():
-    a, b, c, d = 2.0, 1.5, 2.2, 3.0
+    a = 2.0
+    b = 1.5
+    c = 2.2
+    d = 3.0
     limit = math.acos((a * a + d * d - (b + c) ** 2) / (2 * a * d))
     inputs = [0.5, limit - 1e-6, limit, limit - 1e-6, 0.5]
     motion = drive(four_bar(a, b, c, d), {"A": inputs}, start={"A": 0.5})
@@ -129,7 +138,8 @@ def five_bar():
 
 
 def turned(p, about, by):
-    c, s = np.cos(by), np.sin(by)
+    c = np.cos(by)
+    s = np.sin(by)
     v = p - about
     return about + np.stack([c * v[0] - s * v[1], s * v[0] + c * v[1]], axis=-1)
 
@@ -141,7 +151,8 @@ def test_two_inputs_as_functions_of_time():
     motion = drive(system, courses, times, start=np.zeros(5))
     assert motion.success
     A, E = (np.array([courses[n](t) for t in times]) for n in "AE")
-    B, D = turned(p["B"], p["A"], A), turned(p["D"], p["E"], E)
+    B = turned(p["B"], p["A"], A)
+    D = turned(p["D"], p["E"], E)
     rods = [np.linalg.norm(p["C"] - p[k]) for k in "BD"]
     C = circles(B, rods[0], D, rods[1], 1.0)
     np.testing.assert_allclose(motion.curve("C*")[:, :2], C, atol=1e-12)

@@ -11,7 +11,9 @@ import kempe
 def four_bar(ground: float, crank: float, coupler: float, rocker: float) -> kempe.System:
     """A four-bar by its lengths."""
     m = kempe.Mechanism("four-bar", dim=2)
-    a, b, c = m.body("crank"), m.body("coupler"), m.body("rocker")
+    a = m.body("crank")
+    b = m.body("coupler")
+    c = m.body("rocker")
     m.revolute("A", m.ground, a)
     m.revolute("B", a, b, at=(crank, 0))
     m.revolute("C", b, c, at=(coupler, 0), child_at=(rocker, 0))
@@ -24,7 +26,8 @@ def hunted(rng: np.random.Generator, count: int) -> tuple[int, int]:
     tally = [0, 0]
     for _ in range(count):
         lengths = rng.uniform(0.2, 1.0, 4)
-        least, most = lengths.min(), lengths.max()
+        least = lengths.min()
+        most = lengths.max()
         if most > 0.98 * (lengths.sum() - most) or abs(2 * (least + most) - lengths.sum()) < 0.1:
             continue  # it does not close, or it is near the border
         path = four_bar(*lengths).trace("A")
@@ -78,7 +81,8 @@ def test_mechanisms_of_many_dyads_are_left_alone():
     left = m.body("a0")
     m.revolute("A0", m.ground, left)
     for i in range(7):
-        bar, right = m.body(f"b{i}"), m.body(f"a{i + 1}")
+        bar = m.body(f"b{i}")
+        right = m.body(f"a{i + 1}")
         m.revolute(f"B{i}", left, bar, at=(0.4, 0))
         m.revolute(f"C{i}", bar, right, at=(1, 0), child_at=(0.45, 0))
         m.revolute(f"A{i + 1}", m.ground, right, at=(i + 1, 0))

@@ -19,7 +19,9 @@ from kempe.kinematics.common.gauss_newton import least_squares
 def two_slides(tilt: float) -> kempe.System:
     """A bar between two slides in the plane that are nearly parallel: its joints run far out, and come back."""
     m = Mechanism("two slides", dim=2)
-    a, b, c = m.body("a"), m.body("b"), m.body("c")
+    a = m.body("a")
+    b = m.body("b")
+    c = m.body("c")
     m.prismatic("S", m.ground, a, axis=(1, 0))
     m.revolute("A", a, b)
     m.revolute("B", b, c, at=(1, 0))
@@ -29,7 +31,9 @@ def two_slides(tilt: float) -> kempe.System:
 
 def rprp(offset: float) -> kempe.System:
     m = Mechanism("rprp", dim=2)
-    a, b, c = m.body("a"), m.body("b"), m.body("c")
+    a = m.body("a")
+    b = m.body("b")
+    c = m.body("c")
     m.revolute("A", m.ground, a)
     m.prismatic("S", a, b, axis=(1, 0))
     m.revolute("B", b, c)
@@ -39,7 +43,8 @@ def rprp(offset: float) -> kempe.System:
 
 def three_slides() -> kempe.System:
     m = Mechanism("wedge", dim=2)
-    a, b = m.body("a"), m.body("b")
+    a = m.body("a")
+    b = m.body("b")
     m.prismatic("A", m.ground, a, axis=(1, 0))
     m.prismatic("B", a, b, axis=(1, 1))
     m.prismatic("C", m.ground, b, axis=(1, 2))
@@ -48,7 +53,8 @@ def three_slides() -> kempe.System:
 
 def screws() -> kempe.System:
     m = Mechanism("screws")
-    a, b = m.body("a"), m.body("b")
+    a = m.body("a")
+    b = m.body("b")
     m.helical("H", m.ground, a, pitch=0.01)
     m.helical("K", a, b, pitch=0.013)
     m.prismatic("P", m.ground, b)
@@ -64,12 +70,14 @@ def slide() -> kempe.System:
 def gears(ratio: float, bars: bool = False) -> kempe.System:
     """Two wheels, the second `ratio` times as fast; with `bars` pins on both are joined by two bars."""
     m = Mechanism("gears", dim=2)
-    a, b = m.body("a"), m.body("b")
+    a = m.body("a")
+    b = m.body("b")
     m.revolute("A", m.ground, a)
     m.revolute("B", m.ground, b, at=(2, 0))
     m.couple("B", {"A": ratio})
     if bars:
-        c, d = m.body("c"), m.body("d")
+        c = m.body("c")
+        d = m.body("d")
         m.revolute("C", a, c, at=(0.3, 0))
         m.revolute("D", c, d, at=(2, 0))
         m.revolute("E", b, d, at=(0.4, 0), child_at=(1.5, 0))
@@ -127,7 +135,8 @@ def test_nearly_parallel_slides_come_back(tilt):
 def test_ratios_of_whole_numbers_close(hunt):
     rng = hunt.rng()
     for _ in range(hunt.cases(6)):
-        p, q = int(rng.integers(1, 30)), int(rng.integers(1, 30))
+        p = int(rng.integers(1, 30))
+        q = int(rng.integers(1, 30))
         path = gears(p / q).trace(budget=kempe.Budget(step=1.0))
         assert path.closed and path.turns == {"A": q // math.gcd(p, q)}, (p, q)
 
@@ -182,7 +191,8 @@ def test_other_branches_that_were_not_followed_are_reported(looks):
 
 
 def test_samples_points_and_self_motions_keep_what_was_done(looks):
-    s, panda = kempe.load("four_bar"), kempe.load("panda")
+    s = kempe.load("four_bar")
+    panda = kempe.load("panda")
     path = s.trace()
     looks(1500)
     motion = s.drive({"A": np.linspace(0.0, 6.0, 300)}, budget=kempe.Budget(time_limit=5.0))
@@ -197,7 +207,8 @@ def test_samples_points_and_self_motions_keep_what_was_done(looks):
 
 
 def test_modes_and_paths_of_targets_keep_what_was_done(looks):
-    s, panda = kempe.load("rssr"), kempe.load("panda")
+    s = kempe.load("rssr")
+    panda = kempe.load("panda")
     looks(40)
     modes = s.assembly_modes({"A": 0.4}, frame="rocker", budget=kempe.Budget(time_limit=5.0))
     assert modes.late and modes and "found from 384 starts" in modes.status and "time limit" in modes.status
@@ -210,7 +221,8 @@ def test_modes_and_paths_of_targets_keep_what_was_done(looks):
 @pytest.mark.parametrize("verb", ["trace", "resample", "drive", "self_motion", "assembly_modes", "ik_path"])
 @pytest.mark.parametrize("limit", [0.0, -1.0, "5", True])
 def test_wrong_limits_are_refused(verb, limit):
-    s, panda = kempe.load("four_bar"), kempe.load("panda")
+    s = kempe.load("four_bar")
+    panda = kempe.load("panda")
     calls = {
         "trace": lambda: s.trace(budget=kempe.Budget(time_limit=limit)),
         "resample": lambda: s.trace().resample(5, budget=kempe.Budget(time_limit=limit)),
@@ -254,13 +266,17 @@ def test_an_interrupt_keeps_the_path(monkeypatch, phase):
 )
 def test_points_at_equal_distances_are_those_of_newtons_method_point_by_point(name):
     path = kempe.load(name).trace()
-    found, e, T = path.resample(137), path.track.equations, path.track
+    found = path.resample(137)
+    e = path.track.equations
+    T = path.track
     assert found.s.tolist() == np.linspace(0.0, path.length, 137).tolist()
     for s, q in zip(found.s, found.q, strict=True):
         k = int(np.clip(np.searchsorted(T.s, s, side="right") - 1, 0, len(T.s) - 2))
         size = T.s[k + 1] - T.s[k]
-        u, y = (s - T.s[k]) / size, e.between(T.q[k], T.q[k + 1])
-        a, b = size * T.t[k], size * T.t[k + 1]
+        u = (s - T.s[k]) / size
+        y = e.between(T.q[k], T.q[k + 1])
+        a = size * T.t[k]
+        b = size * T.t[k + 1]
         x = e.move(T.q[k], u * (1 - u) ** 2 * a + u * u * (3 - 2 * u) * y - u * u * (1 - u) * b)
         for _ in range(3):
             F, J = e.both(x)

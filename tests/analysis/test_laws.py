@@ -15,11 +15,13 @@ from kempe.kinematics.measure import judge
 def chain(n: int, loop: bool = False) -> kempe.Mechanism:
     """A planar chain of n links of length 1 on hinges J1 ... Jn."""
     m = kempe.Mechanism("chain", dim=2)
-    last, at = m.ground, (0.0, 0.0)
+    last = m.ground
+    at = (0.0, 0.0)
     for k in range(1, n + 1):
         link = m.body(f"link{k}")
         m.revolute(f"J{k}", last, link, at=at)
-        last, at = link, (1.0, 0.0)
+        last = link
+        at = (1.0, 0.0)
     m.frame("tip", last, at=(1.0, 0.0))
     return m
 
@@ -149,10 +151,12 @@ def test_functions_without_series():
 @pytest.mark.parametrize("count", [30, pytest.param(1000, marks=pytest.mark.slow)])
 def test_random_laws_against_their_own_derivatives(hunt, count: int):
     """Laws A v + B sin v = c in 5 coordinates: freedoms are the nullity of A + B cos v at a random solution."""
-    rng, n = hunt.rng(), 5
+    rng = hunt.rng()
+    n = 5
     names = tuple(f"J{i}" for i in range(1, n + 1))
     for _ in range(hunt.cases(count)):
-        k, q = int(rng.integers(1, 5)), rng.normal(size=n)
+        k = int(rng.integers(1, 5))
+        q = rng.normal(size=n)
         A, B = rng.normal(size=(2, k, n))
         if k > 1 and rng.random() < 0.5:  # a law that follows from the others
             A[-1], B[-1] = A[:-1].sum(axis=0), B[:-1].sum(axis=0)
@@ -245,7 +249,10 @@ def test_time_and_rolling_together():
 
 def swaying(rng: np.random.Generator) -> tuple[kempe.System, tuple[float, ...]]:
     """Three hinges, one law in time that ties two of them: A + c sin(B) = a sin(w t + p)."""
-    a, c, w, p = rng.uniform(0.1, 0.5), rng.uniform(-0.6, 0.6), rng.uniform(0.5, 4.0), rng.uniform(-3, 3)
+    a = rng.uniform(0.1, 0.5)
+    c = rng.uniform(-0.6, 0.6)
+    w = rng.uniform(0.5, 4.0)
+    p = rng.uniform(-3, 3)
     m = chain(3)
     m.equation("sway", f"J1 + {c!r}*sin(J2) = {a!r}*sin({w!r}*t + {p!r})", time=True)
     return m.build(), (float(a), float(c), float(w), float(p))

@@ -33,9 +33,12 @@ def chain(
     lengths: list[float], angles: list[float], scale: float = 1.0, mirrored: bool = False, cut: int = -1, name: str = ""
 ) -> tuple[System, np.ndarray]:  # fmt: skip
     """A planar loop of links one after the other at these angles to the ground, the last back to (lengths[-1], 0)."""
-    m, n, way = Mechanism("chain", dim=2), len(lengths) - 1, -1.0 if mirrored else 1.0
+    m = Mechanism("chain", dim=2)
+    n = len(lengths) - 1
+    way = -1.0 if mirrored else 1.0
     names = [f"{name}j{i}" for i in range(n + 1)]
-    before, q = m.ground, {}
+    before = m.ground
+    q = {}
     for i in range(n):
         link = m.body(f"{name}b{i}")
         at = (0.0, 0.0) if i == 0 else (scale * lengths[i - 1], 0.0)
@@ -55,8 +58,12 @@ def flat(lengths: list[float], signs: list[int], **how) -> tuple[System, np.ndar
 
 def dead_centres_in_a_row(scale: float = 1.0, mirrored: bool = False, cut: str = "") -> tuple[System, np.ndarray]:
     """Two stretched bars shift a slider by -s^2, which another bar, at its own dead centre, forbids: s^4 = 0."""
-    m, way = Mechanism("dead centres", dim=2), -1.0 if mirrored else 1.0
-    a, b, k, c = m.body("a"), m.body("b"), m.body("k"), m.body("c")
+    m = Mechanism("dead centres", dim=2)
+    way = -1.0 if mirrored else 1.0
+    a = m.body("a")
+    b = m.body("b")
+    k = m.body("k")
+    c = m.body("c")
     m.revolute("j1", m.ground, a)
     m.revolute("j2", a, b, at=(scale, 0), cut=cut == "j2")
     m.prismatic("s", m.ground, k, at=(2 * scale, 0), axis=(1, 0))
@@ -83,7 +90,9 @@ def double_watt(
         m.revolute(f"r{k}", right, middle, at=(-scale * way * size, 0), child_at=low)
         return middle
 
-    one, two, bar = watt(1, 0.0, 1.0, 1.0), watt(2, 1.0, -1.0 if turned else 1.0, second), m.body("bar")
+    one = watt(1, 0.0, 1.0, 1.0)
+    two = watt(2, 1.0, -1.0 if turned else 1.0, second)
+    bar = m.body("bar")
     m.revolute("m1", one, bar, cut=cut == "m1")
     m.revolute("m2", bar, two, at=(scale, 0), cut=cut == "m2")
     system = m.build()
@@ -184,7 +193,8 @@ def test_stretched_bars_are_isolated_of_the_second_order():
 
 def test_leading_coefficient_of_stretched_bars():
     """Turn the bars, of lengths a and b, by u/a and -u/b: their end comes nearer by u^2 (1/a + 1/b) / 2 + O(u^4)."""
-    a, b = 1.0, 1.6
+    a = 1.0
+    b = 1.6
     system, q = flat([a, b, a + b], [1, 1])
     equations = Equations(system)
     at = reduction.split(equations, q)
@@ -268,7 +278,8 @@ def test_flat_loops_by_the_signature_of_their_quadratic_form(seed, links):
     loop is rigid; else its zeros are a cone, two lines where there are two unknowns (Morse's lemma).
     """
     rng = np.random.default_rng(seed)
-    lengths, signs = rng.uniform(0.6, 1.4, size=links), rng.choice([1, -1], size=links)
+    lengths = rng.uniform(0.6, 1.4, size=links)
+    signs = rng.choice([1, -1], size=links)
     if (lengths * signs).sum() < 0.3:
         signs = -signs
     w = lengths * signs
@@ -351,7 +362,8 @@ def test_a_cusp_anyhow(power, mirrored, cut):
 def test_random_mechanisms_anyhow(seed, power, mirrored):
     plain = tripod(seed, 6).build()
     other = tripod(seed, 6, 10.0**power, mirrored, flip=True).build()
-    one, two = local_dimension(plain, plain.neutral), local_dimension(other, other.neutral)
+    one = local_dimension(plain, plain.neutral)
+    two = local_dimension(other, other.neutral)
     assert key(one) == key(two)
 
 
@@ -412,7 +424,8 @@ def test_equations_say_the_same_as_the_loops(name):
 def test_declared_constraints_and_relations_count():
     """A rod makes a planar two-link arm a four-bar; a relation of both angles then holds it."""
     m = Mechanism("arm", dim=2)
-    upper, lower = m.body("upper"), m.body("lower")
+    upper = m.body("upper")
+    lower = m.body("lower")
     m.revolute("a", m.ground, upper)
     m.revolute("b", upper, lower, at=(1, 0))
     m.distance("rod", m.ground, lower, at=(2, 1), child_at=(1, 0), length=1.0)
@@ -450,7 +463,8 @@ def test_open_configurations_are_refused_with_the_joint():
 
 
 def test_last_digits_are_corrected():
-    a, b = 0.4, 0.5
+    a = 0.4
+    b = 0.5
     system, q = chain([1.0, 1.0, 1.0, 2 * cos(a) + cos(b)], [a, -b, -a], name="")
     assert abs(sin(a) - sin(b) - sin(a)) > 0.1  # not closed: a guess
     equations = Equations(system)
@@ -484,7 +498,8 @@ def in_a_row(stages: int) -> World:
     w = World("dead centres", 2)
     w.turn("ground", "a", (0, 0))
     w.turn("a", "b", (1, 0))
-    p, along = np.array([2.0, 0.0]), np.array([1.0, 0.0])
+    p = np.array([2.0, 0.0])
+    along = np.array([1.0, 0.0])
     w.turn("b", "k0", p)
     w.slide("k0", "ground", along, p)
     for i in range(1, stages):

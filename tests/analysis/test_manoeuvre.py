@@ -87,7 +87,8 @@ def test_any_configuration_is_reached_slow(hunt):
 
 @pytest.mark.parametrize("radius", [0.5, 1.0, 3.0])
 def test_lengths_are_those_of_reeds_and_shepp(hunt, radius):
-    rng, system = hunt.rng(), wheels.knife()
+    rng = hunt.rng()
+    system = wheels.knife()
     for _ in range(hunt.cases(20)):
         goal = rng.uniform(-3, 3, 3)
         best = ways(goal[0] / radius, goal[1] / radius, goal[2])[0]
@@ -96,7 +97,8 @@ def test_lengths_are_those_of_reeds_and_shepp(hunt, radius):
 
 def test_planes_and_joints_of_any_kind(hunt):
     """The structure counts: slides and a turn in any order, plane, place of the axle."""
-    rng, done = hunt.rng(), 0
+    rng = hunt.rng()
+    done = 0
     for _ in range(hunt.cases(30)):
         system = wheels.tilted(rng)
         start, goal = rng.uniform(-3, 3, (2, 3))
@@ -125,7 +127,8 @@ def test_sideways_by_alternation():
 def test_a_coin_arrives_with_its_own_angle(place, phase):
     """A triangle of sides, or a way forwards and back, has the length that the angle asks for."""
     system = wheels.coin()
-    start, goal = np.array([0.1, 0.2, 0.3, 0.4]), np.array([0.1 + place[0], 0.2 + place[1], 2.0, phase])
+    start = np.array([0.1, 0.2, 0.3, 0.4])
+    goal = np.array([0.1 + place[0], 0.2 + place[1], 2.0, phase])
     path = system.manoeuvre(start, goal)
     check(system, path, start, goal, "yoke")
     assert np.array_equal(path.q[-1], goal)
@@ -166,7 +169,8 @@ def front_slip(system, path) -> float:
 
 
 def test_a_car_steers(hunt):
-    rng, system = hunt.rng(), wheels.car()
+    rng = hunt.rng()
+    system = wheels.car()
     for _ in range(hunt.cases(5)):
         start, goal = rng.uniform(-1.4, 1.4, (2, 4))
         for radius in (None, 2.0):
@@ -177,7 +181,8 @@ def test_a_car_steers(hunt):
 
 def test_a_car_with_limits_takes_its_smallest_circle():
     system = wheels.car(limits=(-0.6, 0.5))
-    start, goal = np.zeros(4), np.array([0.0, 1.0, 0.0, 0.2])
+    start = np.zeros(4)
+    goal = np.array([0.0, 1.0, 0.0, 0.2])
     path = system.manoeuvre(start, goal)
     check(system, path, start, goal, "body")
     least = 1.2 / math.tan(0.5)
@@ -192,7 +197,8 @@ def test_a_car_with_limits_takes_its_smallest_circle():
 
 def test_limits_of_the_place_choose_the_way():
     """The tip of the triangle, or the shortest way, is on the side where there is room."""
-    free, narrow = wheels.knife(), wheels.knife(limits={"x": (-0.1, 5.0)})
+    free = wheels.knife()
+    narrow = wheels.knife(limits={"x": (-0.1, 5.0)})
     goal = np.array([0.0, 1.0, 0.0])
     assert free.manoeuvre(np.zeros(3), goal, radius=2.0).q[:, 0].min() < -0.1
     path = narrow.manoeuvre(np.zeros(3), goal, radius=2.0)
@@ -213,12 +219,14 @@ def test_velocity_limits_are_kept(radius):
 
 def test_an_arm_on_the_cart_moves_along():
     m = Mechanism("cart with arm", dim=2)
-    body, arm = m.body("body"), m.body("arm")
+    body = m.body("body")
+    arm = m.body("arm")
     m.planar("pose", m.ground, body)
     m.revolute("elbow", body, arm, at=(0.2, 0), limits=(-3, 3), velocity=0.5)
     m.no_sideslip("edge", "body")
     system = m.build()
-    start, goal = np.zeros(4), np.array([1.0, 1.0, 0.0, 2.5])
+    start = np.zeros(4)
+    goal = np.array([1.0, 1.0, 0.0, 2.5])
     path = system.manoeuvre(start, goal)
     check(system, path, start, goal, "body")
     assert np.abs(path.velocity(path.t)[:, 3]).max() <= 0.5 + 1e-12
@@ -242,7 +250,8 @@ def test_far_from_the_origin(radius):
 
 def test_radii_and_distances_of_all_sizes(hunt):
     """From micrometres to a hundred kilometres, goals that are near in angle or place among them."""
-    rng, system = hunt.rng(), wheels.knife()
+    rng = hunt.rng()
+    system = wheels.knife()
     for _ in range(hunt.cases(100)):
         turn = rng.choice([0.0, 1e-9, 1e-5, 0.1, 3.0, math.pi, -math.pi / 2])
         goal = np.append(rng.uniform(-1, 1, 2) * 10.0 ** rng.uniform(-5, 4) * (rng.random() < 0.8), turn)
@@ -268,7 +277,9 @@ def holonomic():
 
 def serial():
     m = Mechanism("arm", dim=2)
-    a, b, c = m.body("a"), m.body("b"), m.body("c")
+    a = m.body("a")
+    b = m.body("b")
+    c = m.body("c")
     m.revolute("1", m.ground, a)
     m.revolute("2", a, b, at=(1, 0))
     m.revolute("3", b, c, at=(1, 0))

@@ -62,7 +62,8 @@ def test_what_planar_mechanisms_count_to_in_space(name, spatial):
 
 
 def test_the_same_four_bar_in_the_plane_and_in_space():
-    flat, solid = mobility(kempe.load("four_bar")), mobility(kempe.load("four_bar_spatial"))
+    flat = mobility(kempe.load("four_bar"))
+    solid = mobility(kempe.load("four_bar_spatial"))
     assert (flat.gruebler, flat.dof, flat.redundant) == (1, 1, 0)
     assert (solid.gruebler, solid.dof, solid.redundant) == (flat.gruebler_spatial, 1, 3)
     assert "Gruebler says -2, the truth is 1: 3 constraints are redundant" in str(solid)
@@ -108,7 +109,8 @@ def test_couplings_locks_and_declared_constraints_take_away_freedoms():
     joints = [n for n in base.joints if base.joints[n].type.type_name == "revolute"]
     geared = base.copy()
     closed = base.postures["closed"]
-    a, b = joints[0], joints[-1]
+    a = joints[0]
+    b = joints[-1]
     geared.gear(b, a, -1.0, closed.get(b, 0.0) + closed.get(a, 0.0))
     m = mobility(geared.build())
     assert (m.gruebler, m.dof) == (1, 1) and "coupling" in m.counting.steps[1]
@@ -133,7 +135,8 @@ def test_rods_lines_and_planes():
 
 def m_rank(system: System) -> int:
     """Nullity of the loop equations by differences."""
-    q, h = system.neutral, 1e-6
+    q = system.neutral
+    h = 1e-6
     space = system.configuration_space
     columns = [(residual(system, space.integrate(q, h * e)) - residual(system, space.integrate(q, -h * e))) / (2 * h)
                for e in np.eye(system.nv)]  # fmt: skip
@@ -288,7 +291,8 @@ def test_releases_remove_what_is_redundant_and_nothing_else(name):
     system = slotted() if name == "slotted" else kempe.load(name)
     m = mobility(system, local=False)
     released = {r.joint: r.reactions for r in m.redundancy.releases}
-    full, kept = held_rows(system, m.q, {}), held_rows(system, m.q, released)
+    full = held_rows(system, m.q, {})
+    kept = held_rows(system, m.q, released)
     assert len(full) == len(kept) + m.redundant
     assert rank_of(full) == rank_of(kept) == len(kept)
     assert rank_of(full) == 6 * (len(system.body_names) - 1) - m.rank_dof
@@ -320,9 +324,11 @@ def held_rows(system: System, q: np.ndarray, released: dict[str, tuple[str, ...]
     for joint in system.structure.joints.values():
         F = pose[joint.parent] @ joint.X_PF.evaluate(system.structure.parameters)
         M = pose[joint.child] @ joint.X_CM.evaluate(system.structure.parameters)
-        R, p = F[:3, :3], M[:3, 3]
+        R = F[:3, :3]
+        p = M[:3, 3]
         if joint.type.type_name == "universal":
-            x, y = F[:3, 0], M[:3, 1]
+            x = F[:3, 0]
+            y = M[:3, 1]
             R = np.stack([x, y, np.cross(x, y)], axis=1)
         own = {f"F{a}": np.r_[R[:, k], np.cross(p, R[:, k])] for k, a in enumerate("xyz")}
         own |= {f"M{a}": np.r_[0, 0, 0, R[:, k]] for k, a in enumerate("xyz")}
@@ -378,7 +384,8 @@ def test_two_rods_where_one_would_do():
 
 def test_a_gear_can_be_the_redundant_constraint():
     m = kempe.load("parallelogram").mechanism
-    a, b = "A", next(j.name for j in m.joints.values() if j.parent == m.ground.name and j.name != "A")
+    a = "A"
+    b = next(j.name for j in m.joints.values() if j.parent == m.ground.name and j.name != "A")
     m.gear(b, a, 1.0)
     system = m.build()
     q = {n: v for n, v in kempe.load("parallelogram").mechanism.postures["closed"].items() if n != b}
@@ -391,7 +398,8 @@ def test_a_gear_can_be_the_redundant_constraint():
 
 
 def test_motors_that_control_are_too_few_or_too_many():
-    four, five = kempe.load("four_bar"), kempe.load("five_bar")
+    four = kempe.load("four_bar")
+    five = kempe.load("five_bar")
     assert mobility(four, actuated=["A"]).control.complete
     both = mobility(four, actuated=["A", "D"]).control
     assert both.complete and both.excess == 1 and "redundant actuation" in str(both)
@@ -421,7 +429,8 @@ def test_idle_spins_need_no_motor():
 
 def test_a_slider_cannot_drive_its_crank_through_the_dead_point():
     system = kempe.load("slider_crank")
-    r, rod = system.structure.parameters["r"], system.structure.parameters["l"]
+    r = system.structure.parameters["r"]
+    rod = system.structure.parameters["l"]
     slide = next(j.name for j in system.structure.joints.values() if j.type.type_name == "prismatic")
     dead = system.assemble({slide: r + rod - 1e-9}, start=system.assemble({"A": 0.01}).q).q
     stretched = system.assemble({"A": 0.0}, start=dead).q
@@ -437,7 +446,8 @@ def test_a_slider_cannot_drive_its_crank_through_the_dead_point():
 @pytest.mark.parametrize("name", ["bennett", "delta_uu", "wunderlich", "stewart_sps", "four_links"])
 def test_the_report_is_text_html_and_data(name):
     m = mobility(kempe.load(name), local=name != "wunderlich")
-    text, data = str(m), json.loads(json.dumps(m.data()))
+    text = str(m)
+    data = json.loads(json.dumps(m.data()))
     assert m.sentence in text and data["gruebler"] == m.gruebler and data["dof"] == m.dof
     assert "<table>" in m._repr_html_() and m.name in m._repr_html_()
     assert len(data["idle_freedoms"]) == m.idle
@@ -507,7 +517,8 @@ def test_what_is_nearly_a_mechanism_is_none_for_certain_or_probably_one(off):
     world = World("nearly")
     for j in system.structure.joints.values():
         F = pose[j.parent] @ j.X_PF.evaluate(system.structure.parameters)
-        p, z = F[:3, 3] + off * rng.normal(size=3), F[:3, 2] + off * rng.normal(size=3)
+        p = F[:3, 3] + off * rng.normal(size=3)
+        z = F[:3, 2] + off * rng.normal(size=3)
         world.turn(*("ground" if b == system.body_names[0] else b for b in (j.parent, j.child)), p, z)
     report = look(world)
     assert report.dof == 0 if report.certain else "probably" in report.sentence

@@ -25,7 +25,8 @@ NAMES = ["four_bar", "slider_crank", "double_parallelogram", "peaucellier", "thr
 
 @st.composite
 def changes(draw, system: System) -> Change:
-    joints, bodies = list(system.structure.joints.values()), system.body_names
+    joints = list(system.structure.joints.values())
+    bodies = system.body_names
     planar = system.dim == 2
     seed = draw(st.integers(0, 2**16))
     rng = np.random.default_rng(seed)
@@ -62,7 +63,8 @@ def test_names_orders_cuts_ground_units_and_hands_do_not_matter(name, data):
     change = data.draw(changes(system))
     other = rebuilt(system, q, change)
     want, got = (mobility(s, s.neutral, local=False) for s in (passive, other))
-    reported, seen = facts(want), facts(got, change.prefix)
+    reported = facts(want)
+    seen = facts(got, change.prefix)
     if any(change.ground in f.bodies for f in want.idle_freedoms):  # what spins about the ground is a swing
         assert reported.pop("idle") - seen.pop("idle") in (0, 1)
     assert got.closed and seen == reported
@@ -89,7 +91,8 @@ KINDS = ["revolute", "prismatic", "cylindrical", "universal", "planar", "spheric
 def closed_mechanisms(draw) -> System:
     """A random tree at random coordinates, with joints added whose frames coincide there: closed at zero of these."""
     rng = np.random.default_rng(draw(st.integers(0, 2**16)))
-    n, loops = draw(st.integers(3, 8)), draw(st.integers(1, 3))
+    n = draw(st.integers(3, 8))
+    loops = draw(st.integers(1, 3))
     tree = Mechanism("random")
 
     def random_pose() -> np.ndarray:
@@ -124,7 +127,8 @@ def couple(m: Mechanism, values: dict[str, float], rng: np.random.Generator, cou
     rng.shuffle(free)
     for _ in range(count):
         if len(free) > 3:
-            of, sources = free.pop(), free[: int(rng.integers(1, 3))]
+            of = free.pop()
+            sources = free[: int(rng.integers(1, 3))]
             ratios = {s: float(rng.uniform(0.5, 2.0)) for s in sources}
             offset = values.get(of, 0.0) - sum(r * values.get(s, 0.0) for s, r in ratios.items())
             m.couple(of, ratios, offset)

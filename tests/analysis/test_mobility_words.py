@@ -23,7 +23,8 @@ LIBRARY = sorted(p.stem for p in (Path(kempe.__file__).parent / "library").glob(
 
 def parallel_rods(rng: np.random.Generator, off: float) -> World:
     """A plate on three or four rods of one length and direction but for an error: rigid."""
-    w, v = World("rods", 2), rng.normal(size=2)
+    w = World("rods", 2)
+    v = rng.normal(size=2)
     for k, p in enumerate(rng.normal(size=(int(rng.integers(3, 5)), 2))):
         w.turn("ground", f"rod{k}", p)
         w.turn(f"rod{k}", "plate", p + v + off * rng.normal(size=2))
@@ -32,14 +33,16 @@ def parallel_rods(rng: np.random.Generator, off: float) -> World:
 
 def two_balls_of_hinges(rng: np.random.Generator, off: float) -> World:
     """Two balls of three hinges each that miss each other by an error: rigid."""
-    w, bodies = World("hinges"), ["ground", *"abcde", "ground"]
+    w = World("hinges")
+    bodies = ["ground", *"abcde", "ground"]
     for i, center in enumerate(np.repeat(rng.normal(size=(2, 3)), 3, axis=0)):
         w.turn(bodies[i], bodies[i + 1], center + off * rng.normal(size=3), rng.normal(size=3))
     return w
 
 
 def check_doubt(hunt: Hunt, kind, cases: int) -> None:
-    rng, answers = hunt.rng(), set()
+    rng = hunt.rng()
+    answers = set()
     for _ in range(hunt.cases(cases)):
         off = 10.0 ** rng.uniform(-10.5, -7)
         system = kind(rng, off).build()

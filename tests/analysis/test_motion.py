@@ -48,7 +48,10 @@ def pins(a, d, A, D, c):
 
 
 def test_crank_rocker_by_circles():
-    a, b, c, d = 1.0, 2.5, 2.0, 3.0
+    a = 1.0
+    b = 2.5
+    c = 2.0
+    d = 3.0
     path = trace(four_bar(a, b, c, d), "A", {"A": 0.5})
     assert path.closed and path.success and path.turns["A"] == 1 and not path.turning_points
     A = path.values("A")
@@ -63,7 +66,10 @@ def test_crank_rocker_by_circles():
 
 
 def test_crank_rocker_driven_from_the_rocker_has_its_dead_points_where_crank_and_coupler_align():
-    a, b, c, d = 1.0, 2.5, 2.0, 3.0
+    a = 1.0
+    b = 2.5
+    c = 2.0
+    d = 3.0
     path = trace(four_bar(a, b, c, d), "D", {"A": 0.5})
     assert path.closed and [e.kind for e in path.turning_points] == 2 * ["fold of the driver"]
     inner = [math.pi - math.acos((c * c + d * d - r * r) / (2 * c * d)) for r in (b - a, b + a)]
@@ -75,7 +81,10 @@ def test_crank_rocker_driven_from_the_rocker_has_its_dead_points_where_crank_and
 
 
 def test_double_rocker_turns_back_at_the_law_of_cosines():
-    a, b, c, d = 2.0, 1.5, 2.2, 3.0
+    a = 2.0
+    b = 1.5
+    c = 2.2
+    d = 3.0
     path = trace(four_bar(a, b, c, d), "A", {"A": 0.8})
     assert path.closed and "A" not in path.turns
     extreme = math.acos((a * a + d * d - (b + c) ** 2) / (2 * a * d))
@@ -85,10 +94,13 @@ def test_double_rocker_turns_back_at_the_law_of_cosines():
 
 
 def test_slider_crank_dead_centres():
-    r, rod, offset = 1.0, 2.3, 0.4
+    r = 1.0
+    rod = 2.3
+    offset = 0.4
     path = trace(slider_crank(r, rod, offset), "S", [0.6, -1.0, 0.0, 3.0])
     assert path.closed and abs(path.turns["A"]) == 1
-    A, S = path.values("A"), path.values("S")
+    A = path.values("A")
+    S = path.values("S")
     exact = r * np.cos(A) + np.sqrt(rod**2 - (r * np.sin(A) - offset) ** 2)
     np.testing.assert_allclose(S, exact, atol=1e-13)
     ends = [math.sqrt((rod - r) ** 2 - offset**2), math.sqrt((rod + r) ** 2 - offset**2)]
@@ -120,13 +132,16 @@ def test_jansen_foot_by_chained_circles():
 
 def polar_watt(a, b, c, point):
     """|left - right| of the equation of Watt's curve: ground 2 a, cranks b, coupler 2 c, polar about the middle."""
-    r2, t = point @ point, math.atan2(point[1], point[0])
+    r2 = point @ point
+    t = math.atan2(point[1], point[0])
     root = math.sqrt(max(c * c - (a * math.cos(t)) ** 2, 0.0))
     return min(abs(r2 - b * b + (a * math.sin(t) + s * root) ** 2) for s in (1, -1))
 
 
 def test_watt_curve_has_its_published_equation():
-    a, b, c = 1.5, 1.1, 0.7
+    a = 1.5
+    b = 1.1
+    c = 0.7
     system = four_bar(b, 2 * c, b, 2 * a, tracer=(c, 0.0))
     path = trace(system, "A", [0.5, -1.4, math.pi - 0.5, 0.0])
     assert path.closed
@@ -155,9 +170,11 @@ def nearest_s(path, s, coordinate, value):
     """Arc length near `s` at which a coordinate has a value, by the secant method."""
     i = path.system.coordinate_names.index(coordinate)
     f = lambda x: math.remainder(path.at(x)[i] - value, TURN)  # noqa: E731
-    a, b = s - 0.01, s + 0.01
+    a = s - 0.01
+    b = s + 0.01
     for _ in range(30):
-        fa, fb = f(a), f(b)
+        fa = f(a)
+        fb = f(b)
         if fa == fb:
             break
         a, b = b, b - fb * (b - a) / (fb - fa)
@@ -168,7 +185,8 @@ def test_hoeken_linkage_is_on_its_line_at_quarter_turns():
     """Crank 1, ground 2, coupler and rocker 2.5, tracer at twice the coupler: (4, 4), (2, 4), (0, 4)."""
     path = trace(four_bar(1, 2.5, 2.5, 2, tracer=(5.0, 0.0)), "A", [math.pi / 2, -0.6, 1.6, 0.0])
     assert path.closed and path.turns["A"] == 1
-    A, P = path.values("A"), path.curve("P")[:, :2]
+    A = path.values("A")
+    P = path.curve("P")[:, :2]
     B, C = pins(1.0, 2.0, A, path.values("D"), 2.5)
     np.testing.assert_allclose(P, 2 * C - B, atol=1e-13)
     up = P[:, 1].mean() > 0  # the other assembly mode is the mirror image
@@ -180,7 +198,8 @@ def test_hoeken_linkage_is_on_its_line_at_quarter_turns():
 
 
 def test_bennett_relation_along_the_branch():
-    alpha, beta = math.radians(40), math.radians(70)
+    alpha = math.radians(40)
+    beta = math.radians(70)
     system = bennett(1.0, math.sin(beta) / math.sin(alpha), alpha, beta)
     K = math.sin((beta + alpha) / 2) / math.sin((beta - alpha) / 2)
     second = 2 * math.atan(K / math.tan(0.5))
@@ -196,7 +215,9 @@ def test_bennett_relation_along_the_branch():
 def universal_rssr(angles: bool):
     """Crank and rocker in space joined by a rod with a universal and a spherical joint."""
     m = Mechanism("RUSR")
-    crank, rod, rocker = m.body("crank"), m.body("rod"), m.body("rocker")
+    crank = m.body("crank")
+    rod = m.body("rod")
+    rocker = m.body("rocker")
     m.revolute("A", m.ground, crank)
     m.revolute("D", m.ground, rocker, at=(2, 0, 0.5), rpy=(0.5, 1.2, 0))
     m.universal("B", crank, rod, at=(0.5, 0, 0))
@@ -213,7 +234,8 @@ def test_spatial_path_with_a_quaternion_closes_and_keeps_the_rod():
     assert path.closed
     rod = np.linalg.norm(path.curve("pin") - path.curve("ball"), axis=1)
     assert np.abs(rod - 2.0).max() < 1e-13
-    first, last = system.fk(path.q[0]), system.fk(path.q[-1])
+    first = system.fk(path.q[0])
+    last = system.fk(path.q[-1])
     assert np.abs(first - last).max() < 1e-12
     # the rocker turns back where the sphere about its ball only touches the circle of the pin
     assert len(path.turning_points) == 2
@@ -240,7 +262,8 @@ def test_parallelogram_change_points_and_branches():
     # rates (A, B, D, C): parallel (1, -1, 1, -1); the other by the heights and, in second order, by the line
     np.testing.assert_allclose(np.abs(first.directions[0]), 0.5, atol=1e-8)
     crossed = first.directions[1] / first.directions[1][0]
-    coupler, rocker = 1.0 + crossed[1], crossed[2]
+    coupler = 1.0 + crossed[1]
+    rocker = crossed[2]
     assert -1 + 2 * coupler == pytest.approx(-rocker, abs=1e-7)
     assert coupler**2 * 2 - 1 + rocker**2 == pytest.approx(0.0, abs=1e-7)
     assert abs(coupler) > 0.1
@@ -249,7 +272,8 @@ def test_parallelogram_change_points_and_branches():
 def test_branches_of_the_parallelogram():
     parallel, crossed = branches(four_bar(1, 2, 1, 2), "A", {"A": 0.8, "B": -0.8, "D": 0.8})
     assert same_angle(parallel.values("A"), parallel.values("D")) < 1e-12
-    A, D = crossed.values("A"), crossed.values("D")
+    A = crossed.values("A")
+    D = crossed.values("D")
     product = np.sin(A / 2) * np.cos(D / 2), np.cos(A / 2) * np.sin(D / 2)
     ratio = np.linalg.lstsq(product[0][:, None], product[1], rcond=None)[0][0]  # tan(D/2) / tan(A/2) is constant
     assert np.abs(product[1] - ratio * product[0]).max() < 1e-9 and abs(ratio - 1) > 0.5
@@ -302,7 +326,8 @@ def test_nearly_a_parallelogram_turns_the_corner(gap):
     """Branches that nearly meet do not cross: the coupler goes over from parallel to crossed and back."""
     path = trace(four_bar(1.0, 2.0 - gap, 1.0, 2.0), "A", [0.8, -0.8, 0.8, -0.8])
     assert path.closed and not path.singular_points
-    A, D = path.values("A"), path.values("D")
+    A = path.values("A")
+    D = path.values("D")
     assert same_angle(A, D) > 1.0
     parallel, crossed = branches(four_bar(1, 2, 1, 2), "A", {"A": 0.8, "B": -0.8, "D": 0.8})
     # the corners cut off a length of order sqrt(gap); staying on one branch would miss 12
@@ -357,7 +382,8 @@ def test_more_freedoms_are_refused_by_name_or_held():
         trace(system, "A", np.zeros(5))
     path = trace(system, "A", np.zeros(5), hold={"E": 0.1})
     assert path.closed and np.abs(path.values("E") - 0.1).max() < 1e-14 and path.held == ("E",)
-    B, D = path.curve("B*"), path.curve("D*")
+    B = path.curve("B*")
+    D = path.curve("D*")
     C = path.curve("C*")
     assert np.ptp(np.linalg.norm(C - B, axis=1)) < 1e-13 and np.ptp(np.linalg.norm(C - D, axis=1)) < 1e-13
 
@@ -517,7 +543,8 @@ def test_what_has_no_coordinates_does_not_move():
 
 def test_a_trace_without_a_start_begins_where_one_sided_constraints_hold():
     m = kempe.Mechanism("slot", dim=2)
-    crank, link = m.body("crank"), m.body("link")
+    crank = m.body("crank")
+    link = m.body("link")
     m.revolute("A", m.ground, crank)
     m.revolute("B", m.ground, link, at=(0.5, 0))
     m.frame("pin", crank, at=(0.3, 0))
@@ -533,7 +560,8 @@ def test_a_trace_without_a_start_begins_where_one_sided_constraints_hold():
 
 def test_bounds_that_are_not_approached_cost_no_search(monkeypatch):
     """A bound is looked for between two points only where the quantity can have its largest value in between."""
-    counted, whole = [], one_sided_ends.root
+    counted = []
+    whole = one_sided_ends.root
     monkeypatch.setattr(one_sided_ends, "root", lambda *given: counted.append(1) or whole(*given))
     m = kempe.Mechanism("slot", dim=2)
     m.revolute("A", m.ground, m.body("crank"))
@@ -597,8 +625,11 @@ ELSEWHERE = ("cusp", "cubic", "tacnode", "close", "node")
 def germ_case(name: str, rng: np.random.Generator) -> tuple[kempe.System, list[np.ndarray]]:
     """Slides on a germ in axes that are turned, scaled and bent, and its branches (n, 2) sampled finely."""
     law, powers = GERMS[name]
-    turn, scale, bent = rng.uniform(-math.pi, math.pi), 10.0 ** rng.uniform(-0.2, 0.2), rng.uniform(-0.3, 0.3)
-    c, s = scale * math.cos(turn), scale * math.sin(turn)
+    turn = rng.uniform(-math.pi, math.pi)
+    scale = 10.0 ** rng.uniform(-0.2, 0.2)
+    bent = rng.uniform(-0.3, 0.3)
+    c = scale * math.cos(turn)
+    s = scale * math.sin(turn)
     u = f"({c!r}*x+{s!r}*y)"
     v = f"({-s!r}*x+{c!r}*y+{bent!r}*{u}^2)"
     system = slides(law.replace("u", "@").replace("v", v).replace("@", u), 0.4 / scale)

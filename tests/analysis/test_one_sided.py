@@ -42,9 +42,11 @@ SYSTEMS = ("four_bar", "puma560", "five_bar", "two_link", pytest.param("stewart"
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_limits_that_are_reached(name, hunt):
     """Limits are put where coordinates are, below, above, or both; oracle: linear programs over the whole cone."""
-    system, rng = kempe.load(name), hunt.rng()
+    system = kempe.load(name)
+    rng = hunt.rng()
     q = system.mobility(local=False).q
-    at, v = system.structure.layout.vector_q, system.structure.layout.vector_v
+    at = system.structure.layout.vector_q
+    v = system.structure.layout.vector_v
     for _ in range(hunt.cases(5)):
         limits = np.column_stack([np.full(system.nv, -np.inf), np.full(system.nv, np.inf)])
         G = []
@@ -56,7 +58,8 @@ def test_limits_that_are_reached(name, hunt):
             if kind > 1:
                 limits[k, 1] = q[i]
                 G.append(-np.eye(system.nv)[k])
-        E, G = evaluate(system, q, True, True)[1], np.array(G).reshape(-1, system.nv)
+        E = evaluate(system, q, True, True)[1]
+        G = np.array(G).reshape(-1, system.nv)
         found = one_sided(system.with_limits(limits), q)
         assert len(found.active) == len(G)
         assert not found.violated
@@ -231,20 +234,24 @@ def constrained(q, chosen):
     out.contact("ball", "hand", on="lifted", radius=0.05)
     out.contact("floor", "hand", on="low")
     out.constrain(kempe.constraints.Distance("hand", "anchor", at_least=0.2 + shift[3], at_most=1.4 - shift[2]), "rope")
-    low, high = -0.9 + shift[4:7], 0.9 - shift[7:]
+    low = -0.9 + shift[4:7]
+    high = 0.9 - shift[7:]
     out.constrain(kempe.constraints.InBox("elbow", low, high, other="anchor"), name="box")
     return out.build()
 
 
 def tilt():
-    c, s = np.cos(0.1), np.sin(0.1)
+    c = np.cos(0.1)
+    s = np.sin(0.1)
     return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
 
 
 @pytest.mark.parametrize("number", [12, pytest.param(150, marks=pytest.mark.slow)])
 def test_what_declared_constraints_allow(number, hunt):
     """Oracle: gradients by differences of poses, and linear programs."""
-    system, rng, closed = cage().build(), hunt.rng(), 0
+    system = cage().build()
+    rng = hunt.rng()
+    closed = 0
     for _ in range(hunt.cases(number)):
         q = rng.uniform(-1.0, 1.0, system.nq)
         chosen = rng.random(10) < 0.5
@@ -256,7 +263,8 @@ def test_what_declared_constraints_allow(number, hunt):
         assert not found.violated
         assert len(found.active) == chosen.sum()
         assert np.sort([s.slack for s in found.sides]) == pytest.approx(np.sort(np.where(chosen, 0.0, 0.3)), abs=1e-9)
-        G, E = J[chosen], np.zeros((0, system.nv))
+        G = J[chosen]
+        E = np.zeros((0, system.nv))
         closed += len(G)
         if not len(G):
             continue

@@ -115,7 +115,8 @@ def test_half_branches_that_are_shaky_and_next_to_each_other_are_one():
 
 def test_rates_that_are_none_of_a_bennett_linkage(monkeypatch):
     """Its own are recognised; where opposite joints turn the other way against each other nothing stays closed."""
-    calls, whole = [], known_motions.half_angles
+    calls = []
+    whole = known_motions.half_angles
     monkeypatch.setattr(known_motions, "half_angles", lambda *given: calls.append(given) or whole(*given))
     system = kempe.load("bennett")
     local_dimension(system, system.q("closed"))
@@ -154,7 +155,8 @@ def test_branches_of_one_equation(law, ends):
 
 def test_a_quadratic_form_counts_branches_only_where_no_direction_is_lost(monkeypatch):
     """Nor do forms that are far below rounding count any."""
-    found, whole = [], leading_forms.decide
+    found = []
+    whole = leading_forms.decide
     monkeypatch.setattr(leading_forms, "decide", lambda *given: found.append(whole(*given)) or found[-1])
     for law in ("y^2 - x^3", "y^2 - x^2*(1 + x)", "x^3 - 3*x*y^2 + 1e-20*(x^2 + y^2)", "x^2 + y^2"):
         local_dimension(slides(law), [0.0, 0.0])
@@ -164,7 +166,8 @@ def test_a_quadratic_form_counts_branches_only_where_no_direction_is_lost(monkey
 @pytest.mark.parametrize("far", [1.1, 0.93])
 def test_a_step_leads_towards_a_sphere_from_outside_and_from_inside(far):
     equations = Equations(slides("y"))
-    center, radii = np.array([[0.3, 0.0]]) * equations.length, np.ones(1)
+    center = np.array([[0.3, 0.0]]) * equations.length
+    radii = np.ones(1)
     q = center + equations.length * far * np.array([[1.0, 0.0]])
     q = equations._step(equations._project(q, center, radii, 0), center, radii, FLAT)
     assert np.linalg.norm(q - center) / equations.length == pytest.approx(1.0, abs=0.006)
@@ -189,7 +192,8 @@ def test_random_places_are_as_far_away_as_links_are_long(length):
     m.velocity_equation("w", [[0.0, 0.0]], of=("x", "y"))
     rows = tangent_rows(m.build())
     assert rows.units[:2] == pytest.approx([length, length], rel=0.5)
-    place, rng = EvaluationPoint(rows, np.zeros(2), 0.0, (), lambda q: q), np.random.default_rng(0)
+    place = EvaluationPoint(rows, np.zeros(2), 0.0, (), lambda q: q)
+    rng = np.random.default_rng(0)
     found = np.array([random_place(place, rng).q for _ in range(200)]) / rows.units[:2]
     assert np.sqrt((found**2).mean(axis=0)) == pytest.approx([0.7, 0.7], rel=0.2)
 

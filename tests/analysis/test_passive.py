@@ -32,8 +32,10 @@ def assert_spins(system: System, q: np.ndarray, f: IdleFreedom) -> None:
     group = {*f.bodies, *f.links}
     moved = {j.name for j in system.mechanism.joints.values() if {j.parent, j.child} & group}
     others = {n: x for n, x in system.q_dict(q).items() if n.partition(".")[0] not in moved}
-    point, direction = np.array(f.point), np.array(f.direction)
-    before, turn = system.fk(q), np.eye(4)
+    point = np.array(f.point)
+    direction = np.array(f.direction)
+    before = system.fk(q)
+    turn = np.eye(4)
     speed = f.velocity / rate_of(system, q, f)
     angle = ANGLE / np.max(speed**2)
     turn[:3, :3] = exp_so3(angle * direction)
@@ -91,7 +93,8 @@ def through_joints(w: World, f: IdleFreedom) -> bool:
 @pytest.mark.parametrize("first, second", [*product(FORMS, FORMS)])
 def test_a_rod_spins_whatever_its_balls_are_made_of(first, second):
     r = Rods(np.random.default_rng(5))
-    a, b = r.arm("ground"), r.arm("ground")
+    a = r.arm("ground")
+    b = r.arm("ground")
     r.ball(a, "rod", r.point(), first)
     r.ball("rod", b, r.point(), second)
     system = r.world.build()
@@ -127,7 +130,8 @@ def test_a_leg_whose_hip_goes_through_a_ball_is_not_idle(actuated):
 
 def test_a_motor_that_is_named_keeps_a_rod_from_being_idle():
     r = Rods(np.random.default_rng(1))
-    a, b = r.arm("ground"), r.arm("ground")
+    a = r.arm("ground")
+    b = r.arm("ground")
     w = r.world
     for k, (i, j) in enumerate(zip((a, "x", "y"), ("x", "y", "rod"), strict=True)):
         w.turn(i, j, (0, 0, 1), np.eye(3)[k], name=f"m{k}")

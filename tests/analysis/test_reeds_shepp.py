@@ -12,7 +12,8 @@ from kempe.analysis.manoeuvre.reeds_shepp import cusps_of, length_of, ways
 
 def follow(way) -> np.ndarray:
     """The pose at the end of a way, by complex numbers: independent of the formula under test."""
-    z, h = 0j, 0.0
+    z = 0j
+    h = 0.0
     for curvature, length in way:
         if curvature:
             centre = z + 1j * curvature * np.exp(1j * h)
@@ -80,7 +81,8 @@ def polished(way: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
 @pytest.mark.parametrize("starts", [6, pytest.param(150, marks=pytest.mark.slow)])
 def test_no_shorter_way_of_up_to_five_pieces_was_found(hunt, starts):
     """Random sequences of arcs and lines, led to the goal: an upper bound that shares nothing with the formulas."""
-    rng, near = hunt.rng(), 0
+    rng = hunt.rng()
+    near = 0
     for goal in goals(rng, hunt.cases(12)):
         if np.abs(goal).max() > 20:
             continue

@@ -41,9 +41,11 @@ def test_links_of_four_bars_turn_about_known_points():
     rocker = bar.loops.relative_motion(q, "rocker", "ground")
     assert rocker.dof == 1 and rocker.slides == 0 and "a turn about z through (0.4, 0, 0)" in rocker.sentence
     motion = bar.loops.relative_motion(q, "coupler", "ground")
-    v, w = motion.twists[:2, 0], motion.twists[5, 0]
+    v = motion.twists[:2, 0]
+    w = motion.twists[5, 0]
     pole = pins["B"] + np.array([-v[1], v[0]]) / w
-    along, off = pins["B"] - pins["A"], pole - pins["A"]
+    along = pins["B"] - pins["A"]
+    off = pole - pins["A"]
     assert abs(along[0] * off[1] - along[1] * off[0]) < 1e-9  # on the line of the crank
 
 
@@ -62,14 +64,16 @@ def test_the_coupler_of_a_parallelogram_slides():
 def test_twists_are_rates_of_relative_poses():
     """In trees: twists span the differences of relative poses, and nothing else."""
     system = kempe.load("seven_bodies")
-    q, h = system.random(5), 1e-6
+    q = system.random(5)
+    h = 1e-6
     for body, to in (("B7", "B2"), ("B4", "B6"), ("B3", "B0")):
         found = system.loops.relative_motion(q, body, to)
 
         def pose(x, body=body, to=to):
             return spatial.inverse(system.fk(x, to)) @ system.fk(x, body)
 
-        X, columns = pose(q), []
+        X = pose(q)
+        columns = []
         for e in np.eye(system.nq):
             D = (pose(q + h * e) - pose(q - h * e)) / (2 * h)
             W = D[:3, :3] @ X[:3, :3].T

@@ -32,7 +32,8 @@ def test_a_ball_bounces_to_rest_and_rolls_on_evenly():
     system = ball(limits={"z": (0.1, None)})
     start = system.q({"at.z": 1.1})
     r = system.simulate(5.0, start, velocity={"at.x": 0.5, "at.wz": 3.0}, restitution=0.8)
-    first, speed = math.sqrt(2 / G), math.sqrt(2 * G)
+    first = math.sqrt(2 / G)
+    speed = math.sqrt(2 * G)
     end = first + 2 * 0.8 * speed / (G * 0.2)
     bounces = [e for e in r.events if e.kind == "bounce"]
     k = np.arange(len(bounces))
@@ -120,7 +121,8 @@ def declared(shape: str = "ball", at=(0.0, 0.0, 0.0), radius: float = 0.1):
 def test_declared_contacts_are_bounced_on():
     system = declared()
     r = system.simulate(8.0, system.q({"at.z": 1.1}), velocity={"at.x": 1.0, "at.wy": 2.0}, restitution=0.7)
-    first, speed = math.sqrt(2 / G), math.sqrt(2 * G)
+    first = math.sqrt(2 / G)
+    speed = math.sqrt(2 * G)
     wall = [e for e in r.events if e.contacts == ("wall",)]
     assert len(wall) == 1 and wall[0].time == pytest.approx(1.9, abs=1e-12) and wall[0].after == pytest.approx(0.7)
     floor = [e.time for e in r.events if e.contacts == ("floor",)]
@@ -147,7 +149,8 @@ def test_a_floor_that_slopes(hunt):
         gap = (r.q - X[:3, 3]) @ X[:3, 2]
         assert r and r.events and gap.min() > -1e-9
         for e in r.events[:20]:
-            before, after = r.velocity(max(e.time - 1e-9, 0.0)), r.velocity(e.time)
+            before = r.velocity(max(e.time - 1e-9, 0.0))
+            after = r.velocity(e.time)
             assert abs((e.q - X[:3, 3]) @ X[:3, 2]) < 1e-9
             assert np.abs((after - before) @ X[:3, :2]).max() < 1e-7
             if e.after > 1e-6:
@@ -230,9 +233,12 @@ def test_bad_input_is_named(options, error):
 
 def test_a_car_follows_its_inputs(hunt):
     """Against the equations of the bicycle: x' = v cos h, y' = v sin h, h' = v tan(steer) / length."""
-    rng, system = hunt.rng(), wheels.car(length=1.2)
+    rng = hunt.rng()
+    system = wheels.car(length=1.2)
     for _ in range(hunt.cases(4)):
-        a, w, v = rng.uniform(0.1, 0.4), rng.uniform(0.5, 2), rng.uniform(-2, 2)
+        a = rng.uniform(0.1, 0.4)
+        w = rng.uniform(0.5, 2)
+        v = rng.uniform(-2, 2)
         inputs = {"body.vx": v, "steer": lambda t, a=a, w=w: a * math.cos(w * t)}
         r = system.simulate(6.0, np.zeros(4), inputs=inputs, budget=kempe.Budget(points=30))
 
@@ -256,7 +262,8 @@ def test_a_coin_in_a_circle_comes_back():
 def test_a_ball_rolls_on_a_plane():
     """On a circle, with some spin: x' = r wy, y' = -r wx."""
     m = Mechanism("ball on plane")
-    a, b = m.body("carrier"), m.body("ball")
+    a = m.body("carrier")
+    b = m.body("ball")
     m.translation("at", m.ground, a, at=(0.0, 0.0, 0.2))
     m.spherical("turn", a, b)
     m.rolls("floor", "ball", radius=0.2, shape="ball")
@@ -274,7 +281,9 @@ def test_a_ball_rolls_on_a_plane():
 @pytest.mark.slow
 def test_loops_stay_closed():
     m = Mechanism("four-bar", dim=2)
-    crank, coupler, rocker = m.body("crank"), m.body("coupler"), m.body("rocker")
+    crank = m.body("crank")
+    coupler = m.body("coupler")
+    rocker = m.body("rocker")
     m.revolute("A", m.ground, crank)
     m.revolute("B", crank, coupler, at=(1, 0))
     m.revolute("C", coupler, rocker, at=(3, 0), child_at=(2.5, 0))
@@ -339,7 +348,10 @@ def test_a_floor_that_rises_evenly_is_a_floor_at_rest_seen_from_itself(hunt):
     """Times, rates of gaps and the end of all bounces by Galilei's change of the frame of reference."""
     rng = hunt.rng()
     for _ in range(hunt.cases(8)):
-        u, h, v, e = rng.uniform(-2, 2), rng.uniform(0.1, 1), rng.uniform(-1, 1), rng.uniform(0.1, 0.6)
+        u = rng.uniform(-2, 2)
+        h = rng.uniform(0.1, 1)
+        v = rng.uniform(-1, 1)
+        e = rng.uniform(0.1, 0.6)
         r = above(f"{u!r}*t").simulate(3.0, {"at.y": h}, velocity=[0.7, v], restitution=e)
         still = above("0").simulate(3.0, {"at.y": h}, velocity=[0.7, v - u], restitution=e)
         large = 1e-4 * abs(still.events[0].before)  # on planes that move, lower hops count as the rest of the series
@@ -355,18 +367,24 @@ def test_a_floor_that_rises_evenly_is_a_floor_at_rest_seen_from_itself(hunt):
 
 def flown_over(law, rate, h, e, duration):
     """Impacts (time, rate of the gap) of a particle that falls from h onto a floor, by steps of 10 microseconds."""
-    y, v, t, out = h, 0.0, 0.0, []
+    y = h
+    v = 0.0
+    t = 0.0
+    out = []
     while True:
         s = t + np.concatenate([np.geomspace(1e-8, 1e-5, 200), np.arange(1e-5, duration - t + 1e-5, 1e-5)])
         gap = y + v * (s - t) - 0.5 * G * (s - t) ** 2 - law(s)
         k = int(np.argmax(gap < 0.0))
         if not k:
             return out
-        a, b = s[k - 1], s[k]
+        a = s[k - 1]
+        b = s[k]
         for _ in range(60):
             c = 0.5 * (a + b)
             a, b = (a, c) if y + v * (c - t) - 0.5 * G * (c - t) ** 2 - law(c) < 0.0 else (c, b)
-        y, v, t = law(a), v - G * (a - t), a
+        y = law(a)
+        v = v - G * (a - t)
+        t = a
         if t > duration:
             return out
         out.append((t, v - rate(t)))
@@ -377,11 +395,15 @@ def test_a_ball_on_a_table_that_vibrates(hunt):
     """Against a search of impacts in small steps; the first ones, before chaos has made rounding large."""
     rng = hunt.rng()
     for _ in range(hunt.cases(12)):
-        A, w, p = rng.uniform(0.02, 0.2), rng.uniform(2, 12), rng.uniform(-3, 3)
-        h, e = A + rng.uniform(0.05, 0.5), rng.uniform(0.5, 1.0)
+        A = rng.uniform(0.02, 0.2)
+        w = rng.uniform(2, 12)
+        p = rng.uniform(-3, 3)
+        h = A + rng.uniform(0.05, 0.5)
+        e = rng.uniform(0.5, 1.0)
         system = above(f"{A!r}*sin({w!r}*t + {p!r})")
         r = system.simulate(1.5, {"at.y": h}, restitution=e)
-        law, rate = lambda t, A=A, w=w, p=p: A * np.sin(w * t + p), lambda t, A=A, w=w, p=p: A * w * np.cos(w * t + p)
+        law = lambda t, A=A, w=w, p=p: A * np.sin(w * t + p)
+        rate = lambda t, A=A, w=w, p=p: A * w * np.cos(w * t + p)
         wanted = [x for x in flown_over(law, rate, h, e, 1.5) if abs(x[1]) > 1e-2][:8]
         found = [(x.time, x.before) for x in r.events if x.kind == "bounce"][: len(wanted)]
         assert np.abs(np.array(found) - wanted).max(initial=0.0) < 1e-7
@@ -393,7 +415,8 @@ def test_a_body_stays_on_a_table_until_that_falls_faster():
     """Without rebound: it leaves where the table's acceleration is -g, and lands after a parabola."""
     r = above("sin(10*t)/10").simulate(0.82, {"at.y": 0.0}, velocity=[0.0, 1.0], restitution=0.0)
     leaves = math.asin(G / 10) / 10
-    place, speed = math.sin(10 * leaves) / 10, math.cos(10 * leaves)
+    place = math.sin(10 * leaves) / 10
+    speed = math.cos(10 * leaves)
     assert [e.kind for e in r.events] == ["leaves", "lands", "leaves"]
     assert r.events[0].time == pytest.approx(leaves, abs=1e-8)
     s = r.events[1].time - leaves
@@ -448,6 +471,8 @@ def test_bounces_end_by_the_time_limit_with_those_that_were_computed(monkeypatch
     monkeypatch.setattr(bounces, "look", asked)
     ball = kempe.load("ball")
     part = ball.simulate(1e5, start={"flight.z": 1.1}, restitution=1.0, budget=kempe.Budget(time_limit=1000.0))
-    first, each = np.sqrt(2.0 / 9.81), np.sqrt(8.0 / 9.81)  # a fall of 1 m, and between two bounces twice its time
+    # a fall of 1 m, and between two bounces twice its time
+    first = np.sqrt(2.0 / 9.81)
+    each = np.sqrt(8.0 / 9.81)
     assert not part and part.late and len(part.events) == 50
     assert part.t[-1] == pytest.approx(first + 49 * each) and abs(part.q[-1, 2] - 0.1) < 1e-6

@@ -77,7 +77,8 @@ def test_a_rod_that_spins_moves_as_one_that_does_not(form, cut, planar):
     start = spins.neutral.copy()
     assert_same(spins.trace("A", start), rests.trace("A", rests.neutral.copy()))
     A = np.linspace(0.0, -0.3, 7)
-    a, b = spins.drive({"A": A}, start=start), rests.drive({"A": A}, start=rests.neutral.copy())
+    a = spins.drive({"A": A}, start=start)
+    b = rests.drive({"A": A}, start=rests.neutral.copy())
     assert np.array_equal(a.held, b.held)
     np.testing.assert_allclose(a.values("D"), b.values("D"), atol=1e-9)
 
@@ -87,7 +88,8 @@ def _hunt_rods(hunt, cases: int) -> None:
     for _ in range(hunt.cases(cases)):
         seed = int(rng.integers(2**32))
         spins, rests = pair(seed, "SS", planar=bool(rng.random() < 0.25), cut=str(rng.choice(["", "B", "C"])))
-        start, rod = spins.neutral.copy(), spins.mobility(spins.neutral, local=False).idle_freedoms[0]
+        start = spins.neutral.copy()
+        rod = spins.mobility(spins.neutral, local=False).idle_freedoms[0]
         start = spins.configuration_space.integrate(start, rng.uniform(-3, 3) * rod.velocity)
         assert_same(spins.trace("A", start), rests.trace("A", rests.neutral.copy()))
 
@@ -114,13 +116,15 @@ def assert_spun_is_the_same(unit, rng: np.random.Generator) -> bool:
     r = Rods(rng)
     unit(r, "ground")
     system = r.world.build()
-    q, report = system.neutral.copy(), system.mobility(system.neutral, local=False)
+    q = system.neutral.copy()
+    report = system.mobility(system.neutral, local=False)
     chart = system.independent(q)
     assert chart.dim == report.rank_dof and len(chart.idle) == report.idle == len(r.idle) and chart.useful
     spun = q
     for f in report.idle_freedoms:
         spun = system.configuration_space.integrate(spun, rng.uniform(-1, 1) * f.velocity / np.linalg.norm(f.velocity))
-    t, values = np.linspace(0.0, 0.02, 3), system.q_dict(q)
+    t = np.linspace(0.0, 0.02, 3)
+    values = system.q_dict(q)
     if not {*chart.useful} <= {*values}:
         return False
     inputs = {n: values[n] + t * (-1) ** i for i, n in enumerate(chart.useful)}
@@ -145,7 +149,8 @@ def test_hunt_what_spins_in_other_ways(unit, hunt):
 
 @pytest.mark.slow
 def test_hunt_many_things_that_spin(hunt):
-    rng, cases = hunt.rng(), hunt.cases(120)
+    rng = hunt.rng()
+    cases = hunt.cases(120)
     driven = sum(assert_spun_is_the_same(SPINNING[int(rng.integers(len(SPINNING)))], rng) for _ in range(cases))
     assert driven > 0.9 * cases
 
@@ -169,7 +174,8 @@ def test_names_of_bodies_and_joints_do_not_matter(tmp_path):
 @pytest.mark.parametrize("driver", part(["leg1", "leg2"]))
 def test_a_platform_on_balls_moves_as_one_on_universal_joints(driver):
     """`stewart_sps` and `stewart` have the same geometry: five legs held, one driven, or all six driven."""
-    ends, places = [], []
+    ends = []
+    places = []
     for name in ("stewart_sps", "stewart"):
         system = kempe.load(name)
         q = system.q("closed")

@@ -58,7 +58,9 @@ def test_four_bar_rates_are_freudensteins():
     system, q = four_bar_on_branch()
     J = loop_jacobian(system, q, ["A"], ["D", "B"])
     assert J.success.all() and J.matrix.shape == (25, 2, 1) and J.rows == ("D", "B")
-    crank, rocker, coupler = q[:, 0], q[:, 2], q[:, 0] + q[:, 1]
+    crank = q[:, 0]
+    rocker = q[:, 2]
+    coupler = q[:, 0] + q[:, 1]
     exact = 1.0 * np.sin(coupler - crank) / (2.0 * np.sin(coupler - rocker))
     np.testing.assert_allclose(J.matrix[:, 0, 0], exact, rtol=1e-12, atol=1e-13)
     own = -1.0 * np.sin(crank - rocker) / (2.5 * np.sin(coupler - rocker)) - 1.0  # of B, which counts from the crank
@@ -87,7 +89,9 @@ def test_two_inputs_and_a_long_linkage_by_differences():
 @pytest.mark.slow
 def test_space_and_quaternions_by_differences():
     m = Mechanism("RUSR")
-    crank, rod, rocker = m.body("crank"), m.body("rod"), m.body("rocker")
+    crank = m.body("crank")
+    rod = m.body("rod")
+    rocker = m.body("rocker")
     m.revolute("A", m.ground, crank)
     m.revolute("D", m.ground, rocker, at=(2, 0, 0.5), rpy=(0.5, 1.2, 0))
     m.universal("B", crank, rod, at=(0.5, 0, 0))
@@ -99,7 +103,9 @@ def test_space_and_quaternions_by_differences():
     np.testing.assert_allclose(J.matrix[:6], differences(system, x, ["D"], "rod"), atol=1e-6)
     # an idle spin of the rod does not matter to what does not spin
     m = Mechanism("RSSR")
-    crank, rod, rocker = m.body("crank"), m.body("rod"), m.body("rocker")
+    crank = m.body("crank")
+    rod = m.body("rod")
+    rocker = m.body("rocker")
     m.revolute("A", m.ground, crank)
     m.revolute("D", m.ground, rocker, at=(2, 0, 0.5), rpy=(0.5, 1.2, 0))
     m.spherical("B", crank, rod, at=(0.5, 0, 0))
@@ -118,7 +124,8 @@ def test_space_and_quaternions_by_differences():
 
 @pytest.mark.parametrize("t", [0.3, 1.0, 2.5])
 def test_bennett_rates(t):
-    alpha, beta = math.radians(40), math.radians(70)
+    alpha = math.radians(40)
+    beta = math.radians(70)
     system = bennett(1.0, math.sin(beta) / math.sin(alpha), alpha, beta)
     K = math.sin((beta + alpha) / 2) / math.sin((beta - alpha) / 2)
     second = 2 * math.atan(K / math.tan(t / 2))
@@ -128,7 +135,10 @@ def test_bennett_rates(t):
 
 
 def test_dead_points_and_change_points_are_refused_with_their_rank():
-    a, b, c, d = 2.0, 1.5, 2.2, 3.0
+    a = 2.0
+    b = 1.5
+    c = 2.2
+    d = 3.0
     system = four_bar(a, b, c, d)
     path = trace(system, "D", {"A": 0.8})
     found = dead_points(path, "A")
@@ -144,7 +154,8 @@ def test_dead_points_and_change_points_are_refused_with_their_rank():
 
 
 def test_units_of_slides():
-    r, rod = 0.02, 0.05
+    r = 0.02
+    rod = 0.05
     system = slider_crank(r, rod)
     path = trace(system, "A", [0.7, -1.0, 0.0, 0.06])
     q = path.resample(40).q
@@ -169,7 +180,10 @@ def test_mechanical_advantage_at_a_toggle_is_infinite_and_at_a_dead_point_zero()
 
 
 def test_transmission_angle_of_a_four_bar_by_the_law_of_cosines():
-    a, b, c, d = 1.0, 2.5, 2.0, 3.0
+    a = 1.0
+    b = 2.5
+    c = 2.0
+    d = 3.0
     system, q = four_bar_on_branch()
     cosine = (b * b + c * c - a * a - d * d + 2 * a * d * np.cos(q[:, 0])) / (2 * b * c)
     exact = np.arccos(np.abs(cosine))
@@ -183,7 +197,9 @@ def test_transmission_angle_of_a_four_bar_by_the_law_of_cosines():
 
 
 def test_transmission_angle_of_a_slider():
-    r, rod, offset = 1.0, 2.3, 0.4
+    r = 1.0
+    rod = 2.3
+    offset = 0.4
     system = slider_crank(r, rod, offset)
     q = trace(system, "A", [0.6, -1.0, 0.0, 3.0]).resample(30).q
     tilt = np.abs(np.arcsin((r * np.sin(q[:, 0]) - offset) / rod))  # of the rod from the slide
@@ -266,9 +282,11 @@ def test_a_dead_point_of_a_long_chain_is_left_to_the_dense_decomposition():
 
 def test_a_null_space_from_inputs_is_the_null_space_or_nothing(hunt):
     """Random sparse matrices, some of them nearly singular: what is given is the null space, to rounding."""
-    rng, given = hunt.rng(), 0
+    rng = hunt.rng()
+    given = 0
     for _ in range(hunt.cases(200)):
-        m, k = int(rng.integers(3, 40)), int(rng.integers(1, 4))
+        m = int(rng.integers(3, 40))
+        k = int(rng.integers(1, 4))
         A = rng.normal(size=(m, m + k)) * (rng.random((m, m + k)) < 0.3)
         A[np.arange(m), rng.permutation(m + k)[:m]] += rng.normal(size=m)
         if rng.random() < 0.5:  # a row that nearly depends on the others

@@ -38,7 +38,8 @@ def twist(system: System, q: np.ndarray, v: np.ndarray, body: str, p: np.ndarray
 
 def work(system: System, w: Wrenches, v: np.ndarray) -> float:
     """The largest power of a wrench of any joint or constraint along an allowed velocity."""
-    out, m = 0.0, system.mechanism
+    out = 0.0
+    m = system.mechanism
     for name in w.names:
         of = m.joints.get(name) or m.constraints.get(name)
         if of is None or not of.parent:
@@ -97,7 +98,8 @@ def two_bodies() -> Mechanism:
 
 @pytest.mark.parametrize("name", RODS)
 def test_constraints_of_all_kinds(name, hunt):
-    m, rng = two_bodies(), hunt.rng()
+    m = two_bodies()
+    rng = hunt.rng()
     m.constrain(RODS[name](), "it")
     system = m.build()
     w = Wrenches(system, system.assemble(start=system.random(rng)).q)
@@ -166,7 +168,8 @@ def test_as_many_states_as_redundant_constraints(name):
     m = system.mobility(local=False)
     w = m.wrenches
     assert len(w.stresses) == m.redundant_here
-    ground, joints = system.body_names[0], system.structure.joints
+    ground = system.body_names[0]
+    joints = system.structure.joints
     for state in w.stresses:
         total = {body: np.zeros(6) for body in system.body_names}
         for n, wrench in state.wrenches.items():
@@ -203,7 +206,8 @@ def test_a_truss_against_its_equilibrium_matrix(hunt):
     E = np.zeros((12, 9))  # of unit tensions
     for k, (i, j) in enumerate(edges):
         u = (points[j] - points[i]) / np.linalg.norm(points[j] - points[i])
-        E[2 * i : 2 * i + 2, k], E[2 * j : 2 * j + 2, k] = u, -u
+        E[2 * i : 2 * i + 2, k] = u
+        E[2 * j : 2 * j + 2, k] = -u
     tensions = np.linalg.svd(E)[2][np.linalg.matrix_rank(E, 1e-9) :]
     assert len(tensions) == len(found) == 1
     own = [-found[0].wrenches[f"{i}-{j}"][:2] @ (points[j] - points[i]) / np.linalg.norm(points[j] - points[i])
@@ -216,10 +220,12 @@ def test_a_truss_against_its_equilibrium_matrix(hunt):
 
 def test_the_torque_of_a_crank_by_virtual_work(hunt):
     """A force on the coupler of a four-bar against differences of its path (Lanczos, 1970, chapter 3)."""
-    system, rng = kempe.load("four_bar"), hunt.rng()
+    system = kempe.load("four_bar")
+    rng = hunt.rng()
     for _ in range(hunt.cases(20)):
         a = float(rng.uniform(0.2, 6.0))
-        force, q = rng.normal(size=2), system.assemble({"A": a}).q
+        force = rng.normal(size=2)
+        q = system.assemble({"A": a}).q
         at = [system.fk(system.assemble({"A": a + h}, start=q).q, "coupler_point")[:2, 3] for h in (H, -H)]
         found = Wrenches(system, q).under({"coupler_point": force}, held="A")
         assert found.efforts["A"] == pytest.approx(-force @ (at[0] - at[1]) / (2.0 * H), abs=1e-7)
@@ -248,8 +254,10 @@ def carrying(dim: int, particle: bool) -> System:
 @pytest.mark.parametrize("dim", [2, 3])
 def test_what_an_arm_carries(dim, particle, moment):
     """Motors hold -J^T W, the first hinge with its motor the load; the ground carries what lies on it."""
-    s, rng = carrying(dim, particle), np.random.default_rng(2)
-    q, frame = s.random(rng), "end" if particle else "tip"
+    s = carrying(dim, particle)
+    rng = np.random.default_rng(2)
+    q = s.random(rng)
+    frame = "end" if particle else "tip"
     load = np.zeros(6)
     load[[0, 1, 5] if dim == 2 else range(6)] = rng.normal(size=3 if dim == 2 else 6)
     load[3:] *= moment and not particle

@@ -61,11 +61,13 @@ def trailers(n: int, second: bool = False) -> System:
 def steered_car(linkage: bool = False) -> System:
     """A car with a front wheel that is steered, by hand or by a parallelogram of links, which is a closed loop."""
     m = Mechanism("steered car", dim=2)
-    car, wheel = m.body("car"), m.body("wheel")
+    car = m.body("car")
+    wheel = m.body("wheel")
     m.joint("car", "planar", m.ground, car)
     m.joint("steering", "revolute", car, wheel, at=(2.5, 0.0))
     if linkage:
-        lever, rod = m.body("lever"), m.body("rod")
+        lever = m.body("lever")
+        rod = m.body("rod")
         m.joint("A", "revolute", car, lever, at=(1.0, 0.0))
         m.joint("B", "revolute", lever, rod, at=(0.2, 0.4))
         m.joint("C", "revolute", rod, wheel, at=(1.5, 0.1), child_at=(0.2, 0.5))
@@ -86,7 +88,8 @@ def on_plane(shape: str = "ball", **options: object) -> System:
 def upright_disc() -> System:
     """A disc on two slides and two hinges, which keep it upright and on the ground."""
     m = Mechanism("upright disc")
-    fork, disc = m.body("fork"), m.body("disc")
+    fork = m.body("fork")
+    disc = m.body("disc")
     m.joint("place", "planar", m.ground, fork, at=(0.0, 0.0, 0.4))
     m.joint("axle", "revolute", fork, disc, axis=(0.0, 1.0, 0.0))
     m.frame("hub", fork)

@@ -21,13 +21,17 @@ def knife(at=(0.0, 0.0), angle: float = 0.0, limits: dict | None = None) -> Syst
 def tilted(rng: np.random.Generator) -> System:
     """A body on an axle in some plane in space, by two prismatic joints, not at right angles, and a revolute one."""
     m = Mechanism("tilted", dim=3)
-    a, b, body = m.body("a"), m.body("b"), m.body("body")
+    a = m.body("a")
+    b = m.body("b")
+    body = m.body("body")
     rpy = rng.uniform(-1, 1, 3)
     m.fixed("mount", m.ground, a, at=tuple(rng.normal(size=3)), rpy=tuple(rpy))
-    c, d = m.body("c"), m.body("d")
+    c = m.body("c")
+    d = m.body("d")
     skew = rng.uniform(-0.6, 0.6)
     order = list(rng.permutation(3))
-    bodies, kinds = [a, c, d, body], ["x", "y", "turn"]
+    bodies = [a, c, d, body]
+    kinds = ["x", "y", "turn"]
     for i, k in enumerate(order):
         at = tuple(rng.uniform(-0.3, 0.3, 3))
         if kinds[k] == "turn":
@@ -44,7 +48,8 @@ def tilted(rng: np.random.Generator) -> System:
 def car(limits=None, length: float = 1.2) -> System:
     """A car with a steering angle: rear axle and front wheel do not slip."""
     m = Mechanism("car", dim=2)
-    body, fork = m.body("body"), m.body("fork")
+    body = m.body("body")
+    fork = m.body("fork")
     m.planar("pose", m.ground, body)
     m.revolute("steer", body, fork, at=(length, 0.0), limits=limits)
     m.no_sideslip("rear", "body")
@@ -55,7 +60,8 @@ def car(limits=None, length: float = 1.2) -> System:
 def coin(radius: float = 0.5) -> System:
     """A coin that stands upright and rolls on a plane."""
     m = Mechanism("coin", dim=3)
-    yoke, disc = m.body("yoke"), m.body("coin")
+    yoke = m.body("yoke")
+    disc = m.body("coin")
     m.planar("pose", m.ground, yoke, at=(0.0, 0.0, radius))
     m.revolute("roll", yoke, disc, axis="y")
     m.rolls("floor", "coin", radius=radius, shape="disc")
@@ -77,7 +83,8 @@ def differential(radius: float = 0.1, half: float = 0.3) -> System:
 def trailer() -> System:
     """A cart on an axle that pulls a trailer."""
     m = Mechanism("trailer", dim=2)
-    body, behind = m.body("body"), m.body("trailer")
+    body = m.body("body")
+    behind = m.body("trailer")
     m.planar("pose", m.ground, body)
     m.revolute("hitch", body, behind)
     m.frame("wheels", behind, at=(-1.0, 0.0))

@@ -85,7 +85,8 @@ class World:
 
     def build(self, scale: float = 1.0, move: np.ndarray | None = None) -> System:
         T = np.eye(4) if move is None else move
-        d, m = self.dim, Mechanism(self.name, self.dim)
+        d = self.dim
+        m = Mechanism(self.name, self.dim)
         for name in dict.fromkeys(b for j in self.joints for b in j[2:4] if b != "ground"):
             (m.particle if name in self.points else m.body)(name)
 

@@ -95,7 +95,8 @@ def requested(made: c.Constraint, s: System) -> None:
     answer = s.ik(made.demand(weight=None), start=q)
     assert answer.success, answer.status
     assert max(tasks.miss(s, made, answer.q)) < 1e-6
-    J, h = tasks.jacobian(s, made, q), 1e-6
+    J = tasks.jacobian(s, made, q)
+    h = 1e-6
     ends = [tasks.error(s, made, s.configuration_space.integrate(q, x * np.eye(s.nv))) for x in (h, -h)]
     np.testing.assert_allclose(J, ((ends[0] - ends[1]) / (2.0 * h)).T, atol=1e-6)
 
@@ -104,7 +105,8 @@ def declared(made: c.Constraint, s: System, dim: int) -> None:
     """Closed, with as many equations as its rows are, and their Jacobian by differences."""
     q = s.random(5)
     held = sum(r.size(dim) for r in position_rows(made, dim))
-    r, J = closure_rows.residual(s, q), closure_rows.jacobian(s, q)
+    r = closure_rows.residual(s, q)
+    J = closure_rows.jacobian(s, q)
     assert r.shape == (held,) or made.kind in ("pointing", "look_at")
     h = 1e-6
     ends = [closure_rows.residual(s, s.configuration_space.integrate(q, x * np.eye(s.nv))) for x in (h, -h)]

@@ -49,7 +49,8 @@ def _curve(p, dim):
 
 def measured(name: str, dim: int, made, system, q) -> float:
     """The number that a kind measures, from poses alone."""
-    eye, tip = system.fk(q, "eye"), system.fk(q, "tip")
+    eye = system.fk(q, "eye")
+    tip = system.fk(q, "tip")
     X = np.linalg.inv(eye) @ tip if made.other == "eye" else tip
     flat = lambda x: np.pad(np.asarray(x, float), (0, 3 - len(x)))  # noqa: E731
     point = X[:3, 3] + X[:3, :3] @ flat(getattr(made, "point", np.zeros(3)))
@@ -76,12 +77,15 @@ def measured(name: str, dim: int, made, system, q) -> float:
 def test_declared_and_as_tasks(name, dim, bounds, hunt):
     if name in INSTEAD and "at_most" not in bounds:
         bounds = {"at_least": 1.3}
-    made, rng = bounded(name, dim, **bounds), hunt.rng()
-    low, high = bounds.get("at_least", -math.inf), bounds.get("at_most", math.inf)
+    made = bounded(name, dim, **bounds)
+    rng = hunt.rng()
+    low = bounds.get("at_least", -math.inf)
+    high = bounds.get("at_most", math.inf)
     m = two_bodies(dim)
     m.constrain(made, "it")
     assert read_toml(write_toml(m)) == m
-    free, held = two_bodies(dim).build(), m.build()
+    free = two_bodies(dim).build()
+    held = m.build()
     assert held.mobility().dof == free.nv, "one-sided rows take no freedom"
     moved = 0
     for k in range(max(hunt.cases(6), 2)):  # from where the kind holds without bounds, and from far away
@@ -150,8 +154,11 @@ NUMBERS = {
 @pytest.mark.parametrize("bounds", [{"at_least": 0.4}, {"at_most": 0.3}, {"at_least": 0.3, "at_most": 0.35}], ids=str)
 def test_expressions_and_centres_have_bounds(name, bounds, hunt):
     make, number = NUMBERS[name]
-    made, rng, free = make(**bounds), hunt.rng(), two_bodies(3).build()
-    low, high = bounds.get("at_least", -math.inf), bounds.get("at_most", math.inf)
+    made = make(**bounds)
+    rng = hunt.rng()
+    free = two_bodies(3).build()
+    low = bounds.get("at_least", -math.inf)
+    high = bounds.get("at_most", math.inf)
     solve = [lambda q: free.ik(made.demand(weight=None), start=q).q]
     if not name.startswith("centre"):
         m = two_bodies(3)
@@ -173,8 +180,10 @@ def test_expressions_and_centres_have_bounds(name, bounds, hunt):
 
 @pytest.mark.parametrize("name", [n for n in NUMBERS if not n.startswith("function")])
 def test_bounds_of_numbers_from_target_to_target(name, hunt):
-    (make, number), s = NUMBERS[name], two_bodies(3).build()
-    low, high = np.linspace(0.1, 0.8, 6), np.array([0.2, 0.3, 0.6, np.inf, np.inf, 0.9])
+    (make, number) = NUMBERS[name]
+    s = two_bodies(3).build()
+    low = np.linspace(0.1, 0.8, 6)
+    high = np.array([0.2, 0.3, 0.6, np.inf, np.inf, 0.9])
     answer = s.ik(make(at_least=low, at_most=high), start=s.random(hunt.rng()))
     assert answer.success.all()
     for q, a, b in zip(answer.q, low, high, strict=True):
@@ -186,7 +195,8 @@ def test_bounds_of_numbers_from_target_to_target(name, hunt):
 
 
 def test_bounds_of_each_of_several_values(hunt):
-    s, most = two_bodies(3).build(), np.array([[0.1, 0.2], [-0.3, 0.4], [0.5, -0.6]])
+    s = two_bodies(3).build()
+    most = np.array([[0.1, 0.2], [-0.3, 0.4], [0.5, -0.6]])
     made = c.Equation(["`Ja.x`", "`Ja.y`"], at_least=-1.0, at_most=most)
     q = s.ik(made, start=s.configuration_space.integrate(s.neutral, np.full(s.nv, 0.9))).q
     np.testing.assert_allclose(q[:, :2], most, atol=1e-6)

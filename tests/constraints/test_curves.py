@@ -39,7 +39,8 @@ def judged(t: Tape, p: np.ndarray) -> np.ndarray:
 def run(t: Tape, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Values and gradients by the kernel."""
     ints, floats = t.arrays()
-    values, gradients = np.empty((len(p), len(t.outputs))), np.empty((len(p), len(t.outputs), p.shape[1]))
+    values = np.empty((len(p), len(t.outputs)))
+    gradients = np.empty((len(p), len(t.outputs), p.shape[1]))
     kernel.tapes(ints, floats, np.ascontiguousarray(p), values, gradients)
     return values, gradients
 
@@ -57,7 +58,8 @@ def distance(points, closed: bool, p: np.ndarray) -> float:
     spline = scipy_spline(points, closed)
     fine = np.linspace(0.0, spline.x[-1], 4001)
     squares = np.sum((spline(fine) - p) ** 2, axis=1)
-    i, best = int(np.argmin(squares)), squares.min()
+    i = int(np.argmin(squares))
+    best = squares.min()
     ends = fine[max(i - 1, 0)], fine[min(i + 1, 4000)]
     found: Any = minimize_scalar(
         lambda s: float(np.sum((spline(s) - p) ** 2)), method="bounded", options={"xatol": 1e-12}, bounds=ends
@@ -102,7 +104,8 @@ def test_zero_on_the_curve_and_nowhere_steep(name, dim):
 @pytest.mark.parametrize("name", some(CURVES, 2))
 def test_gradients_by_differences_of_the_judge(name, dim, hunt):
     t = tape_of(*CURVES[name], dim)
-    p, h = hunt.rng().uniform(-2.0, 2.0, size=(200, dim)), 1e-6
+    p = hunt.rng().uniform(-2.0, 2.0, size=(200, dim))
+    h = 1e-6
     ends = [[judged(t, p + x * e) for x in (h, -h)] for e in np.eye(dim)]
     slopes = np.stack([(a - b) / (2.0 * h) for a, b in ends], axis=-1)
     off = np.abs(run(t, p)[1] - slopes).max(axis=(1, 2))
@@ -125,9 +128,13 @@ def test_directions_across_a_curve_do_not_jump_where_pieces_join(name):
 def test_series_by_values_along_a_line(dim):
     """Orders of the kernel's series, summed, against the numpy judge a little further on the line."""
     t = tape_of(*CURVES["arc"], dim)
-    rng, order, h = np.random.default_rng(1), 6, 0.02
-    p, way = rng.uniform(-2.0, 2.0, size=(60, dim)), rng.normal(size=(60, dim))
-    given, found = np.zeros((60, dim, order + 1)), np.empty((60, len(t.outputs), order + 1))
+    rng = np.random.default_rng(1)
+    order = 6
+    h = 0.02
+    p = rng.uniform(-2.0, 2.0, size=(60, dim))
+    way = rng.normal(size=(60, dim))
+    given = np.zeros((60, dim, order + 1))
+    found = np.empty((60, len(t.outputs), order + 1))
     given[:, :, 0], given[:, :, 1] = p, way
     ints, floats = t.arrays()
     kernel.tape_series(ints, floats, order, given, found)
@@ -158,7 +165,8 @@ def test_points_of_a_closed_curve_may_end_where_they_start():
 
 def crank_and_arm(constraint: c.Constraint | None = None) -> kempe.Mechanism:
     m = kempe.Mechanism("arm", dim=2)
-    upper, lower = m.body("upper"), m.body("lower")
+    upper = m.body("upper")
+    lower = m.body("lower")
     m.revolute("A", m.ground, upper)
     m.revolute("B", upper, lower, at=(1.0, 0.0))
     m.frame("tip", lower, at=(1.0, 0.0))
@@ -246,7 +254,8 @@ def test_a_sharp_curve_is_split_into_gentle_pieces_that_join(size):
     points = size * np.array([[0, 0, 0], [1, 0, 0], [0.9, 1, 0], [0.1, 0.1, 0], [0, 1, 0]], dtype=float)
     pieces = spline(tuple(map(tuple, points)), True, "the curve")
     assert len(pieces) > len(points)
-    starts, ends = pieces[..., 0], pieces.sum(axis=-1)
+    starts = pieces[..., 0]
+    ends = pieces.sum(axis=-1)
     speeds = pieces[..., 1], (pieces * np.arange(4)).sum(axis=-1)
     assert np.allclose(ends, np.roll(starts, -1, axis=0), atol=1e-12 * size)
     there = np.linalg.norm(points[:, None] - starts, axis=-1).min(axis=1)

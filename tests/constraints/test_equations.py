@@ -140,7 +140,8 @@ def test_files_copies_and_pickles(tmp_path):
 def test_attached_with_a_prefix():
     host = kempe.Mechanism("host", dim=2)
     host.attach(everything(), prefix="left_")
-    s, alone = host.build(), everything().build()
+    s = host.build()
+    alone = everything().build()
     q = np.array([0.3, 0.6])
     np.testing.assert_allclose(closure_rows.residual(s, q), closure_rows.residual(alone, q), atol=1e-15)
     from kempe.kinematics.velocity.velocity import rates

@@ -20,7 +20,8 @@ HELD = [n for n in EXAMPLES if n not in TASKS_ONLY]
 def apart(system: System, q: np.ndarray) -> np.ndarray:
     """How far (..., n, 2) each constraint is missed by the kernels: the norms of its rows in metres, and of others."""
     packed = closure_rows.full(system, False)
-    values, names = closure_rows.residual(system, q), [n for n, _ in packed.names]
+    values = closure_rows.residual(system, q)
+    names = [n for n, _ in packed.names]
     metres = np.array([u == "m" for u in packed.units])
     out = []
     for name in judge(system, q).names:
@@ -33,7 +34,8 @@ def apart(system: System, q: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("name", HELD)
 def test_each_kind(name, dim, hunt):
     """Where the kernels close it, it holds; elsewhere the miss is that of the kernels' rows, or zero with them."""
-    m, rng = two_bodies(dim), hunt.rng()
+    m = two_bodies(dim)
+    rng = hunt.rng()
     m.constrain(made := EXAMPLES[name](dim), "it")
     system = m.build()
     rows = [r for r in made.rows(dim) if not r.velocity]
@@ -56,7 +58,8 @@ def test_each_kind(name, dim, hunt):
 
 @pytest.mark.parametrize("name", [n for n in HELD if not any(r.velocity for r in EXAMPLES[n](3).rows(3))])
 def test_tasks_and_declared_are_judged_alike(name, hunt):
-    m, rng = two_bodies(3), hunt.rng()
+    m = two_bodies(3)
+    rng = hunt.rng()
     m.constrain(made := EXAMPLES[name](3), "it")
     system = m.build()
     q = np.stack([system.random(rng) for _ in range(20)])
@@ -67,7 +70,8 @@ def test_tasks_and_declared_are_judged_alike(name, hunt):
 @pytest.mark.parametrize("name", [n for n in EXAMPLES if not any(r.velocity for r in EXAMPLES[n](3).rows(3))])
 def test_answers_of_ik_are_judged(name, dim):
     """What is required is judged at poses that are multiplied out; another configuration is no answer."""
-    system, made = two_bodies(dim).build(), EXAMPLES[name](dim)
+    system = two_bodies(dim).build()
+    made = EXAMPLES[name](dim)
     answer = system.ik(made.demand(weight=None), start=system.random(3))
     assert answer.success and answer.judged and answer.judged.names == (made.label,)
     np.testing.assert_allclose(answer.judged.errors[0], tasks.miss(system, made, answer.q), atol=1e-12)

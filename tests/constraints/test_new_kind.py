@@ -10,7 +10,8 @@ from on_ellipse import OnEllipse
 import kempe
 from kempe.analysis.mobility.classify import classify
 
-A, B = 1.5, 1.0
+A = 1.5
+B = 1.0
 
 
 @pytest.fixture(scope="module")

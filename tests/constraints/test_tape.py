@@ -55,7 +55,8 @@ def plain(python: str, values: dict) -> float:
 
 def test_text_is_read_as_python_reads_it(hunt):
     """The text, its tape, and the text of the tape are one function."""
-    rng, finite = hunt.rng(), 0
+    rng = hunt.rng()
+    finite = 0
     for _ in range(hunt.cases(1000)):
         text, python = random_text(rng, int(rng.integers(1, 5)))
         expected = plain(python, VALUES)
@@ -120,7 +121,8 @@ def test_tapes_are_values(text):
 def test_the_language(text, meaning, hunt):
     rng = hunt.rng()
     x = {"A": rng.uniform(0.1, 2, 20), "B": rng.uniform(0.1, 2, 20)}
-    one, other = from_text(text, ["A", "B"]), from_text(meaning, ["A", "B"])
+    one = from_text(text, ["A", "B"])
+    other = from_text(meaning, ["A", "B"])
     assert one.evaluate(x) == pytest.approx(other.evaluate(x), rel=1e-14, abs=1e-14)
 
 
@@ -193,7 +195,8 @@ def test_support_is_what_an_output_is_computed_from():
 
 
 def of_numpy(x):
-    a, b = x["A"], x["B"]
+    a = x["A"]
+    b = x["B"]
     point = np.array([a, b, 1.0])
     turned = np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]) @ np.array([b, 2.0])
     return [
@@ -243,7 +246,8 @@ def test_equal_functions_give_equal_tapes():
         return np.sin(x["A"]) + second + 0 * unused * 0 if False else np.sin(x["A"]) + second
 
     assert record(late, ["A", "B"])[0] == from_text("sin(A) + cos(B)", ["A", "B"])
-    one, other = from_text("sin(A) + sin(A)*cos(A)", ["A"]), from_text("sin(A)", ["A"])
+    one = from_text("sin(A) + sin(A)*cos(A)", ["A"])
+    other = from_text("sin(A)", ["A"])
     assert one.size - other.size == 2  # sine, cosine and its derivative stand there already
 
 
@@ -269,7 +273,8 @@ class Changing:
     """A function that answers otherwise from a call on."""
 
     def __init__(self, call: int):
-        self.calls, self.at = 0, call
+        self.calls = 0
+        self.at = call
 
     def __call__(self, x):
         self.calls += 1
@@ -318,7 +323,8 @@ def test_text_agrees_with_sympy(hunt):
     A, B = sympy.symbols("A B", positive=True)
     python = text.replace("^", "**").replace("hypot(A, B)", "sqrt(A**2 + B**2)")
     other = sympy.sympify(python, {"A": A, "B": B})  # pyright: ignore
-    rng, tape = hunt.rng(), from_text(text, ["A", "B"])
+    rng = hunt.rng()
+    tape = from_text(text, ["A", "B"])
     for a, b in rng.uniform(0.1, 2, size=(hunt.cases(30), 2)):
         assert tape.evaluate({"A": a, "B": b})[0] == pytest.approx(float(other.subs({A: a, B: b})), rel=1e-12)
 

@@ -28,7 +28,8 @@ def read_rows(text: str | bytes, source: str) -> Mechanism:
 
 def write_rows(mechanism: Mechanism) -> str:
     """The table of a chain that `read_rows` or `from_dh` made."""
-    findings, last = Findings(), mechanism.ground.name
+    findings = Findings()
+    last = mechanism.ground.name
     lines = [",".join(HEAD)]
     for joint in mechanism.joints.values():
         if joint.type.type_name not in ("revolute", "prismatic"):

@@ -97,7 +97,9 @@ def written(path: Path) -> dict[str, Joint]:
     text = re.sub(rb"(</?|\s)([A-Za-z_][\w.-]*):(?=[A-Za-z_][\w.-]*[\s=/>])", rb"\1\2_", path.read_bytes())
     out = {}
     for element in ET.fromstring(text.lstrip()).findall("joint"):
-        X, origin, axis = np.eye(4), element.find("origin"), np.array([1.0, 0.0, 0.0])
+        X = np.eye(4)
+        origin = element.find("origin")
+        axis = np.array([1.0, 0.0, 0.0])
         if origin is not None:
             X[:3, 3] = floats(origin.get("xyz", "0 0 0"))
             roll, pitch, yaw = floats(origin.get("rpy", "0 0 0"))
@@ -105,7 +107,9 @@ def written(path: Path) -> dict[str, Joint]:
             X[:3, :3] = rotation(ez, yaw) @ rotation(ey, pitch) @ rotation(ex, roll)
         if element.find("axis") is not None:
             axis = floats(element.find("axis").get("xyz"))
-        kind, limit, mimic = element.get("type"), element.find("limit"), element.find("mimic")
+        kind = element.get("type")
+        limit = element.find("limit")
+        mimic = element.find("mimic")
         bounds = (-math.inf, math.inf)
         if kind in ("revolute", "prismatic") and limit is not None:
             bounds = float(limit.get("lower", 0)), float(limit.get("upper", 0))
@@ -143,7 +147,8 @@ def motion(joint: Joint, x: np.ndarray) -> np.ndarray:
     elif joint.kind == "prismatic":
         M[:3, 3] = joint.axis * x[0]
     elif joint.kind == "floating":
-        M[:3, 3], M[:3, :3] = x[:3], quat_wxyz_to_matrix(x[3:])
+        M[:3, 3] = x[:3]
+        M[:3, :3] = quat_wxyz_to_matrix(x[3:])
     elif joint.kind == "spherical":
         M[:3, :3] = quat_wxyz_to_matrix(x)
     return M
@@ -154,7 +159,8 @@ def plain_poses(joints: dict[str, Joint], root: str, values: dict[str, np.ndarra
     by_parent: dict[str, list[str]] = {}
     for name, joint in joints.items():
         by_parent.setdefault(joint.parent, []).append(name)
-    poses, waiting = {root: np.eye(4)}, [root]
+    poses = {root: np.eye(4)}
+    waiting = [root]
     while waiting:
         link = waiting.pop()
         for name in by_parent.get(link, ()):
@@ -215,7 +221,8 @@ def judge(path: Path, rng: np.random.Generator) -> Answer:
         mechanism = read(path)
     except DescriptionError as error:
         return Answer("refused", "", str(error.problems[0]).removeprefix(f"{path.parent}/"))
-    system, joints = mechanism.build(), written(path)
+    system = mechanism.build()
+    joints = written(path)
     assert {n: j.type.type_name for n, j in mechanism.joints.items()} == {n: TYPES[j.kind] for n, j in joints.items()}
     assert {n: (j.parent, j.child) for n, j in mechanism.joints.items()} == {
         n: (j.parent, j.child) for n, j in joints.items()

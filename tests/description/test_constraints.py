@@ -106,7 +106,8 @@ def test_in_the_plane():
 
 def test_particles():
     m = two_bodies()
-    p, r = m.particle("p"), m.particle("r")
+    p = m.particle("p")
+    r = m.particle("r")
     for particle in (p, r):
         m.translation(f"J{particle}", m.ground, particle)
     m.distance("rod", p, r, 1.0)
@@ -117,7 +118,8 @@ def test_particles():
 
 def test_they_belong_to_what_the_mechanism_is():
     m = two_bodies()
-    plain, same = m.build(), m.copy()
+    plain = m.build()
+    same = m.copy()
     m.distance("rod", "tip", "b", "l")
     assert m != same and same.constraints == {}
     assert m.build() != plain and m.copy() == m

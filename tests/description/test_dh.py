@@ -23,9 +23,11 @@ ROWS = st.lists(
 
 def product(rows, convention: str) -> list[np.ndarray]:
     """Poses of the bodies: A1, A1 A2, ... with the numbers of the joints put in."""
-    out, X = [], np.eye(4)
+    out = []
+    X = np.eye(4)
     for a, alpha, d, theta, kind, q in rows:
-        theta, d = theta + q * (kind == "revolute"), d + q * (kind == "prismatic")
+        theta = theta + q * (kind == "revolute")
+        d = d + q * (kind == "prismatic")
         z = reference.turn("z", theta) @ reference.slide("z", d)
         x = reference.slide("x", a) @ reference.turn("x", alpha)
         X = X @ (z @ x if convention == "standard" else x @ z)
@@ -70,14 +72,17 @@ VECTOR = st.tuples(*[LENGTH] * 3).map(np.array)
 @st.composite
 def twists(draw):
     """Unit screws [v; w]: turns, slides and screws."""
-    axis, point, kind = draw(UNIT), draw(VECTOR), draw(st.integers(0, 2))
+    axis = draw(UNIT)
+    point = draw(VECTOR)
+    kind = draw(st.integers(0, 2))
     if kind == 0:
         return np.concatenate([axis, np.zeros(3)])
     return np.concatenate([np.cross(point, axis) + (kind - 1) * draw(st.floats(0.1, 1.0)) * axis, axis])
 
 
 def exponential(twist: np.ndarray, q: float) -> np.ndarray:
-    v, w = twist[:3], twist[3:]
+    v = twist[:3]
+    w = twist[3:]
     A = np.zeros((4, 4))
     A[:3, :3] = [[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]]
     A[:3, 3] = v
@@ -88,7 +93,8 @@ def exponential(twist: np.ndarray, q: float) -> np.ndarray:
 def test_products_of_exponentials(screws, at):
     home = reference.slide("x", at[0]).astype(float) @ reference.turn("y", at[1]).astype(float)
     m = from_screws([t for t, _ in screws], home)
-    s, X = m.build(), np.eye(4)
+    s = m.build()
+    X = np.eye(4)
     q = {f"q{i}": angle for i, (_, angle) in enumerate(screws, 1)}
     for i, (twist, angle) in enumerate(screws, 1):
         X = X @ exponential(twist, angle)

@@ -24,7 +24,8 @@ class Frame:
     """What a DataFrame shows of itself: column names, and columns by name."""
 
     def __init__(self, columns: dict[str, Sequence[Any]]):
-        self._data, self.columns = columns, list(columns)
+        self._data = columns
+        self.columns = list(columns)
 
     def __getitem__(self, name: str) -> np.ndarray:
         return np.array(self._data[name])
@@ -98,7 +99,8 @@ def test_calibrated_angles_may_be_beyond_a_turn(x):
 
 def test_a_table_of_radians_may_have_several_angles_beyond_a_turn():
     """A calibrated arm with fixed twists: some joints were turned more than once before they were measured."""
-    alpha, theta = [0.01, np.pi / 2, 0.02, -np.pi / 2], [13.4, 0.2, 6.6828, -12.71]
+    alpha = [0.01, np.pi / 2, 0.02, -np.pi / 2]
+    theta = [13.4, 0.2, 6.6828, -12.71]
     rows = [{"a": 0.3, "alpha": x, "theta": y, "type": "fixed"} for x, y in zip(alpha, theta, strict=True)]
     with pytest.raises(InputError, match="row 1: theta is 13.4, .* deg=True"):  # three of six, as in degrees
         from_dh([{"theta": y} for y in theta])
@@ -109,7 +111,8 @@ def test_a_table_of_radians_may_have_several_angles_beyond_a_turn():
 
 def test_hunt_tables_in_the_wrong_unit_are_refused_and_calibrated_ones_are_read(hunt):
     """Arms with five to seven joints: in degrees, rounded or measured, and in radians with turns counted."""
-    rng, quarter = hunt.rng(), np.array([0.0, 90.0, -90.0, 180.0])
+    rng = hunt.rng()
+    quarter = np.array([0.0, 90.0, -90.0, 180.0])
     for _ in range(hunt.cases(1000)):
         n = int(rng.integers(5, 8))
         noise = rng.normal(size=(2, n)) * (0.05 if rng.random() < 0.7 else 0.0)
@@ -239,7 +242,11 @@ def test_a_flipped_joint_of_a_jaco():
 
 def drawn(rng: np.random.Generator) -> tuple[list[dict[str, Any]], bool, str, dict[str, float], np.ndarray]:
     """Rows by name, whether in degrees, the convention, a configuration by name, and the pose by plain matrices."""
-    deg, standard, rows, q, X = bool(rng.random() < 0.5), bool(rng.random() < 0.5), [], {}, np.eye(4)
+    deg = bool(rng.random() < 0.5)
+    standard = bool(rng.random() < 0.5)
+    rows = []
+    q = {}
+    X = np.eye(4)
     unit = np.pi / 180.0 if deg else 1.0
     for i in range(int(rng.integers(1, 7))):
         kind = str(rng.choice(["revolute", "revolute", "prismatic", "fixed"]))
@@ -247,12 +254,15 @@ def drawn(rng: np.random.Generator) -> tuple[list[dict[str, Any]], bool, str, di
         angles = rng.choice([-180, -90, 0, 0, 90, 30, -45.5], 2) if deg else rng.uniform(-3.1, 3.1, 2)
         alpha, theta = (float(x) for x in angles)
         row: dict[str, Any] = {"a": a, "alpha": alpha, "d": d, "theta": theta, "type": kind}
-        sign, value, turns = 1.0, float(rng.uniform(-3, 3)), kind == "revolute"
+        sign = 1.0
+        value = float(rng.uniform(-3, 3))
+        turns = kind == "revolute"
         offset = 0.0
         if kind != "fixed":
             q[f"q{i + 1}"] = value
             if rng.random() < 0.4:
-                row["flip"], sign = True, -1.0
+                row["flip"] = True
+                sign = -1.0
             if rng.random() < 0.4:
                 offset = float(rng.choice([90, -30, 12.5])) if deg and turns else float(rng.uniform(-1, 1))
                 row["offset"] = offset

@@ -61,7 +61,8 @@ MODELS = [(name, model, FITS[name](system.mechanism)) for name in WRITTEN for mo
 
 @pytest.mark.parametrize(("name", "model"), [(name, model) for name, model, fits in MODELS if not fits])
 def test_other_models_of_the_library_are_refused_by_name(name: str, model: str, tmp_path: Path):
-    row, m = FORMATS[name], read(model)
+    row = FORMATS[name]
+    m = read(model)
     path = tmp_path / f"m{row.endings[0]}"
     with pytest.raises(DescriptionError) as caught:
         m.save(path)
@@ -73,7 +74,8 @@ def test_other_models_of_the_library_are_refused_by_name(name: str, model: str, 
 
 @pytest.mark.parametrize(("name", "model"), some([(name, model) for name, model, fits in MODELS if fits], 3))
 def test_models_of_the_library_come_back(name: str, model: str, tmp_path: Path):
-    row, m = FORMATS[name], read(model)
+    row = FORMATS[name]
+    m = read(model)
     path = tmp_path / f"m{row.endings[0]}"
     m.save(path)
     again = kempe.load(path)
@@ -130,7 +132,8 @@ def test_each_thing_that_cannot_be_said_has_a_case():
 
 @pytest.mark.parametrize(("name", "what"), CASES, ids=lambda x: x.replace(" ", "_"))
 def test_what_cannot_be_said_is_refused(name: str, what: str, tmp_path: Path):
-    m, row = hinge(), FORMATS[name]
+    m = hinge()
+    row = FORMATS[name]
     m.revolute("k", "a", m.body("b"))
     m.planar("p", "b", m.body("c"))
     path = tmp_path / f"m{row.endings[0]}"

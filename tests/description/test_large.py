@@ -47,7 +47,8 @@ def urdf(n: int, shape: str) -> str:
 
 def built(n: int, shape: str) -> Mechanism:
     """The same by calls."""
-    m, rng = Mechanism("large"), np.random.default_rng(0)
+    m = Mechanism("large")
+    rng = np.random.default_rng(0)
     for i in range(1, n + 1):
         parent = {"star": 0, "tree": int(rng.integers(0, i))}.get(shape, i - 1)
         add = m.fixed if shape == "fixed" and i % 2 else m.revolute
@@ -115,7 +116,9 @@ def is_where_its_joints_put_it(n: int, shape: str) -> None:
     system = kempe.load(urdf(n, shape))
     assert len(system.body_names) == n + 1 and gc.isenabled()
     at = system.fk(system.neutral, f"l{n}")
-    expected, mechanism, body = np.eye(4), system.mechanism, f"l{n}"
+    expected = np.eye(4)
+    mechanism = system.mechanism
+    body = f"l{n}"
     joints = {j.child: j for j in mechanism.joints.values()}
     while body in joints:  # the other way round, by multiplication of what the description says
         joint = joints[body]
@@ -148,7 +151,8 @@ class Circle:
 @pytest.mark.parametrize("write", [lambda: urdf(3, "chain"), lambda: write_toml(built(3, "chain"))])
 def test_loads_leave_the_garbage_collector_to_its_work(write):
     """Cycles that are dropped between loads are collected while the loads go on."""
-    text, dropped = write(), []
+    text = write()
+    dropped = []
     for _ in range(300):
         system = kempe.load(text)
         system.fk(system.neutral, "l3")
@@ -184,7 +188,8 @@ def random_text(rng: np.random.Generator) -> str:
     """Tables and keys of all kinds, most of them plain, some of them wrong."""
     lines = []
     for _ in range(int(rng.integers(3, 40))):
-        what, word = rng.random(), rng.choice(WORDS)
+        what = rng.random()
+        word = rng.choice(WORDS)
         blank = rng.choice(["", "", "", " ", "\t"])
         comment = rng.choice(["", "", "", " # said", "#[[x]]"])
         if what < 0.35:
@@ -217,7 +222,9 @@ def alike(a: object, b: object) -> bool:
 def test_lines_are_read_as_tomllib_reads_them(hunt, monkeypatch):
     """Data, errors, and the places of tables."""
     monkeypatch.setattr(toml_fast, "MANY", 0)
-    rng, fast, good = hunt.rng(), 0, 0
+    rng = hunt.rng()
+    fast = 0
+    good = 0
     for _ in range(hunt.cases(600, least=400)):
         text = random_text(rng)
         try:

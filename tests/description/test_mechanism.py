@@ -47,8 +47,10 @@ def gripper() -> Mechanism:
 
 def test_the_lectures_arm_in_a_few_lines():
     m = Mechanism("two-link", dim=2)
-    l1, _ = m.parameter("l1", 1.0), m.parameter("l2", 0.7)
-    upper, lower = m.body("upper"), m.body("lower")
+    l1 = m.parameter("l1", 1.0)
+    _ = m.parameter("l2", 0.7)
+    upper = m.body("upper")
+    lower = m.body("lower")
     m.revolute("q1", m.ground, upper)
     m.revolute("q2", upper, lower, at=(l1, 0))
     m.frame("tip", lower, at=("l2", 0))
@@ -58,7 +60,8 @@ def test_the_lectures_arm_in_a_few_lines():
 
 def test_calls_return_their_records():
     m = Mechanism()
-    b, p = m.body("b", mass=2, center=(0, 1)), m.particle("p", mass=1)
+    b = m.body("b", mass=2, center=(0, 1))
+    p = m.particle("p", mass=1)
     assert (b.mass, b.center, b.particle, p.particle, str(b)) == (2.0, (0.0, 1.0, 0.0), False, True, "b")
     j = m.revolute("j", m.ground, b, velocity=2, effort=np.float32(3), limits=np.array([-1, 1]))
     assert (j.limits, j.velocity_limits, j.effort_limits) == ({"": (-1.0, 1.0)}, {"": 2.0}, {"": 3.0})
@@ -69,7 +72,8 @@ def test_calls_return_their_records():
 
 def test_records_and_names_are_interchangeable():
     m = Mechanism()
-    b, c = m.body("b"), m.body("c")
+    b = m.body("b")
+    c = m.body("c")
     m.revolute("j", m.ground, "b")
     k = m.revolute("k", b, "c", at=(1, 0, 0))
     m.couple(k, {"j": 2.0})
@@ -512,7 +516,8 @@ def test_limits_pass_through_mimics():
 
 def test_speeds_pass_through_mimics():
     m = Mechanism()
-    a, b = m.body("A"), m.body("B")
+    a = m.body("A")
+    b = m.body("B")
     m.revolute("a", m.ground, a, velocity=10)
     m.revolute("b", a, b, velocity=3)
     m.gear("b", "a", -2.0)
@@ -589,8 +594,10 @@ def test_a_locked_ball():
 
 def designed() -> Mechanism:
     m = Mechanism("designed")
-    l1, _ = m.parameter("l1", 1.0), m.parameter("twist", 0.3)
-    a, b = m.body("a"), m.body("b")
+    l1 = m.parameter("l1", 1.0)
+    _ = m.parameter("twist", 0.3)
+    a = m.body("a")
+    b = m.body("b")
     m.revolute("q1", m.ground, a)
     m.revolute("q2", a, b, at=(l1, 0, "l1/10"), rpy=("twist", 0, 0))
     m.spherical("q3", b, m.body("c"), at=(0, 2 * l1, 0))
@@ -601,7 +608,8 @@ def designed() -> Mechanism:
 @given(seed=st.integers(0, 10**6), lead=st.sampled_from([(), (2,), (0,), (2, 2)]))
 def test_numbers_without_a_batch_are_one_design(seed, lead):
     rng = np.random.default_rng(seed)
-    s, (length, twist) = designed().build(), rng.uniform(0.5, 2, 2)
+    s = designed().build()
+    (length, twist) = rng.uniform(0.5, 2, 2)
     one = s.with_parameters(l1=np.array(length), twist=np.array(twist))
     assert isinstance(one, System) and one == s.with_parameters(l1=float(length), twist=float(twist))
     assert one.fk(one.random(rng, lead), "tip").shape == (*lead, 4, 4)
@@ -683,7 +691,8 @@ def test_a_tool_on_a_frame():
     assert s.joint_names[2] == "hand/palm_mount" and s.coordinate_names == ("q1", "q2", "hand/left_finger")
     assert "hand/grasp" in s.frame_names and s.structure.posture_names == ("hand/open",)
     q = np.array([0.3, -0.4, 0.02])
-    alone, tool = arm().build(), gripper().build()
+    alone = arm().build()
+    tool = gripper().build()
     for frame in ("grasp", "left", "right"):
         expected = alone.fk(q[:2], "tip") @ tool.fk(q[2:], frame)
         np.testing.assert_allclose(s.fk(q, f"hand/{frame}"), expected, rtol=0, atol=1e-15)
@@ -783,7 +792,9 @@ def test_a_chain_keeps_what_it_follows_or_says_what_it_cannot():
 
 def test_chains_do_not_pass_through_particles():
     m = Mechanism()
-    a, b, p = m.body("a"), m.body("b"), m.particle("p")
+    a = m.body("a")
+    b = m.body("b")
+    p = m.particle("p")
     m.revolute("A", m.ground, a), m.revolute("B", m.ground, b)
     m.prismatic("PA", a, p), m.prismatic("PB", b, p)
     assert [j for j in m.subchain("a", "b").joints] == ["A", "B"]
@@ -809,7 +820,8 @@ def test_equality_is_of_content():
 
 
 def test_systems_are_values():
-    s, t = arm().build(), arm().build()
+    s = arm().build()
+    t = arm().build()
     assert s == t and hash(s) == hash(t) and len({s, t, arm(length=2.0).build()}) == 2
     for again in (pickle.loads(pickle.dumps(s)), copy.deepcopy(s), copy.copy(s)):
         assert again == s and again.structure.content_hash == s.structure.content_hash
@@ -881,13 +893,15 @@ def test_printing():
 
 def test_particles():
     m = Mechanism("beads")
-    a, p = m.body("a"), m.particle("p")
+    a = m.body("a")
+    p = m.particle("p")
     m.revolute("j", m.ground, a)
     m.prismatic("s", a, p, at=(1, 0, 0), axis=(0, 1, 0))
     m.frame("on p", p)
     s = m.build()
     X = s.fk([0.3, 0.5], "p")
-    c, si = np.cos(0.3), np.sin(0.3)
+    c = np.cos(0.3)
+    si = np.sin(0.3)
     np.testing.assert_allclose(X[:3, 3], [c - 0.5 * si, si + 0.5 * c, 0], atol=1e-15)
     np.testing.assert_array_equal(X[:3, :3], np.eye(3))
     np.testing.assert_array_equal(s.fk([0.3, 0.5], "on p"), X)
@@ -899,7 +913,8 @@ def test_particles():
 
 def test_particles_hold_nothing():
     m = Mechanism("chain through a bead")
-    b, p = m.body("b"), m.particle("p")
+    b = m.body("b")
+    p = m.particle("p")
     m.free("f", m.ground, p)
     m.prismatic("s", b, p)
     with pytest.raises(
@@ -910,7 +925,9 @@ def test_particles_hold_nothing():
 
 def test_a_loop_through_a_particle_is_cut_at_the_particle():
     m = Mechanism("bead on two rods")
-    a, b, p = m.body("a"), m.body("b"), m.particle("p")
+    a = m.body("a")
+    b = m.body("b")
+    p = m.particle("p")
     m.spherical("A", m.ground, a), m.spherical("B", m.ground, b, at=(1, 0, 0))
     m.prismatic("PA", a, p, axis=(1, 0, 0)), m.prismatic("PB", b, p, axis=(-1, 0, 0))
     s = m.build()
@@ -948,7 +965,8 @@ def placed(rng: np.random.Generator) -> tuple[np.ndarray, dict[str, object]]:
     """A pose (4, 4), and keywords that say it, the axis left out."""
     R, keywords = turned(rng)
     X = np.eye(4)
-    X[:3, :3], X[:3, 3] = R.as_matrix(), rng.uniform(-1, 1, 3)
+    X[:3, :3] = R.as_matrix()
+    X[:3, 3] = rng.uniform(-1, 1, 3)
     if rng.random() < 0.3:
         return X, {"at": X if rng.random() < 0.5 else X.tolist()}
     return X, {"at": X[:3, 3].tolist(), **keywords}
@@ -957,7 +975,8 @@ def placed(rng: np.random.Generator) -> tuple[np.ndarray, dict[str, object]]:
 def hunted(rng: np.random.Generator, count: int) -> None:
     """Joints placed in all ways, by the builder and by TOML: both frames where the keywords say, by scipy."""
     for _ in range(count):
-        (A, on_parent), (B, on_child) = placed(rng), placed(rng)
+        (A, on_parent) = placed(rng)
+        (B, on_child) = placed(rng)
         axis = str(rng.choice(list(AXES)))
         kind, q = (
             ("revolute", float(rng.uniform(-3, 3))) if rng.random() < 0.5 else ("prismatic", float(rng.uniform(-1, 1)))
@@ -992,8 +1011,10 @@ def test_many_joints_are_where_their_keywords_say(hunt):
 
 
 def test_constraints_and_frames_take_all_placements():
-    m, X = Mechanism("m"), np.eye(4)
-    X[:3, :3], X[:3, 3] = Rotation.from_euler("x", 0.3).as_matrix(), (1, 2, 3)
+    m = Mechanism("m")
+    X = np.eye(4)
+    X[:3, :3] = Rotation.from_euler("x", 0.3).as_matrix()
+    X[:3, 3] = (1, 2, 3)
     m.free("f", m.ground, m.body("b"))
     a = m.point_on_line("a", m.ground, "b", at=(1, 2, 3), quat_wxyz=(np.cos(0.15), np.sin(0.15), 0, 0))
     b = m.point_on_plane("b", m.ground, "b", at=X, axis="-y")

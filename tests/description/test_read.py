@@ -276,7 +276,8 @@ def test_no_valid_file_is_taken_for_another_kind(hunt):
         assert other_kind(text) is None and other_kind(text.encode()) is None
     words = [data.decode("latin-1").replace("\0", "").replace("--", "").strip() for _, _, data in OTHERS]
     for _ in range(hunt.cases(1000)):
-        text, word = texts[rng.integers(len(texts))], words[rng.integers(len(words))].splitlines()[0]
+        text = texts[rng.integers(len(texts))]
+        word = words[rng.integers(len(words))].splitlines()[0]
         if text.lstrip("\ufeff \r\n").startswith("<"):
             comment = "" if text.lstrip("\ufeff \r\n").startswith("<?") else f"<!-- {word} -->"
         else:

@@ -16,7 +16,8 @@ from kempe.errors import DescriptionError, InputError, UnknownNameError
 
 def pose(xyz=(0, 0, 0), rpy=(0, 0, 0)) -> np.ndarray:
     X = np.eye(4)
-    X[:3, :3], X[:3, 3] = Rotation.from_euler("xyz", rpy).as_matrix(), xyz
+    X[:3, :3] = Rotation.from_euler("xyz", rpy).as_matrix()
+    X[:3, 3] = xyz
     return X
 
 
@@ -127,7 +128,8 @@ def test_swapped_limits_are_refused_or_none(kind: str):
 
 def by_the_rules(given: dict[str, float], lenient: bool) -> tuple[float, float] | None:
     """Limits by the rules of URDF, or of Bullet where `lenient`; None where the file is to be refused."""
-    lower, upper = given.get("lower", 0.0), given.get("upper", 0.0)
+    lower = given.get("lower", 0.0)
+    upper = given.get("upper", 0.0)
     if lenient and (not given or lower > upper):
         return -math.inf, math.inf
     if lower > upper or lower == math.inf or upper == -math.inf:
@@ -140,7 +142,8 @@ def test_limits_of_all_kinds_are_read_by_the_rules(hunt):
     for _ in range(hunt.cases(1000)):
         values = [float(x) for x in rng.choice([0.0, -1.0, 1.0, 0.5, -2.5, math.inf, -math.inf], 2)]
         given = {k: x for k, x in zip(("lower", "upper"), values, strict=True) if rng.random() < 0.7}
-        said, lenient = "".join(f' {k}="{x}"' for k, x in given.items()), bool(rng.random() < 0.5)
+        said = "".join(f' {k}="{x}"' for k, x in given.items())
+        lenient = bool(rng.random() < 0.5)
         text = robot(
             joint("j", f'<limit effort="1" velocity="1"{said}/>', str(rng.choice(["revolute", "prismatic"]))), REST
         )
@@ -158,7 +161,8 @@ def test_limits_that_hold_a_range_are_the_same_either_way():
     text = robot(
         joint("j", '<limit upper="2"/>'), joint("k", '<limit lower="0" upper="0"/>', "revolute", "arm", "hand")
     )
-    strict, lenient = read_urdf(text), read_urdf(text, lenient_limits=True)
+    strict = read_urdf(text)
+    lenient = read_urdf(text, lenient_limits=True)
     assert strict == lenient and not any(j.unstated for j in strict.joints.values())
 
 
@@ -352,7 +356,8 @@ def for_mujoco(*lines: str) -> str:
 
 
 def test_lenient_limits_are_those_of_mujoco(hunt):
-    mujoco, rng = pytest.importorskip("mujoco"), hunt.rng()
+    mujoco = pytest.importorskip("mujoco")
+    rng = hunt.rng()
     for _ in range(hunt.cases(200)):
         lower, upper = rng.choice([0.0, -1.0, 1.0, 0.5, -2.5], 2, replace=False).tolist()
         given = {"lower": lower, "upper": upper} if rng.random() < 0.7 else {}  # of one bound it makes no limit
@@ -366,10 +371,12 @@ def test_lenient_limits_are_those_of_mujoco(hunt):
 
 
 def test_balls_of_mujoco(hunt):
-    mujoco, rng = pytest.importorskip("mujoco"), hunt.rng()
+    mujoco = pytest.importorskip("mujoco")
+    rng = hunt.rng()
     text = for_mujoco(joint("b", ORIGIN + '<axis xyz="0 1 0"/>', "spherical"),
                       joint("h", '<origin xyz="0.3 0 1"/>', "continuous", "arm", "hand"))  # fmt: skip
-    model, s = mujoco.MjModel.from_xml_string(text), read_urdf(text).build()
+    model = mujoco.MjModel.from_xml_string(text)
+    s = read_urdf(text).build()
     data = mujoco.MjData(model)
     for _ in range(hunt.cases(50)):
         q = s.random(rng)
@@ -378,7 +385,8 @@ def test_balls_of_mujoco(hunt):
         mujoco.mj_kinematics(model, data)
         X = np.eye(4)
         hand = model.body("hand").id
-        X[:3, :3], X[:3, 3] = data.xmat[hand].reshape(3, 3), data.xpos[hand]
+        X[:3, :3] = data.xmat[hand].reshape(3, 3)
+        X[:3, 3] = data.xpos[hand]
         np.testing.assert_allclose(s.fk(q, "hand"), X, rtol=0, atol=1e-14)
 
 

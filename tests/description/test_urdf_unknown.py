@@ -197,7 +197,8 @@ def mutate(rng: np.random.Generator, root: ET.Element) -> str:
     """Change one thing of a robot; the name that a note must hold."""
     found = list(parts(root))
     holder, element = found[rng.integers(len(found))]
-    tag, how = element.tag, rng.integers(5)
+    tag = element.tag
+    how = rng.integers(5)
     if how == 0:  # a prefix, bound to something else or to nothing
         element.tag = str(rng.choice(["drake_", "r_", "sdf_"])) + tag  # written as a prefix below
         return element.tag.replace("_", ":")

@@ -28,12 +28,14 @@ def test_real_robots_come_back_as_they_were(path: Path):
 
 def same_poses(m: Mechanism, seed: int = 0) -> None:
     """All bodies and frames of the mechanism must be where those of its URDF are."""
-    before, after = m.build(), read_urdf(write_urdf(m)).build()
+    before = m.build()
+    after = read_urdf(write_urdf(m)).build()
     assert set(before.coordinate_names) == set(after.coordinate_names)
     q = before.structure.layout.neutral + np.random.default_rng(seed).normal(size=before.nq)
     by_name = before.q_dict(q)
     for name in before.frame_names:
-        X, Y = before.fk(q, name), after.fk(by_name, name)
+        X = before.fk(q, name)
+        Y = after.fk(by_name, name)
         np.testing.assert_allclose(Y, X, rtol=0, atol=1e-12 * max(1.0, np.abs(X).max()))
 
 
@@ -113,7 +115,8 @@ def test_locks_become_fixed_joints():
 
 def test_planar_systems_turn_about_z():
     m = Mechanism("m", dim=2)
-    a, b = m.body("a"), m.body("b")
+    a = m.body("a")
+    b = m.body("b")
     m.revolute("q", m.ground, a, at=(1, 0), angle=0.3)
     m.planar("p", a, b, at=(0.5, 0), child_at=(0, 0.2), child_angle=0.1)
     same_poses(m)

@@ -12,8 +12,13 @@ from kempe.kernels import compiled
 from kempe.kernels.base.search_layout import ANSWER, STATUS
 from kempe.kernels.forward.table_layout import BALL, SLIDE, TURN
 
-POSE, POSITION, PLANAR, POINT = (1, 1, 1, 1, 1, 1), (1, 1, 1, 0, 0, 0), (1, 1, 0, 0, 0, 1), (1, 1, 0, 0, 0, 0)
-ORIENTATION, DIRECTION, POSITION_AXIS = (0, 0, 0, 1, 1, 1), (0, 0, 0, 1, 1, 1, 1), (1, 1, 1, 1, 1, 1, 1)
+POSE = (1, 1, 1, 1, 1, 1)
+POSITION = (1, 1, 1, 0, 0, 0)
+PLANAR = (1, 1, 0, 0, 0, 1)
+POINT = (1, 1, 0, 0, 0, 0)
+ORIENTATION = (0, 0, 0, 1, 1, 1)
+DIRECTION = (0, 0, 0, 1, 1, 1, 1)
+POSITION_AXIS = (1, 1, 1, 1, 1, 1, 1)
 """Rows of a task that count; a seventh number 1 says that of the orientation only the tip's z axis does."""
 
 TOLERANCE = 1e-6
@@ -65,7 +70,8 @@ def solve(
     chain, targets, mask=POSE, seeds=None, seed=1, first=0, starts=100, steps=20, tol=TOLERANCE, length=0.0, slow=False
 ):
     """What the kernels write for targets (N, 4, 4); seeds (1 or N, K, nq). slow: starts one at a time."""
-    n, nq = len(targets), chain.table.nq
+    n = len(targets)
+    nq = chain.table.nq
     seeds = np.empty((1, 0, nq)) if seeds is None else np.asarray(seeds, dtype=float)
     limits = np.array([chain.lower, chain.upper], dtype=float)
     out = np.full((n, nq + ANSWER), 7.0)
@@ -78,15 +84,19 @@ def solve(
     if (compiled.scalar_search.reach_one_by_one if balls or slow else compiled.schedule.reach)(*arguments):
         compiled.fallback.approach(*arguments)
     missed = int((out[:, nq + STATUS] != 0).sum())
-    q, residual, info = out[:, :nq].copy(), out[:, nq : nq + STATUS].copy(), out[:, nq + STATUS :].astype(np.int64)
+    q = out[:, :nq].copy()
+    residual = out[:, nq : nq + STATUS].copy()
+    info = out[:, nq + STATUS :].astype(np.int64)
     return Answers(missed, q, residual, *info.T.copy())
 
 
 def distance(chain, q, target, mask=POSE):
     """Linear and angular distance of the tip at q from the target, in the rows of the task."""
-    tip, rows = chain.forward(q), np.array(mask, dtype=float)
+    tip = chain.forward(q)
+    rows = np.array(mask, dtype=float)
     if len(mask) == 7:
-        a, b = tip[:3, 2], target[:3, 2]
+        a = tip[:3, 2]
+        b = target[:3, 2]
         angle = np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)
         return np.linalg.norm((target - tip)[:3, 3] * rows[:3]), angle
     turn = Rotation.from_matrix(target[:3, :3] @ tip[:3, :3].T).as_rotvec()
@@ -135,10 +145,8 @@ def points(xyz):
 
 def floating_arm():
     """Three slides along x, y, z and a ball, then three turns within +-2."""
-    to_x, to_y = (
-        Rotation.from_rotvec([0, np.pi / 2, 0]).as_matrix(),
-        Rotation.from_rotvec([-np.pi / 2, 0, 0]).as_matrix(),
-    )
+    to_x = Rotation.from_rotvec([0, np.pi / 2, 0]).as_matrix()
+    to_y = Rotation.from_rotvec([-np.pi / 2, 0, 0]).as_matrix()
     placements = [pose(to_x), pose(to_x.T @ to_y), pose(to_y.T), pose()]
     rows = [
         Row(k, i - 1, i, i, X) for i, (k, X) in enumerate(zip((SLIDE, SLIDE, SLIDE, BALL), placements, strict=True))

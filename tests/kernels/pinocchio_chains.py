@@ -34,14 +34,19 @@ class Arm(Chain):
 
     def __init__(self, file, frame):
         self.model = pin.buildModelFromUrdf(urdf(file))
-        self.data, self.frame = self.model.createData(), self.model.getFrameId(frame)
+        self.data = self.model.createData()
+        self.frame = self.model.getFrameId(frame)
         assert self.frame < self.model.nframes
-        f, joints = self.model.frames[self.frame], []
+        f = self.model.frames[self.frame]
+        joints = []
         j = f.parentJoint
         while j > 0:
             joints.insert(0, j)
             j = self.model.parents[j]
-        rows, lower, upper, back = [], [], [], np.eye(4)
+        rows = []
+        lower = []
+        upper = []
+        back = np.eye(4)
         for i, j in enumerate(joints):
             joint = self.model.joints[j]
             data = joint.createData()

@@ -27,7 +27,8 @@ class Pointer:
     """A pointer into an array: index 0 is entry `at` of it; reading and writing outside of the array is an error."""
 
     def __init__(self, array: np.ndarray, at: int = 0):
-        self.array, self.at = array, at
+        self.array = array
+        self.at = at
 
     def place(self, i: int) -> int:
         """The place of entry i in the array. Errors: `IndexError`."""

@@ -21,7 +21,8 @@ def test_the_kernel_of_the_page(tmp_path):
     assert spec is not None and spec.loader is not None
     module = module_from_spec(spec)
     spec.loader.exec_module(module)
-    vectors, out = np.array([[3.0, 4.0, 0.0], [1.0, 2.0, 2.0], [np.nan, 0.0, 0.0]]), np.empty(3)
+    vectors = np.array([[3.0, 4.0, 0.0], [1.0, 2.0, 2.0], [np.nan, 0.0, 0.0]])
+    out = np.empty(3)
     assert module.lengths(vectors, out) == 1
     np.testing.assert_array_equal(out, [5.0, 3.0, np.nan])
     with pytest.raises(TypeError):

@@ -83,7 +83,9 @@ def test_far_coordinates_and_strange_norms_are_right_beside_near_ones():
     table = Table(rows, [(2, False, np.eye(4))], 6, 5, True, [(1, 1)])
     q = table.random_q(np.random.default_rng(0), 30)
     clean = expected(table, q)
-    q[3, 0], q[4, 5], q[7, 0] = 5e9, 4e8, 1e8
+    q[3, 0] = 5e9
+    q[4, 5] = 4e8
+    q[7, 0] = 1e8
     q[5, 1:5] *= 1e-150
     q[6, 1:5] *= 1e150
     bad, out = swept(table, q)

@@ -311,7 +311,8 @@ def test_no_sequence_of_arguments_ends_the_process(data):
 def one_frame() -> tuple[np.ndarray, np.ndarray]:
     """A fused table of one frame that nothing moves, and its empty configuration."""
     ints = np.zeros(10, dtype=np.int64)
-    ints[1], ints[8] = 1, -1
+    ints[1] = 1
+    ints[8] = -1
     return fuse(ints, np.eye(3, 4).ravel()), np.empty(0)
 
 
@@ -338,8 +339,11 @@ def test_subclasses_are_left_to_those_who_call():
 @native
 def test_calls_keep_no_references():
     table, q = one_frame()
-    out, many, none = np.empty((4, 4)), np.empty((3, 4, 4)), np.empty((3, 0))
-    ints, floats = np.array([0, 1, 0, 0, 0, 0, 0, 0, -1, 0]), np.eye(3, 4).ravel()
+    out = np.empty((4, 4))
+    many = np.empty((3, 4, 4))
+    none = np.empty((3, 0))
+    ints = np.array([0, 1, 0, 0, 0, 0, 0, 0, -1, 0])
+    floats = np.eye(3, 4).ravel()
     kept = (table, q, out, many, none, ints, floats)
     before = [sys.getrefcount(x) for x in kept]
     for _ in range(1000):

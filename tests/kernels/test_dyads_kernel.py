@@ -27,7 +27,8 @@ def random_pose(rng):
 def run(code: Code, known, values, near=None, signs=None):
     """q and status of a program whose known coordinates come first."""
     ints, floats = code.pack(list(range(known)))
-    q, status = np.full((len(values), code.nq), 7.0), np.full((len(values), 3), 7.0)
+    q = np.full((len(values), code.nq), 7.0)
+    status = np.full((len(values), 3), 7.0)
     near = np.zeros((1, code.nq)) if near is None else near
     signs = np.ones((1, code.signs)) if signs is None else signs
     assert dyads_program.solve(ints, floats, values, signs, near, q, status) == len(values)
@@ -65,8 +66,10 @@ def test_turns_and_slides_are_products_of_matrices(n):
 def test_registers_are_carried_and_turned_round():
     """CARRY: 1 = 2 1; DIVIDE: 1 = 1 inverse(2); REBASE: both seen from the first."""
     rng = np.random.default_rng(1)
-    A, B = random_pose(rng), random_pose(rng)
-    XA, XB = matrix(*A), matrix(*B)
+    A = random_pose(rng)
+    B = random_pose(rng)
+    XA = matrix(*A)
+    XB = matrix(*B)
     inverse = np.linalg.inv
     for op, expected in ((K.CARRY, XB @ XA), (K.DIVIDE, XA @ inverse(XB)), (K.REBASE, inverse(XA) @ XB)):
         code = Code(4, 2)
@@ -104,7 +107,8 @@ def test_representatives(low, high):
     code.append(K.TURN, [r(1), r(0), code.coordinate(0)], [1.0, *IDENTITY, *IDENTITY])
     reading(code, 0, 1, 1, (low, high))
     rng = np.random.default_rng(2)
-    values, targets = rng.uniform(-3, 3, (200, 1)), rng.uniform(-30, 30, (200, 1))
+    values = rng.uniform(-3, 3, (200, 1))
+    targets = rng.uniform(-30, 30, (200, 1))
     q = run(code, 1, values, np.hstack([np.zeros((200, 1)), targets]))[0][:, 1]
     turns = (q - values[:, 0]) / (2 * np.pi)
     assert np.abs(turns - np.round(turns)).max() < 1e-14
@@ -143,7 +147,8 @@ def test_the_margin_is_the_sine_of_the_angle_between_the_links(kind):
         system = chain.system()
         plan = closed_form(system, chain.known)
         assert isinstance(plan, Plan)
-        start, values = system.q(chain.values), np.array([[chain.values[name] for name in plan.known]])
+        start = system.q(chain.values)
+        values = np.array([[chain.values[name] for name in plan.known]])
         q, status = plan._run(values, plan.branch_of(start)[None], start[None])
         X = system.fk(q[0])
         first, line, last = (plan._place(X, end) for end in plan.dyads[-1].ends)

@@ -12,7 +12,9 @@ from kempe.kernels.compiled import elimination_batch
 def eigenvalues(matrices) -> np.ndarray:
     """Eigenvalues (N, n), complex, of matrices (N, n, n); none may be missed."""
     A = np.ascontiguousarray(matrices, dtype=float)
-    re, im, missed = np.empty(A.shape[:2]), np.empty(A.shape[:2]), np.empty(len(A), np.int64)
+    re = np.empty(A.shape[:2])
+    im = np.empty(A.shape[:2])
+    missed = np.empty(len(A), np.int64)
     assert elimination_batch.eigenvalues_each(A, re, im, missed) == 0 and not missed.any()
     return re + 1j * im
 
@@ -110,7 +112,9 @@ def test_equal_eigenvalues_that_are_not_defective():
 def test_not_finite_and_huge():
     A = np.random.default_rng(0).standard_normal((4, 16, 16))
     A[0, 3, 4], A[1, 0, 0] = np.nan, np.inf
-    re, im, missed = np.empty((4, 16)), np.empty((4, 16)), np.empty(4, np.int64)
+    re = np.empty((4, 16))
+    im = np.empty((4, 16))
+    missed = np.empty(4, np.int64)
     assert elimination_batch.eigenvalues_each(A, re, im, missed) == 2
     assert missed.tolist() == [16, 16, 0, 0]
     assert np.isnan(re[:2]).all() and np.isfinite(re[2:]).all() and np.isfinite(im[2:]).all()

@@ -15,7 +15,8 @@ from kempe.kernels.closed_form.analytic_layout import FORMULATIONS
 from kempe.kernels.compiled import elimination_batch, elimination_score
 from kempe.kernels.forward.table_layout import SLIDE
 
-CANDIDATES, ODD = 24, 1
+CANDIDATES = 24
+ODD = 1
 """Room for the candidates of a goal, and the bit of doubt for an odd number of them."""
 
 PI = np.pi
@@ -66,8 +67,11 @@ def table(name) -> np.ndarray:
 
 def screw(axis, angle, along) -> np.ndarray:
     """Turn by `angle` about axis x (0) or z (2) with a slide along it."""
-    c, s, T = np.cos(angle), np.sin(angle), np.eye(4)
-    i, j = (axis + 1) % 3, (axis + 2) % 3
+    c = np.cos(angle)
+    s = np.sin(angle)
+    T = np.eye(4)
+    i = (axis + 1) % 3
+    j = (axis + 2) % 3
     T[i, i], T[i, j], T[j, i], T[j, j] = c, -s, s, c
     T[axis, 3] = along
     return T
@@ -75,7 +79,8 @@ def screw(axis, angle, along) -> np.ndarray:
 
 def from_table(rows, modified=False) -> tuple[np.ndarray, np.ndarray]:
     """Lines (6, 8) and the tip's pose at zero, of Denavit-Hartenberg parameters, angles in radians."""
-    T, lines = np.eye(4), np.zeros((6, 8))
+    T = np.eye(4)
+    lines = np.zeros((6, 8))
     for i, (a, alpha, d, offset) in enumerate(rows):
         if modified:
             T = T @ screw(0, alpha, a)
@@ -112,7 +117,8 @@ def random_arm(seed) -> np.ndarray:
 
 def motions(line, theta, kind) -> np.ndarray:
     """E of one joint for each theta: (N, 4, 4)."""
-    h, o = line[:3], line[4:7]
+    h = line[:3]
+    o = line[4:7]
     T = np.tile(np.eye(4), (len(theta), 1, 1))
     if kind == SLIDE:
         T[:, :3, 3] = theta[:, None] * h
@@ -133,9 +139,11 @@ def reach(lines, theta, kinds=TURNS) -> np.ndarray:
 
 def weakest(lines, theta) -> float:
     """Smallest singular value of the Jacobian (lines as they stand, by their direction and moment)."""
-    J, T = np.empty((6, 6)), np.eye(4)
+    J = np.empty((6, 6))
+    T = np.eye(4)
     for i in range(6):
-        h, o = T[:3, :3] @ lines[i, :3], T[:3, :3] @ lines[i, 4:7] + T[:3, 3]
+        h = T[:3, :3] @ lines[i, :3]
+        o = T[:3, :3] @ lines[i, 4:7] + T[:3, 3]
         J[:3, i], J[3:, i] = h, np.cross(o, h)
         T = T @ motions(lines[i], theta[i : i + 1], 0)[0]
     return np.linalg.svd(J, compute_uv=False)[-1]
@@ -157,7 +165,9 @@ def best_forms(lines, kinds=TURNS) -> list[int]:
 def run(lines, goals, formulation, kinds=TURNS):
     """Thetas (N, CANDIDATES, 6), NaN where there is none, and suspects (N,)."""
     n = len(goals)
-    thetas, counts, suspects = np.full((n, CANDIDATES, 6), np.nan), np.empty(n, np.int64), np.empty(n, np.int64)
+    thetas = np.full((n, CANDIDATES, 6), np.nan)
+    counts = np.empty(n, np.int64)
+    suspects = np.empty(n, np.int64)
     found = elimination_batch.eliminate_each(kinds, lines, goals, formulation, thetas, counts, suspects)
     assert found == (suspects != 0).sum()
     assert np.array_equal(np.isfinite(thetas).all(axis=2), np.arange(CANDIDATES) < counts[:, None])
@@ -179,7 +189,9 @@ def has(thetas, theta, kinds=TURNS, tolerance=1e-5) -> np.ndarray:
 
 def solve(lines, goals, forms, kinds=TURNS) -> tuple[list[np.ndarray], np.ndarray]:
     """Distinct postures of each goal, by more formulations where the one before was suspect; first suspects."""
-    answers, left, first = [np.empty((0, 6)) for _ in goals], np.arange(len(goals)), None
+    answers = [np.empty((0, 6)) for _ in goals]
+    left = np.arange(len(goals))
+    first = None
     for f in forms[:4]:
         thetas, suspects = run(lines, goals[left], f, kinds)
         first = suspects if first is None else first
@@ -213,7 +225,8 @@ def forms_of(name) -> list[int]:
 
 def battery(name, n, seed):
     """Assert that known postures are found, and that no doubt goes without saying."""
-    lines, theta = ARMS[name], postures(n, seed)
+    lines = ARMS[name]
+    theta = postures(n, seed)
     goals = reach(lines, theta)
     answers, suspects = solve(lines, goals, forms_of(name))
     found = np.array([(gaps(a, t) < 1e-5).any() for a, t in zip(answers, theta, strict=True)])
@@ -249,7 +262,8 @@ def test_sixteen_postures_of_manseur_and_doty():
     R = np.array([[-0.760117, -0.641689, 0.102262], [0.133333, 0, 0.991071], [-0.635959, 0.766965, 0.085558]])
     u, _, vt = np.linalg.svd(R)
     target = np.eye(4)
-    target[:3, :3], target[:3, 3] = u @ vt, (-1.140175, 0, 0)
+    target[:3, :3] = u @ vt
+    target[:3, 3] = (-1.140175, 0, 0)
     goal = np.ascontiguousarray((target @ np.linalg.inv(M))[:3].reshape(1, 12))
     forms = best_forms(lines)
     answers = [run(lines, goal, f) for f in forms[:6]]
@@ -283,11 +297,15 @@ def test_gauges_change_nothing(seed):
     X[:3, :3] = np.linalg.qr(rng.standard_normal((3, 3)))[0]
     X[:3, :3] *= np.linalg.det(X[:3, :3])
     X[:3, 3] = rng.standard_normal(3)
-    zero, flip = rng.uniform(-1, 1, 6), rng.choice([-1.0, 1.0], 6)
-    T, moved = X.copy(), lines.copy()
+    zero = rng.uniform(-1, 1, 6)
+    flip = rng.choice([-1.0, 1.0], 6)
+    T = X.copy()
+    moved = lines.copy()
     for i in range(6):  # at the new zero the line is where the joints before it carry it
-        h, o = T[:3, :3] @ lines[i, :3], T[:3, :3] @ lines[i, 4:7] + T[:3, 3]
-        moved[i, :3], moved[i, 4:7] = flip[i] * h, o + rng.standard_normal() * h
+        h = T[:3, :3] @ lines[i, :3]
+        o = T[:3, :3] @ lines[i, 4:7] + T[:3, 3]
+        moved[i, :3] = flip[i] * h
+        moved[i, 4:7] = o + rng.standard_normal() * h
         T = T @ motions(lines[i], zero[i : i + 1], 0)[0]
     G = np.tile(np.eye(4), (20, 1, 1))
     G[:, :3] = goals.reshape(-1, 3, 4)
@@ -300,7 +318,8 @@ def test_gauges_change_nothing(seed):
 @pytest.mark.parametrize("name", some(list(ARMS), 4))
 def test_right_angles_and_half_turns(name):
     """Neither half-angle tangents at infinity nor parallel and crossing axes lose a posture that is not singular."""
-    lines, rng = ARMS[name], np.random.default_rng(3)
+    lines = ARMS[name]
+    rng = np.random.default_rng(3)
     theta = postures(120, 3)
     special = rng.random((120, 6)) < rng.choice([0.3, 0.6, 1.0], (120, 1))
     theta[special] = rng.choice([0.0, PI / 2, -PI / 2, PI], (120, 6))[special]
@@ -318,7 +337,8 @@ def test_right_angles_and_half_turns(name):
 def test_a_slide_anywhere(slide):
     kinds = TURNS.copy()
     kinds[slide] = SLIDE
-    lines, theta = random_arm(20 + slide), postures(200, slide, kinds)
+    lines = random_arm(20 + slide)
+    theta = postures(200, slide, kinds)
     forms = best_forms(lines, kinds)
     assert all(f % 6 != slide for f in forms) and len(forms) > 8
     goals = reach(lines, theta, kinds)
@@ -334,7 +354,8 @@ def test_a_slide_anywhere(slide):
 def test_two_slides(slides):
     kinds = TURNS.copy()
     kinds[list(slides)] = SLIDE
-    lines, theta = random_arm(31), postures(100, 5, kinds)
+    lines = random_arm(31)
+    theta = postures(100, 5, kinds)
     forms = best_forms(lines, kinds)
     answers, _ = solve(lines, reach(lines, theta, kinds), forms, kinds)
     assert all((gaps(a, t, kinds) < 1e-5).any() for a, t in zip(answers, theta, strict=True))
@@ -366,7 +387,10 @@ def test_singular_goals_end_well(name):
 def test_goals_out_of_reach_or_not_finite():
     lines = ARMS["random 1"]
     goals = reach(lines, postures(6))
-    goals[0, 3], goals[1, 0], goals[2, 11], goals[3, 3] = 100.0, np.nan, np.inf, 1e200
+    goals[0, 3] = 100.0
+    goals[1, 0] = np.nan
+    goals[2, 11] = np.inf
+    goals[3, 3] = 1e200
     for f in range(FORMULATIONS):
         thetas, _ = run(lines, goals, f)
         assert np.isnan(thetas[:4]).all() and np.isfinite(thetas[4:, :2]).all()

@@ -14,7 +14,8 @@ from kempe.kernels.forward.table_layout import BALL, SLIDE, TURN
 from kempe.kernels.series.jet_layout import POSE_SIZE, scratch_width
 
 ORDER = 8
-RADIUS, POINTS = 0.15, 48
+RADIUS = 0.15
+POINTS = 48
 """The circle: large enough for rounding to be divided by little at order 8, small enough for aliases to vanish."""
 
 
@@ -38,7 +39,8 @@ def complex_poses(table, q, v):
             if r.kind == SLIDE:
                 M[2, 3] = x
             else:
-                c, s = np.cos(x + r.offset), np.sin(x + r.offset)
+                c = np.cos(x + r.offset)
+                s = np.sin(x + r.offset)
                 M[:2, :2] = [[c, -s], [s, c]]
         after.append(X @ r.X @ M)
     out = [(np.eye(4) if row < 0 else after[row]) @ X for row, _, X in table.outputs]
@@ -58,7 +60,8 @@ def ties_of(kinds, numbers, length, relation=()):
     """Packed ties; kinds: (mask, turns) for each."""
     rows = [bin(mask).count("1") + {NO_TURN: 0, ANGLE: 1, ALIGN: 2, CROSS: 1, FULL: 3, DISTANCE: 1, LINEAR: 1}[turns]
             for mask, turns in kinds]  # fmt: skip
-    ints, first = [len(kinds)], 0
+    ints = [len(kinds)]
+    first = 0
     for (mask, turns), n in zip(kinds, rows, strict=True):
         ints += [mask, turns, n, first, len(relation) if turns == LINEAR else 0, 0, -1]
         first += n
@@ -73,8 +76,10 @@ def equations(T, kinds, numbers, length, q, v, relation):
         if turns == LINEAR:
             out.append(sum(f * (q[iq] + v[iv]) for iq, iv, f in relation) - numbers[k])
             continue
-        A, B = T[2 * k], T[2 * k + 1]
-        d, R = A[:3, :3].T @ (B[:3, 3] - A[:3, 3]), A[:3, :3].T @ B[:3, :3]
+        A = T[2 * k]
+        B = T[2 * k + 1]
+        d = A[:3, :3].T @ (B[:3, 3] - A[:3, 3])
+        R = A[:3, :3].T @ B[:3, :3]
         if turns == DISTANCE:
             out.append((d @ d - numbers[k] ** 2) / (2 * numbers[k] * length))
             continue
@@ -87,9 +92,13 @@ def equations(T, kinds, numbers, length, q, v, relation):
 def run(table, ties, numbers, m, q, v, steps=((0, ORDER),)):
     """Series of frames and equations by the kernel, in the given pieces."""
     ints, floats = table.pack()
-    n, n_rows, depth = len(v), max(len(table.rows), 1), v.shape[1]
-    poses, extra = np.zeros((n, n_rows, depth, POSE_SIZE)), np.zeros((n, n_rows, depth, scratch_width(depth - 1)))
-    frames, out = np.zeros((n, len(table.outputs), depth, 12)), np.zeros((n, depth, m))
+    n = len(v)
+    n_rows = max(len(table.rows), 1)
+    depth = v.shape[1]
+    poses = np.zeros((n, n_rows, depth, POSE_SIZE))
+    extra = np.zeros((n, n_rows, depth, scratch_width(depth - 1)))
+    frames = np.zeros((n, len(table.outputs), depth, 12))
+    out = np.zeros((n, depth, m))
     for first, last in steps:
         tapes = np.zeros((len(v), 0, depth))
         jet.jets(ints, floats, ties, numbers, q, v, first, last, poses, extra, frames, tapes, out)
@@ -165,7 +174,8 @@ def test_orders_can_be_computed_one_by_one_with_coefficients_chosen_late():
 def test_several_curves_do_not_disturb_each_other():
     table, held, numbers, relation, q, v = random_case(6)
     ties, packed, m = ties_of(held, numbers, 1.0, relation)
-    q3, v3 = np.concatenate([q, q + 0.1, q]), np.concatenate([v, 2 * v, -v])
+    q3 = np.concatenate([q, q + 0.1, q])
+    v3 = np.concatenate([v, 2 * v, -v])
     all_ = run(table, ties, packed, m, q3, v3)[1]
     for i in range(3):
         assert np.array_equal(all_[i], run(table, ties, packed, m, q3[i : i + 1], v3[i : i + 1])[1][0])
@@ -204,8 +214,11 @@ def places_of(table):
 
 def projected(table, ties, numbers, m, places, start, centers, radius, iterations):
     """Points, their residual, distance and iterations, the equations and their Jacobian there."""
-    n, out = len(start), start.copy()
-    info, value, J = np.zeros((n, 3)), np.zeros((n, m)), np.zeros((n, m, table.nv))
+    n = len(start)
+    out = start.copy()
+    info = np.zeros((n, 3))
+    value = np.zeros((n, m))
+    J = np.zeros((n, m, table.nv))
     projection.project(
         *table.pack(), ties, numbers, places, np.ones(table.nv), centers, out, np.full(n, radius), iterations, 0.2,
         info, value, J,

@@ -25,8 +25,11 @@ def drawn(table, bounds, first, n):
     u = np.array([[unit(key, k) for key in KEYS[: table.nq]] for k in range(first, first + n)]).reshape(n, table.nq)
     q = bounds[: table.nq, 0] + bounds[: table.nq, 1] * u
     for row in (r for r in table.rows if r.kind == BALL):
-        a, b, c = u[:, row.iq], 2.0 * np.pi * u[:, row.iq + 1], 2.0 * np.pi * u[:, row.iq + 2]
-        small, large = np.sqrt(1.0 - a), np.sqrt(a)
+        a = u[:, row.iq]
+        b = 2.0 * np.pi * u[:, row.iq + 1]
+        c = 2.0 * np.pi * u[:, row.iq + 2]
+        small = np.sqrt(1.0 - a)
+        large = np.sqrt(a)
         parts = small * np.sin(b), small * np.cos(b), large * np.sin(c), large * np.cos(c)
         q[:, row.iq : row.iq + 4] = np.stack(parts, axis=-1)
     return q
@@ -47,7 +50,8 @@ def positions_of(table, q):
 def test_samples_are_a_function_of_key_and_number(seed, n, first):
     rng = np.random.default_rng(seed)
     table = random_table(rng, 6, chain=True, forms=all_forms())
-    bounds, out = limits(rng, table.nq), np.full((n, 3), 7.0)
+    bounds = limits(rng, table.nq)
+    out = np.full((n, 3), 7.0)
     lane_positions.random_positions(*table.pack(), KEYS[: table.nq], bounds, first, out)
     assert np.abs(out - positions_of(table, drawn(table, bounds, first, n))).max() < 1e-12
 
@@ -56,7 +60,8 @@ def test_samples_are_a_function_of_key_and_number(seed, n, first):
 def test_cells_are_those_of_numpy(n):
     rng = np.random.default_rng(3)
     table = random_table(rng, 4, chain=True, forms=all_forms())
-    bounds, points = limits(rng, table.nq), np.empty((n, 3))
+    bounds = limits(rng, table.nq)
+    points = np.empty((n, 3))
     lane_positions.random_positions(*table.pack(), KEYS[: table.nq], bounds, 9, points)
     grid = np.array([[-1.0, 3.0, 6], [-0.5, 4.0, 5], [-2.0, 2.0, 7]])
     counts = np.zeros(6 * 5 * 7 // 2 + 1, dtype=np.int64)
@@ -70,7 +75,8 @@ def test_cells_are_those_of_numpy(n):
 def test_counts_of_pieces_add_up():
     rng = np.random.default_rng(4)
     table = random_table(rng, 6, chain=True, forms=all_forms())
-    bounds, grid = limits(rng, table.nq), np.array([[-2.0, 2.0, 8]] * 3)
+    bounds = limits(rng, table.nq)
+    grid = np.array([[-2.0, 2.0, 8]] * 3)
     whole, parts = np.zeros((2, 8**3 // 2 + 1), dtype=np.int64)
     arguments = (*table.pack(), KEYS[: table.nq], bounds)
     lane_positions.count_cells(*arguments, 0, 5000, grid, whole)
@@ -84,7 +90,8 @@ def test_a_slide_is_uniform():
     rng = np.random.default_rng(5)
     table = random_table(rng, 1, chain=True, kinds=(SLIDE,), forms=(GENERAL,))
     row = table.rows[0]
-    out, bounds = np.empty((20000, 3)), np.tile([0.0, 1.0 / abs(row.multiplier)], (table.nq, 1))
+    out = np.empty((20000, 3))
+    bounds = np.tile([0.0, 1.0 / abs(row.multiplier)], (table.nq, 1))
     lane_positions.random_positions(*table.pack(), KEYS[: table.nq], bounds, 0, out)
     away = np.linalg.norm(out - positions_of(table, [np.zeros(table.nq)]), axis=1)
     assert stats.kstest(away, "uniform").pvalue > 0.01

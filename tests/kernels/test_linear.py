@@ -19,8 +19,10 @@ def test_six_unknowns(condition):
 def test_any_number_of_unknowns(n):
     rng = np.random.default_rng(n)
     B = rng.normal(size=(n, n))
-    A, x = B @ B.T + np.eye(n), rng.normal(size=n)
-    a, b = A.ravel().copy(), A @ x
+    A = B @ B.T + np.eye(n)
+    x = rng.normal(size=n)
+    a = A.ravel().copy()
+    b = A @ x
     assert factor.py_func(a, n)
     back.py_func(a, n, b)
     assert np.allclose(b, x, rtol=0, atol=1e-10)

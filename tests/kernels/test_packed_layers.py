@@ -48,7 +48,9 @@ def packed(plan: np.ndarray, nv: int, rng: np.random.Generator, q: Any = None, w
         for use in range(first, last):
             tie, column = plan[plan[L.AT_USES] + L.USE_INTS * use :][: L.USE_INTS]
             at = plan[L.AT_TIES] + L.TIE_INTS * tie
-            rows, row, block = plan[at + L.ROWS], plan[at + L.FIRST_ROW], plan[at + L.BLOCK]
+            rows = plan[at + L.ROWS]
+            row = plan[at + L.FIRST_ROW]
+            block = plan[at + L.BLOCK]
             J[row : row + rows, v] += blocks[block + rows * column : block + rows * (column + 1)]
     loops = SimpleNamespace(
         plan=Pointer(plan), blocks=Pointer(blocks), nv=nv, q=q, weights=weights, error=room(len(J)), nq=nv
@@ -60,11 +62,13 @@ def random_plan(rng: np.random.Generator, ties: int, nv: int) -> np.ndarray:
     """A plan of ties with up to three rows each, over random velocities; its envelope begins where rows share one."""
     rows = rng.integers(1, 4, ties)
     of = [np.flatnonzero(rng.random(nv) < 0.5) for _ in range(ties)]
-    first, block = np.cumsum([0, *rows]), np.cumsum([0, *(r * len(v) for r, v in zip(rows, of, strict=True))])
+    first = np.cumsum([0, *rows])
+    block = np.cumsum([0, *(r * len(v) for r, v in zip(rows, of, strict=True))])
     table = np.zeros((ties, L.TIE_INTS), dtype=np.int64)
     table[:, L.ROWS], table[:, L.FIRST_ROW], table[:, L.BLOCK] = rows, first[:-1], block[:-1]
     uses = [[(k, int(np.flatnonzero(of[k] == v)[0])) for k in range(ties) if v in of[k]] for v in range(nv)]
-    begins, envelope = [], []
+    begins = []
+    envelope = []
     for k in range(ties):
         before = [j for j in range(k + 1) if set(of[j]) & set(of[k])]
         for i in range(first[k], first[k + 1]):
@@ -103,22 +107,29 @@ def within(a: np.ndarray, plan: np.ndarray) -> np.ndarray:
 
 def check_envelope(plan: np.ndarray, nv: int, rng: np.random.Generator) -> None:
     """Products, J J^T, its factors and solutions against dense ones, some columns left out."""
-    kernel, p = plain("envelope"), packed(plan, nv, rng)
+    kernel = plain("envelope")
+    p = packed(plan, nv, rng)
     m = len(p.J)
-    y, x, v = rng.normal(size=m), float(rng.normal()), int(rng.integers(nv))
+    y = rng.normal(size=m)
+    x = float(rng.normal())
+    v = int(rng.integers(nv))
     assert kernel.product(p.loops, v, Pointer(y)) == pytest.approx(p.J[:, v] @ y, abs=1e-10)
     to = pointer(y)
     kernel.add_product(p.loops, v, x, to, 1)
     assert np.allclose(to.array, y + x * p.J[:, v], atol=1e-10)
-    out, damping = rng.random(nv) < 0.3, 10.0 ** rng.uniform(-3, 0)
-    a, column, step = room(p.size), room(m), pointer(np.where(out, np.nan, 0.0))
+    out = rng.random(nv) < 0.3
+    damping = 10.0 ** rng.uniform(-3, 0)
+    a = room(p.size)
+    column = room(m)
+    step = pointer(np.where(out, np.nan, 0.0))
     kernel.normal(p.loops, step, damping, a, column)
     used = np.where(out, 0.0, p.J)
     whole = used @ used.T + damping * np.eye(m)
     assert np.allclose(within(a.array, plan), np.tril(whole), atol=1e-10), "or the envelope does not hold it"
     kernel.factor(p.loops, a, 1e-14)
     lower = within(a.array, plan)
-    D, lower = np.diag(lower).copy(), np.tril(lower, -1) + np.eye(m)
+    D = np.diag(lower).copy()
+    lower = np.tril(lower, -1) + np.eye(m)
     assert np.allclose(lower * D @ lower.T, whole, atol=1e-8) and np.all(D > 0.0)
     solved = pointer(y)
     kernel.solve(p.loops, a, solved)
@@ -161,7 +172,8 @@ def exhaustive(J: np.ndarray, e: np.ndarray, weak: np.ndarray, low: np.ndarray, 
 
     It minimises |d - wish|^2 / 2 + sum (miss of e + J d from [low, high])^2 / (2 weak), ends[0] <= d <= ends[1].
     """
-    best, least = np.zeros(len(wish)), math.inf
+    best = np.zeros(len(wish))
+    least = math.inf
     between = np.flatnonzero(low < high)
     for stops in itertools.product((None, 0, 1), repeat=len(wish)):
         fixed = np.array([i for i, s in enumerate(stops) if s is not None], dtype=int)
@@ -181,7 +193,8 @@ def exhaustive(J: np.ndarray, e: np.ndarray, weak: np.ndarray, low: np.ndarray, 
                 miss = np.maximum(low - x, 0.0) + np.maximum(x - high, 0.0)
                 value = 0.5 * ((d - wish) ** 2).sum() + 0.5 * (miss**2 / weak).sum()
                 if value < least:
-                    best, least = d.copy(), value
+                    best = d.copy()
+                    least = value
     return best
 
 
@@ -189,14 +202,19 @@ def exhaustive(J: np.ndarray, e: np.ndarray, weak: np.ndarray, low: np.ndarray, 
 @given(seed=SEEDS, ties=st.integers(1, 2), nv=st.integers(1, 4))
 def test_the_active_set_is_the_best_of_all_sets(seed, ties, nv):
     """One quadratic programme: slides between limits, rows that are lowered, some of them between bounds."""
-    rng, kernel = np.random.default_rng(seed), plain("active_set")
+    rng = np.random.default_rng(seed)
+    kernel = plain("active_set")
     p = packed(random_plan(rng, ties, nv), nv, rng)
-    m, q = len(p.J), rng.normal(size=nv)
+    m = len(p.J)
+    q = rng.normal(size=nv)
     ends = np.array([-rng.uniform(0.05, 1.0, nv), rng.uniform(0.05, 1.0, nv)])
     weights = np.zeros(L.SCALES + 5 * nv)
     L.velocity_lists(weights, nv)[:3] = np.ones(nv), q + ends[0], q + ends[1]
-    p.loops.q, p.loops.weights = pointer(q), pointer(weights)
-    value, weak, wish = rng.normal(size=m), 10.0 ** rng.uniform(-2, 0, m), 0.3 * rng.normal(size=nv)
+    p.loops.q = pointer(q)
+    p.loops.weights = pointer(weights)
+    value = rng.normal(size=m)
+    weak = 10.0 ** rng.uniform(-2, 0, m)
+    wish = 0.3 * rng.normal(size=nv)
     low = np.where(rng.random(m) < 0.5, 0.0, -rng.uniform(0.1, 0.5, m))
     high = np.where(low < 0.0, rng.uniform(0.1, 0.5, m), 0.0)
     outside = value - np.clip(value, low, high)
@@ -238,7 +256,8 @@ def apart(a: np.ndarray, b: np.ndarray, slides: np.ndarray) -> float:
 @given(seed=SEEDS, count=st.integers(1, 12), n=st.integers(1, 6))
 def test_united_rows_are_those_of_comparing_all_pairs(seed, count, n):
     """Solutions a whole turn apart or nearer than `SAME` are one; roots are counted together, none is lost."""
-    rng, merging = np.random.default_rng(seed), plain("merging")
+    rng = np.random.default_rng(seed)
+    merging = plain("merging")
     true = rng.uniform(-3.0, 3.0, (max(1, count // 2), n))
     thetas = true[rng.integers(0, len(true), count)] + rng.choice([0.0, 0.2 * merging.SAME], (count, 1))
     found, rows = found_rows(merging, thetas, rng)
@@ -263,11 +282,15 @@ def test_united_rows_are_those_of_comparing_all_pairs(seed, count, n):
 @given(seed=SEEDS, slides=st.booleans())
 def test_a_coordinate_is_the_turn_inside_the_limits_that_is_nearest(seed, slides):
     """Against trying all turns: inside if one is, of those the nearest to `near`, else the nearest of all."""
-    rng, merging = np.random.default_rng(seed), plain("merging")
-    numbers, low = np.zeros(A.JOINT_FLOATS), rng.uniform(-8.0, 4.0)
-    factor, offset = float(rng.choice([1.0, -1.0, 0.5, 2.0])), float(rng.normal())
+    rng = np.random.default_rng(seed)
+    merging = plain("merging")
+    numbers = np.zeros(A.JOINT_FLOATS)
+    low = rng.uniform(-8.0, 4.0)
+    factor = float(rng.choice([1.0, -1.0, 0.5, 2.0]))
+    offset = float(rng.normal())
     numbers[[A.FACTOR, A.OFFSET, A.LOW, A.HIGH]] = factor, offset, low, low + rng.uniform(0.5, 9.0)
-    theta, near = rng.uniform(-np.pi, np.pi), float(rng.uniform(-9.0, 9.0))
+    theta = rng.uniform(-np.pi, np.pi)
+    near = float(rng.uniform(-9.0, 9.0))
     q, inside = merging.coordinate(slides, theta, Pointer(numbers), near, merging.EDGE)
     every = (theta - offset + 2.0 * np.pi * (np.zeros(1) if slides else np.arange(-9, 10))) / factor
     fitting = every[(every >= numbers[A.LOW]) & (every <= numbers[A.HIGH])]
@@ -280,8 +303,10 @@ def test_a_coordinate_is_the_turn_inside_the_limits_that_is_nearest(seed, slides
 @given(seed=SEEDS, slots=st.integers(1, 12), n=st.integers(1, 4))
 def test_rows_are_arranged_as_sorting_them_does(seed, slots, n):
     """Those in use first: inside the limits, then by their distance from `near`."""
-    rng, merging = np.random.default_rng(seed), plain("merging")
-    out, near = rng.normal(size=(slots, n + A.INFO)), rng.normal(size=n)
+    rng = np.random.default_rng(seed)
+    merging = plain("merging")
+    out = rng.normal(size=(slots, n + A.INFO))
+    near = rng.normal(size=n)
     out[:, n + A.CODE] = rng.integers(-1, 4, slots)
     joints = np.ones((n, A.JOINT_FLOATS))
     joints[:, A.FACTOR] = rng.choice([1.0, 2.0], n)

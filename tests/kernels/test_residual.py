@@ -25,8 +25,11 @@ LENGTH = 0.7
 
 def look(ints, floats, limits, task, targets, q, out, e, J, H):
     """Error (6,), Jacobian (6, nv) and Hessian (nv, nv) at one configuration q (1, 1, nq)."""
-    columns, nq, nv = count_columns(raw(ints)), ints[2], ints[3]
-    notes, block = np.empty(problem_ints(columns, nv), np.int64), np.empty(problem_floats(columns, nq, nv))
+    columns = count_columns(raw(ints))
+    nq = ints[2]
+    nv = ints[3]
+    notes = np.empty(problem_ints(columns, nv), np.int64)
+    block = np.empty(problem_floats(columns, nq, nv))
     problem = problem_of(
         ints, floats, limits, task, targets, q, 0, 0, 1, 1, 1e-6, 1e-6, 0.7, out, columns, raw(notes), raw(block)
     )
@@ -54,9 +57,14 @@ def probe() -> Callable[..., None]:
 
 
 def looked_at(chain, q, target, mask):
-    nq, nv = chain.table.nq, chain.table.nv
-    e, J, H, out = np.zeros(6), np.zeros((6, nv)), np.zeros((nv, nv)), np.zeros((1, nq + 5))
-    task, limits = np.r_[np.array((*mask, 0)[:7]), chain.circular], np.array([chain.lower, chain.upper])
+    nq = chain.table.nq
+    nv = chain.table.nv
+    e = np.zeros(6)
+    J = np.zeros((6, nv))
+    H = np.zeros((nv, nv))
+    out = np.zeros((1, nq + 5))
+    task = np.r_[np.array((*mask, 0)[:7]), chain.circular]
+    limits = np.array([chain.lower, chain.upper])
     probe()(*chain.table.pack(), limits, task, target[None], q[None, None], out, e, J, H)
     return e, J, H
 
@@ -83,8 +91,11 @@ CHAINS = {
 @pytest.mark.parametrize("mask", [POSE, POSITION, ORIENTATION, DIRECTION, POSITION_AXIS])
 @pytest.mark.parametrize("name", CHAINS)
 def test_gradient_and_hessian_are_those_of_the_distance(name, mask):
-    chain, rng = CHAINS[name](), np.random.default_rng(0)
-    unit, nv, h = scales(chain), chain.table.nv, 1e-4
+    chain = CHAINS[name]()
+    rng = np.random.default_rng(0)
+    unit = scales(chain)
+    nv = chain.table.nv
+    h = 1e-4
     for _ in range(4):
         q = chain.random_q(rng, 1)[0]
         target = pose(Rotation.random(random_state=rng).as_matrix(), rng.normal(size=3))
@@ -106,7 +117,8 @@ def test_gradient_and_hessian_are_those_of_the_distance(name, mask):
 @pytest.mark.parametrize("angle", [1e-5, 1e-3, 0.0])
 def test_hessian_near_the_goal(angle):
     """There it is J^T J, in which turns about the pointed axis do not count."""
-    chain, rng = CHAINS["turns and slides"](), np.random.default_rng(1)
+    chain = CHAINS["turns and slides"]()
+    rng = np.random.default_rng(1)
     q = chain.random_q(rng, 1)[0]
     target = chain.forward(q)
     target[:3, :3] = Rotation.from_rotvec([angle, 0, 0]).as_matrix() @ target[:3, :3]

@@ -43,9 +43,11 @@ def chain_without_balls(seed, n=8, limit=2.0, **options):
 
 def raw_answers(chain, targets, starts, seeds=None):
     """q and status as `reach` leaves them, without the nearest of what was not reached."""
-    n, nq = len(targets), chain.table.nq
+    n = len(targets)
+    nq = chain.table.nq
     seeds = np.empty((1, 0, nq)) if seeds is None else seeds
-    out, limits = np.full((n, nq + ANSWER), 7.0), np.array([chain.lower, chain.upper])
+    out = np.full((n, nq + ANSWER), 7.0)
+    limits = np.array([chain.lower, chain.upper])
     task = np.r_[np.array((*POSE, 0)), chain.circular]
     schedule.reach(*chain.table.pack(), limits, task, targets, seeds, 1, 0, starts, 20, 1e-6, 1e-6, 0.0, out)
     return out
@@ -57,7 +59,8 @@ def test_lanes_find_what_single_starts_find(seed, mask):
     """The same start reaches the goal, in as many steps, and at the same place."""
     chain, rng = chain_without_balls(seed)
     targets, _ = chain.reachable(rng, 60)
-    fast, slow = solve(chain, targets, mask), solve(chain, targets, mask, slow=True)
+    fast = solve(chain, targets, mask)
+    slow = solve(chain, targets, mask, slow=True)
     assert judge(chain, fast, targets, mask).all() and judge(chain, slow, targets, mask).all()
     same = (fast.starts == slow.starts) & (np.abs(fast.steps - slow.steps) <= 2 * fast.starts)
     assert same.mean() >= 0.9  # a step that rounding turns another way may lead elsewhere
@@ -111,7 +114,8 @@ def test_the_answer_is_that_of_the_first_start_that_reaches_the_goal():
     for i in np.flatnonzero(starts > 1)[:40]:
         n = int(starts[i])
         out = np.full((1, nq + ANSWER), 7.0)
-        limits, task = np.array([chain.lower, chain.upper]), np.r_[np.array((*POSE, 0)), chain.circular]
+        limits = np.array([chain.lower, chain.upper])
+        task = np.r_[np.array((*POSE, 0)), chain.circular]
         for tries, expected in ((n - 1, NOT_FOUND), (n, SOLVED), (n + 1, SOLVED), (10 * n, SOLVED)):
             schedule.reach(
                 *chain.table.pack(), limits, task, targets[i : i + 1], np.empty((1, 0, nq)), 1, 0, tries, 20,
@@ -132,7 +136,8 @@ def test_a_seed_that_leads_to_the_goal_is_preferred():
     chain, rng = chain_without_balls(2, 9)
     targets, q = chain.reachable(rng, 200)
     seeds = np.clip(q + rng.uniform(-0.2, 0.2, q.shape), -2.0, 2.0)[:, None]
-    alone, among = solve(chain, targets, seeds=seeds, starts=1), solve(chain, targets, seeds=seeds)
+    alone = solve(chain, targets, seeds=seeds, starts=1)
+    among = solve(chain, targets, seeds=seeds)
     led = (alone.status == SOLVED) & (alone.steps <= 20)
     assert led.sum() > 150 and (among.starts[led] == 1).all() and np.array_equal(among.q[led], alone.q[led])
 

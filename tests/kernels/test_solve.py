@@ -48,7 +48,8 @@ def test_reachable_targets_of_random_chains(seed):
 
 
 def test_floating_base():
-    chain, rng = floating_arm(), np.random.default_rng(5)
+    chain = floating_arm()
+    rng = np.random.default_rng(5)
     targets, _ = chain.reachable(rng, 100)
     targets[50:, :3, 3] *= 1000.0  # far away, but the base goes anywhere
     answers = solve(chain, targets)
@@ -61,7 +62,8 @@ def test_floating_base():
     *((n, mask) for n in (3, 10, 40) for mask in (POSITION, POINT, PLANAR, POSE)),
 ])  # fmt: skip
 def test_planar_arms(n, mask):
-    chain, rng = planar_arm(*[1.0 / n] * n), np.random.default_rng(n)
+    chain = planar_arm(*[1.0 / n] * n)
+    rng = np.random.default_rng(n)
     targets, _ = chain.reachable(rng, 100)
     answers = solve(chain, targets, mask)
     assert judge(chain, answers, targets, mask).all()
@@ -105,7 +107,8 @@ def test_nearest_of_three_slides_is_the_nearest_corner_of_the_box(mask):
 
 def descend_elsewhere(chain, target, mask, length, q0):
     """Least weighted distance that SciPy's bounded quasi-Newton method finds from q0; no balls."""
-    rows, nv = np.array(mask, dtype=float), chain.table.nv
+    rows = np.array(mask, dtype=float)
+    nv = chain.table.nv
 
     def cost(x):
         q = np.r_[x, q0[nv:]]

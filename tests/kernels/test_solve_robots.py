@@ -27,7 +27,8 @@ def test_the_table_is_the_robot(name):
 @pytest.mark.parametrize("name", ROBOTS)
 def test_reachable_targets(name):
     """All found, judged by Pinocchio, with no more work than when the solver was tuned, and a margin."""
-    robot, mask = arm(name), POSITION if name == "so101" else POSE
+    robot = arm(name)
+    mask = POSITION if name == "so101" else POSE
     targets, _ = robot.reachable(np.random.default_rng(1), 400)
     answers = solve(robot, targets, mask)
     assert judge(robot, answers, targets, mask).all()
@@ -37,7 +38,8 @@ def test_reachable_targets(name):
 
 @pytest.mark.parametrize("name", [n for n in ROBOTS if n != "so101"])
 def test_half_of_the_joints_at_their_limits(name):
-    robot, rng = arm(name), np.random.default_rng(2)
+    robot = arm(name)
+    rng = np.random.default_rng(2)
     targets = np.array([robot.forward(q) for q in robot.at_limits(rng, 400)])
     answers = solve(robot, targets)
     right = judge(robot, answers, targets)
@@ -46,7 +48,8 @@ def test_half_of_the_joints_at_their_limits(name):
 
 @pytest.mark.parametrize("name", ["panda", "ur5", "tiago"])
 def test_a_near_seed_needs_few_steps(name):
-    robot, rng = arm(name), np.random.default_rng(3)
+    robot = arm(name)
+    rng = np.random.default_rng(3)
     q = robot.random_q(rng, 300)
     targets = np.array([robot.forward(x) for x in q])
     seeds = np.clip(q + rng.uniform(-0.05, 0.05, q.shape), robot.lower, robot.upper)
@@ -58,7 +61,8 @@ def test_a_near_seed_needs_few_steps(name):
 @pytest.mark.parametrize("name", ["panda", "talos"])
 def test_out_of_reach_the_answer_does_not_depend_on_the_random_starts(name):
     """Different random starts agree on the distance: it is the least one, not just any local minimum."""
-    robot, rng = arm(name), np.random.default_rng(4)
+    robot = arm(name)
+    rng = np.random.default_rng(4)
     targets, _ = robot.reachable(rng, 25)
     targets[:, :3, 3] += [0.0, 0.0, 2.5]
     first, second = (solve(robot, targets, POSITION, seed=s) for s in (1, 2))

@@ -84,7 +84,8 @@ def gap(a: float, b: float) -> float:
 
 @given(ANGLE, ANGLE, st.floats(1e-3, 1e3))
 def test_a_circle_meets_a_line_twice(theta, direction, size):
-    a, b = size * math.cos(direction), size * math.sin(direction)
+    a = size * math.cos(direction)
+    b = size * math.sin(direction)
     k = a * math.cos(theta) + b * math.sin(theta)
     c0, s0, c1, s1, _ = trig_roots(a, b, k)
     for c, s in ((c0, s0), (c1, s1)):
@@ -138,7 +139,8 @@ def test_cone_finds_both_turns(seed, theta):
 @given(SMALL, ANGLE)
 def test_cone_keeps_its_digits_where_wrists_are_singular(eps, about):
     """Axes at right angles, n turned by eps from k: cos(eps) would have lost half the digits."""
-    k, h = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)
+    k = (0.0, 0.0, 1.0)
+    h = (0.0, 1.0, 0.0)
     n = (0.0, 0.0, 1.0)
     w = turn(k, about) @ turn(h, eps) @ n
     c0, s0, c1, s1, _ = cone_roots(k, h, n, tuple(w))
@@ -241,14 +243,18 @@ def test_double_roots_of_a_quartic_are_two():
 @given(st.integers(0, 10**6), st.booleans(), st.booleans())
 def test_coupled_equations_have_the_pair_that_they_were_made_of(seed, x_slides, z_slides):
     rng = np.random.default_rng(seed)
-    terms, x, z = rng.standard_normal(12), rng.uniform(-1.5, 1.5), rng.uniform(-1.5, 1.5)
+    terms = rng.standard_normal(12)
+    x = rng.uniform(-1.5, 1.5)
+    z = rng.uniform(-1.5, 1.5)
 
     def factors(slides, t):
         return np.array([1.0, t, t * t] if slides else [1.0, math.cos(t), math.sin(t)])
 
-    left, right = terms[:6].reshape(2, 3), terms[6:].reshape(2, 3)
+    left = terms[:6].reshape(2, 3)
+    right = terms[6:].reshape(2, 3)
     right[:, 0] += left @ factors(x_slides, x) - right @ factors(z_slides, z)
-    xs, zs = np.empty(4 * arm_part.MOST), np.empty(4 * arm_part.MOST)
+    xs = np.empty(4 * arm_part.MOST)
+    zs = np.empty(4 * arm_part.MOST)
     count = coupled(x_slides, z_slides, terms, np.empty(quartic.WORK), xs, zs)
     pairs = [(xs[4 * i + 2], zs[4 * i + 2]) for i in range(count)]
     assert count <= 4

@@ -15,7 +15,8 @@ def all_poses(table, q):
 
 
 def all_jacobians(table, q, frame):
-    T, J = np.full((len(q), 4, 4), 7.0), np.full((len(q), 6, table.nv), 7.0)
+    T = np.full((len(q), 4, 4), 7.0)
+    J = np.full((len(q), 6, table.nv), 7.0)
     return table_sweep.jacobian(*table.pack(), q, frame, T, J), T, J
 
 
@@ -47,7 +48,8 @@ def test_jacobians_of_random_tables(n_rows, chain, frame):
     bad, T, J = all_jacobians(table, q, frame)
     assert bad == 0 and close(T, np.array([table.poses(x)[0] for x in q]))
     assert close(J, np.array([table.jacobian(x, frame) for x in q]), 100.0)
-    T1, J1 = np.empty((4, 4)), np.empty((6, table.nv))
+    T1 = np.empty((4, 4))
+    J1 = np.empty((6, table.nv))
     assert bound.pose_jacobian(fuse(*table.pack(), frame), q[0], T1, J1) == 0
     only = np.empty_like(J1)
     assert bound.jacobian(fuse(*table.pack(), frame), q[0], only) == 0 and np.array_equal(only, J1)
@@ -59,21 +61,28 @@ def test_jacobians_of_random_tables(n_rows, chain, frame):
 def test_jacobians_are_derivatives_of_poses_on_the_manifold(seed, frame):
     rng = np.random.default_rng(seed)
     table = random_table(rng, 6, chain=True, particles=seed == 0)
-    packed, q, h = table.pack(), table.random_q(rng, 1)[0], 1e-6
-    T, J = np.empty((4, 4)), np.empty((6, table.nv))
+    packed = table.pack()
+    q = table.random_q(rng, 1)[0]
+    h = 1e-6
+    T = np.empty((4, 4))
+    J = np.empty((6, table.nv))
     bound.pose_jacobian(fuse(*packed, frame), q, T, J)
-    p, R = T[:3, 3], T[:3, :3]
-    there, back = np.empty((4, 4)), np.empty((4, 4))
+    p = T[:3, 3]
+    R = T[:3, :3]
+    there = np.empty((4, 4))
+    back = np.empty((4, 4))
     for i, v in enumerate(np.eye(table.nv)):
         bound.pose(fuse(*packed), table.moved(q, h * v), there)
         bound.pose(fuse(*packed), table.moved(q, -h * v), back)
         rate = (there - back) / (2 * h)
         W = rate[:3, :3] @ R.T
-        linear, angular = rate[:3, 3], np.array([W[2, 1], W[0, 2], W[1, 0]])
+        linear = rate[:3, 3]
+        angular = np.array([W[2, 1], W[0, 2], W[1, 0]])
         if frame == WORLD:
             linear = linear + np.cross(p, angular)
         elif frame == BODY:
-            linear, angular = R.T @ linear, R.T @ angular
+            linear = R.T @ linear
+            angular = R.T @ angular
         assert np.abs(J[:, i] - np.r_[linear, angular]).max() < 2e-8
 
 
@@ -121,7 +130,8 @@ def test_bad_coordinates_spoil_what_depends_on_them_and_nothing_else(value):
         assert np.isnan(out[1][spoilt][:, :3]).all() and not np.isnan(out[1][np.logical_not(spoilt)]).any()
         assert np.array_equal(out[:, :, 3], np.broadcast_to([0.0, 0, 0, 1], out[:, :, 3].shape))
         assert not np.isnan(out[[0, 2]]).any()
-        T, J = np.empty((4, 4)), np.empty((6, table.nv))
+        T = np.empty((4, 4))
+        J = np.empty((6, table.nv))
         assert bound.pose_jacobian(fuse(*table.pack(), WORLD_ALIGNED), q, T, J) == int(spoilt[0])
         assert np.isnan(T[:3]).all() == np.isnan(J).all() == spoilt[0]
         assert np.isnan(T[:3]).any() == np.isnan(J).any() == spoilt[0]
@@ -136,7 +146,8 @@ def test_the_gauge_keeps_far_turns_exact(turn):
         all_poses(table, np.array([[turn]]))[1][0, 0],
         all_jacobians(table, np.array([[turn]]), 0)[1][0],
     ):
-        c, s = np.cos(turn), np.sin(turn)
+        c = np.cos(turn)
+        s = np.sin(turn)
         expected = [c * np.cos(0.3) - s * np.sin(0.3), s * np.cos(0.3) + c * np.sin(0.3)]
         assert np.abs(out[:2, 0] - expected).max() < 1e-15
 
@@ -173,7 +184,8 @@ def test_agrees_with_pinocchio(seed):
     frame = model.addFrame(pin.Frame("f", row + 1, 0, pin.SE3(X[:3, :3], X[:3, 3]), pin.FrameType.OP_FRAME))
     data = model.createData()
     q = table.random_q(rng, 1)[0]
-    theirs, columns = np.empty(model.nq), []
+    theirs = np.empty(model.nq)
+    columns = []
     for i, r in enumerate(table.rows):
         joint = model.joints[i + 1]
         values = q[r.iq : r.iq + joint.nq]

@@ -24,7 +24,8 @@ def run(t, inputs):
     """Outputs (N, m) and gradients (N, m, n) of a tape by the kernel, at inputs (N, n)."""
     ints, floats = t.arrays()
     n = len(inputs)
-    values, gradients = np.full((n, len(t.outputs)), 7e77), np.full((n, len(t.outputs), len(t.inputs)), 7e77)
+    values = np.full((n, len(t.outputs)), 7e77)
+    gradients = np.full((n, len(t.outputs), len(t.inputs)), 7e77)
     tape_evaluation.tapes(ints, floats, np.ascontiguousarray(inputs, dtype=float), values, gradients)
     return values, gradients
 
@@ -81,7 +82,8 @@ def composed(rng, depth):
     """A random composition that is defined near where it is evaluated."""
     if depth == 0:
         return str(rng.choice(["x", "y", "0.7", "(x + 2*y)"]))
-    a, b = composed(rng, depth - 1), composed(rng, depth - 1)
+    a = composed(rng, depth - 1)
+    b = composed(rng, depth - 1)
     forms = [
         f"({a} + {b})", f"({a} - {b})", f"{a}*{b}", f"{a}/(2 + sin({b}))", f"sin({a})", f"cos({a})",
         f"exp(-({a})**2)", f"sqrt(1 + ({a})**2)", f"log(2 + cos({a}))", f"atan({a})", f"tanh({a})", f"asinh({a})",
@@ -95,12 +97,16 @@ def composed(rng, depth):
 
 def test_random_compositions_against_the_function_itself(hunt):
     """Gradients against the series along each axis, series against a circle of complex numbers."""
-    rng, order, points, radius = hunt.rng(), 4, 32, 0.05
+    rng = hunt.rng()
+    order = 4
+    points = 32
+    radius = 0.05
     circle = radius * np.exp(2j * np.pi * np.arange(points) / points)
     for _ in range(hunt.cases(300)):
         text = f"{composed(rng, int(rng.integers(1, 4)))} + x*y"
         t = from_text(text, ["x", "y"])
-        at, way = rng.uniform(0.2, 0.8, 2), rng.normal(size=(2, order)) / [[1, 2, 4, 8]]
+        at = rng.uniform(0.2, 0.8, 2)
+        way = rng.normal(size=(2, order)) / [[1, 2, 4, 8]]
         values, gradients = run(t, [at])
         along = series(t, [np.column_stack([at, way])])[0, 0]
         assert along[0] == pytest.approx(values[0, 0], rel=1e-13), text
@@ -135,7 +141,8 @@ def complex_value(t, x):
 
 def test_kernel_and_judge_agree_on_random_tapes(hunt):
     """Values of the kernel against numpy, gradients against central differences of numpy."""
-    rng, h = hunt.rng(), 1e-6
+    rng = hunt.rng()
+    h = 1e-6
     for _ in range(hunt.cases(300)):
         texts = [composed(rng, int(rng.integers(0, 4))) for _ in range(3)]
         t = from_text([*texts, "x - y"], ["x", "y"])

@@ -154,8 +154,6 @@ def test_atan2_of_zeros_and_bad_numbers(function):
     (value,) = both(function, y, x, n_results=1)
     expected = np.array([math.atan2(b, a) for b, a in zeros])
     assert np.array_equal(value, expected) and np.array_equal(np.signbit(value), np.signbit(expected))
-    y, x = (
-        [np.nan, 1.0, np.inf, 1.0, -np.inf, np.nan, 1.7e308],
-        [1.0, np.nan, 1.0, np.inf, np.inf, np.inf, 1.7e308],
-    )
+    y = [np.nan, 1.0, np.inf, 1.0, -np.inf, np.nan, 1.7e308]
+    x = [1.0, np.nan, 1.0, np.inf, np.inf, np.inf, 1.7e308]
     assert np.isnan(both(function, y, x, n_results=1)).all()

@@ -97,9 +97,11 @@ def test_bad_ends():
 
 @given(graph=graphs(), seed=st.integers(0, 10**6))
 def test_random_is_the_same_by_name_in_every_order(graph: Graph, seed):
-    one, other = graph.mechanism().build(), graph.shuffled(seed).mechanism().build()
+    one = graph.mechanism().build()
+    other = graph.shuffled(seed).mechanism().build()
     for shape in ((), 4, (2, 3)):
-        a, b = one.random(seed, shape), other.random(seed, shape)
+        a = one.random(seed, shape)
+        b = other.random(seed, shape)
         for name in one.coordinate_names:
             np.testing.assert_array_equal(
                 a[..., one.coordinate_names.index(name)], b[..., other.coordinate_names.index(name)]
@@ -158,7 +160,8 @@ def test_mid_is_inside():
 
 def test_unlimited_turns_go_the_short_way():
     s = system(a="revolute", b=("revolute", {"limits": (-4, 4)}), c="prismatic")
-    q0, q1 = np.array([3.0, 3.0, 3.0]), np.array([-3.0, -3.0, -3.0])
+    q0 = np.array([3.0, 3.0, 3.0])
+    q1 = np.array([-3.0, -3.0, -3.0])
     short = 2 * np.pi - 6
     assert s.configuration_space.distance(q0, q1) == pytest.approx(np.sqrt(short**2 + 36 + 36))
     half = s.configuration_space.interpolate(q0, q1, 0.5)
@@ -175,11 +178,13 @@ def test_unlimited_turns_go_the_short_way():
 def test_ways_on_balls_are_great_circles(seed):
     s = system(ball="free", turn="revolute")
     rng = np.random.default_rng(seed)
-    q0, q1 = s.random(rng), s.random(rng)
+    q0 = s.random(rng)
+    q1 = s.random(rng)
     t = np.linspace(0, 1, 7)
     way = s.configuration_space.interpolate(q0, q1, t)
     assert way.shape == (7, s.nq)
-    poses, ends = s.fk(way, "turn body"), s.fk(np.array([q0, q1]), "turn body")
+    poses = s.fk(way, "turn body")
+    ends = s.fk(np.array([q0, q1]), "turn body")
     np.testing.assert_allclose(poses[[0, -1]], ends, rtol=0, atol=1e-13)
     whole = s.configuration_space.distance(q0, q1)
     np.testing.assert_allclose([s.configuration_space.distance(q0, x) for x in way], t * whole, rtol=0, atol=1e-7)
@@ -195,17 +200,16 @@ def test_ways_on_balls_are_great_circles(seed):
 def test_distance_is_a_metric():
     s = system(ball="spherical", turn="revolute", slide="prismatic")
     q = s.random(0, (200, 3))
-    ab, bc, ac = (
-        s.configuration_space.distance(q[:, 0], q[:, 1]),
-        s.configuration_space.distance(q[:, 1], q[:, 2]),
-        s.configuration_space.distance(q[:, 0], q[:, 2]),
-    )
+    ab = s.configuration_space.distance(q[:, 0], q[:, 1])
+    bc = s.configuration_space.distance(q[:, 1], q[:, 2])
+    ac = s.configuration_space.distance(q[:, 0], q[:, 2])
     assert np.all(ab >= 0) and np.all(ac <= ab + bc + 1e-12) and np.all(s.configuration_space.distance(q, q) < 1e-7)
 
 
 def test_ways_broadcast():
     s = system(ball="spherical", turn="revolute")
-    q0, q1 = s.random(0), s.random(1, (4, 1))
+    q0 = s.random(0)
+    q1 = s.random(1, (4, 1))
     assert s.configuration_space.interpolate(q0, q1, np.linspace(0, 1, 3)).shape == (4, 3, 5)
     assert s.configuration_space.distance(q0, q1).shape == (4, 1) and s.configuration_space.difference(
         q0, q1
@@ -319,7 +323,8 @@ def test_the_difference_is_the_way_whose_length_is_the_distance(seed):
     """Of continuous joints by at most half a turn, of limited ones as the coordinates say, whatever the turns of q."""
     rng = np.random.default_rng(seed)
     s = system(a="revolute", b=("revolute", {"limits": (-9.0, 9.0)}), c="prismatic", d="revolute")
-    space, turns = s.configuration_space, np.array([2.0 * np.pi, 0.0, 0.0, 2.0 * np.pi])
+    space = s.configuration_space
+    turns = np.array([2.0 * np.pi, 0.0, 0.0, 2.0 * np.pi])
     q0, q1 = rng.uniform(-9.0, 9.0, (2, 5, 4))
     v = space.difference(q0, q1)
     np.testing.assert_allclose(np.linalg.norm(v, axis=-1), space.distance(q0, q1), atol=1e-12)

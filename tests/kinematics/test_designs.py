@@ -24,8 +24,11 @@ def closed_form(l1, l2, alpha, q1, q2):
 
 
 def test_the_lectures_formula_for_many_lengths():
-    s, rng = two_link(), np.random.default_rng(0)
-    l1, l2, alpha = rng.uniform(0, 2, (3, 1)), rng.uniform(0, 2, 4), rng.normal(size=(3, 4))
+    s = two_link()
+    rng = np.random.default_rng(0)
+    l1 = rng.uniform(0, 2, (3, 1))
+    l2 = rng.uniform(0, 2, 4)
+    alpha = rng.normal(size=(3, 4))
     q = s.random(rng, (3, 4, 5))
     designs = s.with_parameters(l1=l1, l2=l2, alpha=alpha)
     assert designs.shape == (3, 4) and repr(designs) == "Designs('two-link', shape=(3, 4))"

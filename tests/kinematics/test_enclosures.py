@@ -15,7 +15,8 @@ def drawn(rng, depth, x, c, s):
         return x, lambda t: t
     if kind < 3:
         return (c, mpmath.cos) if kind == 1 else (s, mpmath.sin)
-    (a, f), (b, g) = drawn(rng, depth - 1, x, c, s), drawn(rng, depth - 1, x, c, s)
+    (a, f) = drawn(rng, depth - 1, x, c, s)
+    (b, g) = drawn(rng, depth - 1, x, c, s)
     if kind == 3:
         return a + b, lambda t: f(t) + g(t)
     if kind == 4:

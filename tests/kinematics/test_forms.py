@@ -23,7 +23,8 @@ def same(form, given, X):
     if form == "position_quat_wxyz":
         turned = Rotation.from_quat(given[..., 3:].reshape(-1, 4), scalar_first=True).as_matrix()
         assert np.abs(turned.reshape(*X.shape[:-2], 3, 3) - X[..., :3, :3]).max(initial=0.0) < 1e-6
-        given, form = given[..., :3], "position"
+        given = given[..., :3]
+        form = "position"
     wanted = {"matrix": X, "3x4": X[..., :3, :], "position": X[..., :3, 3]}[form]
     assert given.shape == wanted.shape and np.abs(given - wanted).max(initial=0.0) < 1e-6
 
@@ -49,7 +50,8 @@ def test_positions_are_exact():
 
 def test_out_is_filled():
     system, frame = arm("panda")
-    q, out = system.random(1, 40), np.zeros((40, 3), dtype=np.float32)
+    q = system.random(1, 40)
+    out = np.zeros((40, 3), dtype=np.float32)
     assert system.fk(q, frame, out, form="position", dtype=np.float32) is out
     assert np.abs(out - system.fk(q, frame)[:, :3, 3]).max() < 1e-6
 
@@ -79,7 +81,8 @@ def test_wrong_forms_are_named():
 @pytest.mark.parametrize("form", [None, *FORMS])
 def test_queries_have_forms(form, dtype):
     system, frame = arm("panda")
-    query, q = system.query(frame, form, dtype), system.random(1, 30)
+    query = system.query(frame, form, dtype)
+    q = system.random(1, 30)
     for part in (q, q[0], q[:0]):
         assert np.array_equal(query(part), system.fk(part, frame, form=form, dtype=dtype))
         assert np.array_equal(pickle.loads(pickle.dumps(query))(part), query(part))

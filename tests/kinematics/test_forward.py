@@ -27,7 +27,8 @@ FRAMES = ("world_aligned", "world", "body")
 
 def arm(n: int = 7) -> System:
     """A chain of skew hinges with a tool frame; its last body hangs on a fixed joint."""
-    m, rng = Mechanism("arm"), np.random.default_rng(0)
+    m = Mechanism("arm")
+    rng = np.random.default_rng(0)
     here = m.ground
     for i in range(n):
         link = m.body(f"link{i}")
@@ -44,7 +45,8 @@ def arm(n: int = 7) -> System:
 @given(graph=graphs(most=12), seed=st.integers(0, 10**6), large=st.sampled_from([1.0, 100.0]))
 @settings(max_examples=examples(150))
 def test_poses_of_random_systems(graph: Graph, seed, large):
-    s, rng = graph.mechanism().build(), np.random.default_rng(seed)
+    s = graph.mechanism().build()
+    rng = np.random.default_rng(seed)
     q = s.random(rng, 3) * large
     expected = [graph.poses(s, x) for x in q]
     everything = s.fk(q)
@@ -69,9 +71,11 @@ def test_frames_sit_on_their_bodies(graph: Graph, seed):
     m = graph.mechanism()
     placements = {}
     for i, body in enumerate(("ground", *graph.bodies)):
-        at, rpy = rng.uniform(-1, 1, 3), rng.uniform(-3, 3, 3)
+        at = rng.uniform(-1, 1, 3)
+        rpy = rng.uniform(-3, 3, 3)
         if graph.dim == 2:
-            at[2], rpy[:2] = 0.0, 0.0
+            at[2] = 0.0
+            rpy[:2] = 0.0
             m.frame(f"f{i}", body, at=at[:2], angle=rpy[2])
         else:
             m.frame(f"f{i}", body, at=at, rpy=rpy)
@@ -89,7 +93,8 @@ def test_a_chain_alone_is_the_chain_in_its_system(graph: Graph, seed):
     q = s.random(seed)
     for name in s.body_names:
         table, to_q, to_v = local_chain(s.structure.table, name)
-        pose, columns = np.empty((4, 4)), np.zeros((6, table.nv))
+        pose = np.empty((4, 4))
+        columns = np.zeros((6, table.nv))
         assert bound.pose(fuse(*table.pack([name])), q[to_q], pose) == 0
         np.testing.assert_allclose(pose, s.fk(q, name), rtol=0, atol=1e-14)
         whole = s.jacobian(q, name)
@@ -103,15 +108,15 @@ def test_a_chain_alone_is_the_chain_in_its_system(graph: Graph, seed):
 @given(graph=graphs(most=8), seed=st.integers(0, 10**6))
 @settings(max_examples=examples(60))
 def test_jacobians_are_derivatives_of_poses_on_the_manifold(graph: Graph, seed):
-    s, rng, h = graph.mechanism().build(), np.random.default_rng(seed), 1e-5
+    s = graph.mechanism().build()
+    rng = np.random.default_rng(seed)
+    h = 1e-5
     q = s.random(rng)
     name = s.body_names[int(rng.integers(len(s.body_names)))]
     X = s.fk(q, name)
     steps = h * np.eye(s.nv)
-    ahead, back = (
-        s.fk(s.configuration_space.integrate(q, steps), name),
-        s.fk(s.configuration_space.integrate(q, -steps), name),
-    )
+    ahead = s.fk(s.configuration_space.integrate(q, steps), name)
+    back = s.fk(s.configuration_space.integrate(q, -steps), name)
     aligned, world, body = (s.jacobian(q, name, frame) for frame in FRAMES)
     for i in range(s.nv):
         w = X[:3, :3] @ reference.twist_between(back[i], ahead[i], 2 * h)[3:]
@@ -146,7 +151,10 @@ def test_the_lectures_jacobian():
     m.revolute("q1", m.ground, m.body("a")), m.revolute("q2", "a", m.body("b"), at=(1.0, 0))
     m.frame("tip", "b", at=(0.7, 0))
     s = m.build()
-    s1, c1, s12, c12 = np.sin(0.3), np.cos(0.3), np.sin(0.7), np.cos(0.7)
+    s1 = np.sin(0.3)
+    c1 = np.cos(0.3)
+    s12 = np.sin(0.7)
+    c12 = np.cos(0.7)
     expected = np.zeros((6, 2))
     expected[0], expected[1], expected[5] = [-s1 - 0.7 * s12, -0.7 * s12], [c1 + 0.7 * c12, 0.7 * c12], [1, 1]
     np.testing.assert_allclose(s.jacobian([0.3, 0.4], "tip"), expected, rtol=0, atol=1e-15)
@@ -177,7 +185,8 @@ def test_q_may_be_anything_that_is_an_array():
 
 def test_out_is_filled_and_returned():
     s = arm()
-    q, batch = s.random(0), s.random(0, (4, 3))
+    q = s.random(0)
+    batch = s.random(0, (4, 3))
     f = s.query("tool")
     for x, frame, shape in ((q, "tool", (4, 4)), (batch, "tool", (4, 3, 4, 4)), (q, None, (9, 4, 4)),
                             (batch, ["hand", "tool"], (4, 3, 2, 4, 4))):  # fmt: skip
@@ -276,7 +285,9 @@ def test_bad_rows_of_a_batch_leave_the_others_alone():
     s = arm()
     q = s.random(0, (5, 4))
     good = s.fk(q, "tool"), s.fk(q), s.jacobian(q, "tool")
-    q[1, 2, 3], q[3, 0, 0], q[4, 3, 6] = np.nan, np.inf, -np.inf
+    q[1, 2, 3] = np.nan
+    q[3, 0, 0] = np.inf
+    q[4, 3, 6] = -np.inf
     bad = np.zeros((5, 4), dtype=bool)
     bad[1, 2] = bad[3, 0] = bad[4, 3] = True
     for now, before in zip((s.fk(q, "tool"), s.fk(q), s.jacobian(q, "tool")), good, strict=True):
@@ -306,7 +317,8 @@ def test_threads_of_python_may_ask_anything_at_once():
     s = arm()
     q = s.random(0, SERIAL_BELOW + 1)
     expected = s.fk(q, "tool"), s.jacobian(q[:100], "hand"), s.fk(q[:200])
-    found, errors = [], []
+    found = []
+    errors = []
 
     def work():
         try:
@@ -362,7 +374,8 @@ def test_closure_errors_of_random_systems(graph: Graph, seed):
     assert error.shape == (2, len(s.structure.closures), 6) and np.isfinite(error).all()
     edges = {e.name: e for e in graph.edges}
     for row in range(2):
-        poses, values = graph.poses(s, q[row]), graph.values(s, q[row])
+        poses = graph.poses(s, q[row])
+        values = graph.values(s, q[row])
         for k, name in enumerate(s.structure.closures):
             e = edges[name]
             X_PF, X_CM = graph.ends(e)
@@ -370,7 +383,8 @@ def test_closure_errors_of_random_systems(graph: Graph, seed):
             turn = np.eye(4)
             if e.kind == "prismatic" and graph.dim == 2:  # there M is turned so that its z is the axis of the slider
                 turn[:3, :3] = spatial.align_z([0.6, -0.8, 0.0])
-            X_WM, there = X_WM @ turn, poses[e.child] @ X_CM.astype(float) @ turn
+            X_WM = X_WM @ turn
+            there = poses[e.child] @ X_CM.astype(float) @ turn
             if e.child in graph.particles:
                 offset = X_WM[:3, :3].T @ (there[:3, 3] - X_WM[:3, 3])
                 np.testing.assert_allclose(error[row, k], [*offset, 0, 0, 0], rtol=0, atol=1e-12)
@@ -424,7 +438,8 @@ def test_a_jacobian_written_over_its_own_configuration():
     robot = kempe.load("puma560")
     query = robot.query("tool")
     q = robot.random(0)
-    J, X = query.jacobian(q), query(q)
+    J = query.jacobian(q)
+    X = query(q)
     memory = np.zeros(40)
     for start in (0, 3, 30, 34):
         memory[start : start + 6] = q

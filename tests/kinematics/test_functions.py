@@ -67,10 +67,12 @@ def test_functions_of_poses_have_the_derivatives_of_what_they_compute(dim):
         d = B[:3, 3] - A[:3, 3]
         return [max(float(np.linalg.norm(d)), 0.0) - 0.7, *(A[:3, :3].T @ d)[:dim]]
 
-    mine, q = Whole(s, c.Function(apart, frames=("a", "b"))), s.random(3, 5)
+    mine = Whole(s, c.Function(apart, frames=("a", "b")))
+    q = s.random(3, 5)
     judge = [c.Distance("b", "a", 0.7), c.RelativePosition("b", "a", [0.0] * dim)]
     for x in q:
-        values, J = mine.values(x), mine.jacobian(x)
+        values = mine.values(x)
+        J = mine.jacobian(x)
         error = np.concatenate([np.atleast_1d(kempe.tasks.error(s, k, x)) for k in judge])
         rows = np.concatenate([kempe.tasks.jacobian(s, k, x) for k in judge])
         np.testing.assert_allclose(np.abs(values[0]), np.abs(error[0]), atol=1e-12)

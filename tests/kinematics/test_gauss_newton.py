@@ -34,7 +34,8 @@ def test_the_least_solution_of_dependent_equations(hunt):
         m, n, r = rng.integers(1, 9, 3)
         A = rng.normal(size=(m, min(r, m, n))) @ rng.normal(size=(min(r, m, n), n))
         b = rng.normal(size=m)
-        one, many = least_squares(A, b), least_squares_of_many(A[None], b[None])[0]
+        one = least_squares(A, b)
+        many = least_squares_of_many(A[None], b[None])[0]
         for y in (one, many):
             size = np.linalg.norm(A, 2) * max(1.0, np.linalg.norm(b)) * max(1.0, np.linalg.norm(y))
             assert np.abs(A.T @ (A @ y - b)).max() < 1e-8 * size * max(1.0, np.linalg.norm(A, 2))
@@ -45,7 +46,8 @@ def test_the_least_solution_of_dependent_equations(hunt):
 def test_large_and_small_problems_have_the_same_solution(rows):
     """Normal equations where these are far from singular; where they are not, singular values."""
     rng = np.random.default_rng(0)
-    A, b = rng.normal(size=(rows, 5)), rng.normal(size=rows)
+    A = rng.normal(size=(rows, 5))
+    b = rng.normal(size=rows)
     np.testing.assert_allclose(least_squares(A, b), np.linalg.solve(A.T @ A, A.T @ b), rtol=1e-10)
     A[:, 4] = A[:, 0]
     y = least_squares(A, b)
@@ -55,7 +57,8 @@ def test_large_and_small_problems_have_the_same_solution(rows):
 
 def test_damping_is_that_of_the_normal_equations():
     rng = np.random.default_rng(1)
-    A, b = rng.normal(size=(4, 6)), rng.normal(size=4)
+    A = rng.normal(size=(4, 6))
+    b = rng.normal(size=4)
     expected = np.linalg.solve(A.T @ A + 0.3 * np.eye(6), A.T @ b)
     np.testing.assert_allclose(damped_least_squares(A, b, 0.3), expected, atol=1e-12)
 
@@ -134,7 +137,9 @@ def test_dependent_equations_do_no_harm(hunt):
     rng = hunt.rng()
     for _ in range(hunt.cases(200)):
         A = rng.normal(size=(2, 3))
-        M, b, x = np.concatenate([A, rng.normal(size=(2, 2)) @ A]), rng.normal(size=3), rng.normal(size=3)
+        M = np.concatenate([A, rng.normal(size=(2, 2)) @ A])
+        b = rng.normal(size=3)
+        x = rng.normal(size=3)
         found = gauss_newton(lambda x, M=M, b=b: (M @ (x - b), M), x, 5).x
         along = np.cross(A[0], A[1])
         np.testing.assert_allclose(found, b + along * (along @ (x - b)) / (along @ along), atol=1e-6)

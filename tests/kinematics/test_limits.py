@@ -101,7 +101,8 @@ def test_copies_can_be_written():
 
 @pytest.mark.parametrize("model", MODELS)
 def test_limits_are_changed_and_nothing_else(model, hunt):
-    system, rng = kempe.load(model), hunt.rng()
+    system = kempe.load(model)
+    rng = hunt.rng()
     names = [system.structure.velocity_names[i] for i in system.structure.layout.vector_v]
     for _ in range(hunt.cases(10)):
         some = rng.choice(names, size=int(rng.integers(1, len(names) + 1)), replace=False).tolist()
@@ -110,11 +111,14 @@ def test_limits_are_changed_and_nothing_else(model, hunt):
                  for n, (a, b) in zip(some, ends, strict=True)}  # fmt: skip
         speeds = {n: [None, 0.0, 2.5][rng.integers(3)] for n in some[: len(some) // 2]}
         made = system.with_limits(requested, velocity=speeds)
-        lower, upper, fast = system.lower.copy(), system.upper.copy(), system.structure.velocity_limits.copy()
+        lower = system.lower.copy()
+        upper = system.upper.copy()
+        fast = system.structure.velocity_limits.copy()
         for n, pair in requested.items():
             i = system.structure.velocity_names.index(n)
             low, high = (None, None) if pair is None else pair
-            lower[i], upper[i] = -np.inf if low is None else low, np.inf if high is None else high
+            lower[i] = -np.inf if low is None else low
+            upper[i] = np.inf if high is None else high
         for n, speed in speeds.items():
             fast[system.structure.velocity_names.index(n)] = np.inf if speed is None else speed
         assert np.array_equal(made.lower, lower) and np.array_equal(made.upper, upper)
@@ -145,7 +149,8 @@ def test_it_is_what_the_mechanism_would_give():
         m.frame("tip", "lower", at=(1.0, 0.0))
         return m.build()
 
-    reported, made = arm((-0.4, 0.4)), arm(None).with_limits({"q1": (-0.4, 0.4)})
+    reported = arm((-0.4, 0.4))
+    made = arm(None).with_limits({"q1": (-0.4, 0.4)})
     assert reported == made and reported.structure.content_hash == made.structure.content_hash
     targets = np.random.default_rng(1).uniform(-1.5, 1.5, (50, 2))
     a, b = (s.ik(targets, "tip") for s in (reported, made))
@@ -220,7 +225,8 @@ def test_legs_are_not_shorter_than_nothing(model, hunt):
     system = kempe.load(model)
     legs = [n for n, joint in system.structure.joints.items() if joint.type.type_name == "prismatic"]
     at = [system.coordinate_names.index(n) for n in legs]
-    rng, home = hunt.rng(), system.q("closed")
+    rng = hunt.rng()
+    home = system.q("closed")
     starts = np.stack(
         [system.configuration_space.integrate(home, rng.normal(size=system.nv)) for _ in range(hunt.cases(60))]
     )

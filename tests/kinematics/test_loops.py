@@ -33,7 +33,8 @@ def by_differences(constraint: closure_rows.SystemConstraint, s: System, q: np.n
 
 def check(constraint: closure_rows.SystemConstraint, s: System, q: np.ndarray, atol: float = 2e-7) -> None:
     """The battery for one constraint at configurations (n, nq): shapes, one and many, derivatives."""
-    r, J = constraint.residual(s, q), constraint.jacobian(s, q)
+    r = constraint.residual(s, q)
+    J = constraint.jacobian(s, q)
     assert r.shape == (*q.shape[:-1], constraint.size) and J.shape == (*r.shape, s.nv)
     assert len(constraint.names) == constraint.size and len(set(constraint.names)) == constraint.size
     np.testing.assert_allclose(constraint.residual(s, q[0]), r[0], atol=1e-13)
@@ -63,7 +64,8 @@ def tree(dim: int = 3) -> Mechanism:
 def test_pairs_of_frames(dim, other):
     """Against plain vector algebra of the poses, and by differences."""
     m = tree(dim)
-    origin, direction = [0.3, -0.2, 0.1][:dim], [0.6, -0.8, 0.4][:dim]
+    origin = [0.3, -0.2, 0.1][:dim]
+    direction = [0.6, -0.8, 0.4][:dim]
     m.constrain(c.Distance("a", other, 0.7, other_point=origin), "rod")
     m.constrain(c.OnLine("a", origin, direction, other=other), "line")
     m.constrain(c.OnPlane("a", origin, direction, other=other), "plane")
@@ -72,7 +74,8 @@ def test_pairs_of_frames(dim, other):
     found = {x.name: x for x in s.loops.constraints()}
     for x in found.values():
         check(x, s, q)
-    A, B = s.fk(q, "a"), s.fk(q, other)
+    A = s.fk(q, "a")
+    B = s.fk(q, other)
     p = np.r_[origin, [0.0] * (3 - dim)]
     d = np.einsum("nji,nj->ni", B[:, :3, :3], A[:, :3, 3] - B[:, :3, 3]) - p
     t = spatial.unit(np.r_[direction, [0.0] * (3 - dim)])
@@ -82,7 +85,8 @@ def test_pairs_of_frames(dim, other):
     np.testing.assert_allclose(sizes["plane"], np.abs(d @ t), atol=1e-13)
     for name, x in found.items():
         judge = declared(s, s.mechanism.constraints[name])
-        J, K = x.jacobian(s, q)[0], judge.jacobian(s, q)[0]
+        J = x.jacobian(s, q)[0]
+        K = judge.jacobian(s, q)[0]
         if name != "rod":  # the judge's is signed the other way round
             np.testing.assert_allclose(sizes[name], np.linalg.norm(judge.residual(s, q), axis=-1), atol=1e-13)
         assert [np.linalg.matrix_rank(M, tol=1e-9) for M in (J, K)] == 2 * [x.size], name
@@ -101,7 +105,8 @@ def loop(kind: str, options: dict, dim: int = 3, particle: bool = False, backwar
             return {prefix + "at": rng.uniform(-1, 1, 2), prefix + "angle": rng.uniform(-1, 1)}
         return {prefix + "at": rng.uniform(-1, 1, 3), prefix + "rpy": rng.uniform(-1, 1, 3)}
 
-    a, b = m.body("a"), m.particle("b") if particle else m.body("b")
+    a = m.body("a")
+    b = m.particle("b") if particle else m.body("b")
     m.joint("Ja", "spherical" if dim == 3 else "revolute", m.ground, a, **place())
     m.joint("Jb", "translation" if particle else "free", m.ground, b, **place())
     ends = (b, a) if backwards else (a, b)
@@ -165,7 +170,8 @@ def test_closed_loops_have_no_residual(kind, options, dim, particle, backwards):
         np.testing.assert_allclose(closure.residual(s, q), 0, atol=1e-12)
         check(closure, s, q[None])
     judge = closures.closure_of(s, "J", own=implicit_form(joint.type, dim, particle) is None)
-    J, K = closure_of(s, "J").jacobian(s, q), judge.jacobian(s, q)
+    J = closure_of(s, "J").jacobian(s, q)
+    K = judge.jacobian(s, q)
     assert [np.linalg.matrix_rank(M, tol=1e-9) for M in (J, K, np.vstack([J, K]))] == 3 * [len(J)]  # none too many
 
 

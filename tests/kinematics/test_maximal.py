@@ -101,7 +101,8 @@ def test_count_of_graphs(graph):
     s = graph.mechanism().build()
     taken = [j.type.constraints(s.dim, s.mechanism.bodies[j.child].particle) for j in s.structure.joints.values()]
     particles, full, few = len(graph.particles), *((6, 3) if s.dim == 3 else (3, 2))
-    found, own = counting(convert.maximal(s)), counting(s)
+    found = counting(convert.maximal(s))
+    own = counting(s)
     assert found.taken == own.taken == sum(taken) + len(s.structure.couplings) + len(s.structure.relations)
     assert found.free == own.free == full * (len(s.parent) - particles) + few * particles
 
@@ -347,7 +348,9 @@ def test_projection(graph, seed):
 
 def bennett() -> System:
     """A loop of four revolute joints that the count says cannot move: redundant equations (Bennett, 1903)."""
-    a, b, alpha = 1.0, 1.5, 0.6
+    a = 1.0
+    b = 1.5
+    alpha = 0.6
     beta = math.asin(b * math.sin(alpha) / a)
     m = Mechanism("bennett")
     bodies = [m.ground, *(m.body(f"link{i}") for i in range(1, 4))]
@@ -425,7 +428,8 @@ def test_units_do_not_matter(unit):
 
 def test_bodies_far_from_the_origin():
     m = Mechanism("far", 3)
-    a, b = m.body("a"), m.body("b")
+    a = m.body("a")
+    b = m.body("b")
     m.revolute("A", m.ground, a, at=(1e6, -1e6, 3e5))
     m.universal("B", a, b, at=(0.3, 0, 0))
     m.distance("rod", m.ground, b, 0.5, at=(1e6 + 0.4, -1e6, 3e5), child_at=(0.3, 0.0, 0.1))

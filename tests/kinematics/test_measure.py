@@ -30,7 +30,8 @@ def text(renderable) -> str:
 
 @pytest.mark.parametrize("name", TYPES)
 def test_motions_of_joints(name, hunt):
-    rng, kind = hunt.rng(), TYPES[name]
+    rng = hunt.rng()
+    kind = TYPES[name]
     options = {"pitch": 0.3} if name == "helical" else {}
     for dim in (2, 3) if kind.planar else (3,):
         names, primitives = joint_type(name, **options).layout(dim)
@@ -52,7 +53,8 @@ def test_poses_are_those_of_the_forward_model(name):
 
 def test_joints_that_close_loops(hunt):
     """Open loops of random joints and products: the kernels' twists have lengths and angles that the judge finds."""
-    rng, kinds = hunt.rng(), set()
+    rng = hunt.rng()
+    kinds = set()
     for _ in range(hunt.cases(100)):
         made = closed_graphs.random_closed(rng)
         system = made.system()
@@ -86,7 +88,9 @@ def test_a_kernel_that_closes_nothing_is_exposed(monkeypatch):
 
     def blind(*given):
         q, residual, info = given[-3:]
-        q[:], residual[:], info[:] = given[4], 0.0, (Status.SOLVED, 1, 1)
+        q[:] = given[4]
+        residual[:] = 0.0
+        info[:] = (Status.SOLVED, 1, 1)
         return 0
 
     monkeypatch.setattr(assembler.kernel, "assemble", blind)

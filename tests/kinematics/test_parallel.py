@@ -17,7 +17,9 @@ from kempe.kinematics.common.parallel import over_chunks
 @pytest.mark.parametrize("threads", [None, 1, 2, 3, 8])
 @pytest.mark.parametrize("count", [0, 1, 9, 10, 11, 99, 100, 1001])
 def test_every_item_is_worked_on_once_in_the_same_chunks(threads, count):
-    seen, lock, bounds = np.zeros(count, dtype=int), threading.Lock(), set()
+    seen = np.zeros(count, dtype=int)
+    lock = threading.Lock()
+    bounds = set()
 
     def work(i, j):
         with lock:

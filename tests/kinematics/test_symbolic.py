@@ -34,7 +34,8 @@ def numbers(formula, system: System, q, **parameters) -> np.ndarray:
 
 def two_link() -> Mechanism:
     m = Mechanism("two-link", dim=2)
-    l1, l2 = m.parameter("l1", 0.5), m.parameter("l2", 0.4)
+    l1 = m.parameter("l1", 0.5)
+    l2 = m.parameter("l2", 0.4)
     m.revolute("q1", m.ground, m.body("B1"))
     m.revolute("q2", "B1", m.body("B2"), at=(l1, 0))
     m.frame("e", "B2", at=(l2, 0))
@@ -69,7 +70,8 @@ def test_three_parallel_joints_whatever_axes_they_are_written_in(tilt):
     for i in (1, 2, 3):
         m.parameter(f"l{i}", 1.0)
     lengths = ["0", "l1", "l2"]
-    here, tilt = m.ground, [x * math.pi for x in tilt]
+    here = m.ground
+    tilt = [x * math.pi for x in tilt]
     R = reference.placement((0, 0, 0), tilt)[:3, :3].astype(float)
     for i, length in enumerate(lengths, 1):
         link = m.body(f"B{i}")
@@ -189,8 +191,10 @@ def chains(draw) -> System:
         return {"at": [draw(st.sampled_from(LENGTHS)) for _ in range(3)], "rpy": rpy}
 
     for i in range(draw(st.integers(1, 4))):
-        body, kind = m.body(f"b{i}"), draw(st.just("revolute") | st.sampled_from(others))
-        X, Y = place(), place()
+        body = m.body(f"b{i}")
+        kind = draw(st.just("revolute") | st.sampled_from(others))
+        X = place()
+        Y = place()
         options = {"pitch": draw(st.sampled_from([0.2, -1.0]))} if kind == "helical" else {}
         ends = (body, here) if draw(st.booleans()) else (here, body)
         axis = draw(st.sampled_from(DIRECTIONS))

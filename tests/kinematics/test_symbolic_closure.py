@@ -27,7 +27,9 @@ def function(system, closure):
 @pytest.mark.parametrize("name", some([*MODELS, *(pytest.param(n, marks=pytest.mark.slow) for n in sorted(LONG))], 4))
 def test_equations_are_zero_where_closed_and_have_the_rank_of_the_loops(name):
     system = kempe.load(name)
-    f, q, h = function(system, system.symbolic.closure()), system.assemble().q, 1e-6
+    f = function(system, system.symbolic.closure())
+    q = system.assemble().q
+    h = 1e-6
     np.testing.assert_allclose(f(q), 0.0, atol=1e-9)
     move = system.configuration_space.integrate
     J = np.stack([(f(move(q, h * e)) - f(move(q, -h * e))) / (2 * h) for e in np.eye(system.nv)], axis=1)

@@ -62,7 +62,8 @@ def test_random_chains(hunt):
     """Axes in space in any direction, some of them parallel or meeting, turns and slides, the base anywhere."""
     rng = hunt.rng()
     for _ in range(hunt.cases(12)):
-        m, here = kempe.Mechanism("chain"), None
+        m = kempe.Mechanism("chain")
+        here = None
         for i in range(int(rng.integers(1, 5))):
             axis = [(0, 0, 1), (0, 1, 0), (1, 0, 0), tuple(rng.uniform(-1, 1, 3)), (0, 0, -1)][int(rng.integers(5))]
             at = np.where(rng.random(3) < 0.4, 0.0, rng.uniform(-1, 1, 3))
@@ -123,12 +124,17 @@ def test_axes_that_are_nearly_parallel(hunt):
     """Angles down to a few 1e-8 are in the table: six decimals of pi / 2 are off by 3.3e-7, which a long arm shows."""
     rng = hunt.rng()
     for _ in range(hunt.cases(40)):
-        m, L, off = kempe.Mechanism("near"), 10.0 ** rng.uniform(-1, 3), 10.0 ** rng.uniform(-7.0, -2.0)
-        a, b = m.body("a"), m.body("b")
+        m = kempe.Mechanism("near")
+        L = 10.0 ** rng.uniform(-1, 3)
+        off = 10.0 ** rng.uniform(-7.0, -2.0)
+        a = m.body("a")
+        b = m.body("b")
         m.revolute("q1", m.ground, a)
         m.revolute("q2", a, b, at=(L, 0.1 * L, 0), rpy=(0, off, rng.uniform(-3, 3)))
         m.frame("tool", b, at=L * rng.normal(size=3))
-        system, q = m.build(), rng.uniform(-3, 3, 2)
+        system = m.build()
+        q = rng.uniform(-3, 3, 2)
         table = system.symbolic.to_dh("tool", rng.choice(["standard", "modified"]))
-        X, Y = system.fk(q, "tool"), table.mechanism().build().fk(q, "tool")
+        X = system.fk(q, "tool")
+        Y = table.mechanism().build().fk(q, "tool")
         assert np.abs(X - Y)[:3, 3].max() < 2e-8 * L and np.abs(X - Y)[:3, :3].max() < 1e-8, off

@@ -32,12 +32,14 @@ def ends(system):
 @pytest.mark.parametrize("name", some(SYSTEMS, 3))
 def test_steps_multiply_to_the_forward_model(name):
     system = kempe.load(name)
-    q, frame = system.random(3), ends(system)[0]
+    q = system.random(3)
+    frame = ends(system)[0]
     steps = system.symbolic.steps(frame)
     pairs = list(zip(steps.names[:-1], steps.names[1:], strict=True))
     assert len(steps.T) == len(pairs) == len(steps.R) == len(steps.p)
     for (a, b), T, R, p, X in zip(pairs, steps.T, steps.R, steps.p, steps.numbers(q), strict=True):
-        A, B = system.fk(q, a) if a != steps.names[0] else np.eye(4), system.fk(q, b)
+        A = system.fk(q, a) if a != steps.names[0] else np.eye(4)
+        B = system.fk(q, b)
         assert np.allclose(numbers(system, T, q), spatial.inverse(A) @ B, atol=1e-12) and np.allclose(
             X, spatial.inverse(A) @ B, atol=1e-12
         )
@@ -50,7 +52,8 @@ def test_steps_multiply_to_the_forward_model(name):
 @pytest.mark.parametrize("name", some(SYSTEMS, 3))
 def test_one_frame_in_another_and_the_jacobian(name):
     system = kempe.load(name)
-    q, (frame, body) = system.random(4), ends(system)
+    q = system.random(4)
+    (frame, body) = ends(system)
     for a, b in ((frame, body), (body, frame), (frame, frame)):
         relative = numbers(system, system.symbolic.fk(a, relative_to=b), q)
         assert np.allclose(relative, spatial.inverse(system.fk(q, b)) @ system.fk(q, a), atol=1e-12)
@@ -184,7 +187,8 @@ def test_latex_of_names_with_signs_that_latex_reads(name):
     m = Mechanism("named", dim=2)
     m.revolute(name, m.ground, m.body("x^2 & " + name))
     m.frame("e", "x^2 & " + name, at=(1, 0))
-    system, escaped = m.build(), name[0] + "\\" + name[1:]
+    system = m.build()
+    escaped = name[0] + "\\" + name[1:]
     for text in (system.symbolic.steps("e").latex(), system.symbolic.fk("e", short=True)._repr_latex_()):
         assert escaped in text and name not in text and "x^2" not in text
     assert r"\mathrm{x\wedge 2 \& " in system.symbolic.steps("e").latex()
@@ -192,14 +196,16 @@ def test_latex_of_names_with_signs_that_latex_reads(name):
 
 def test_the_jacobian_of_four_general_joints_is_not_multiplied_out():
     """That takes five times as long with each joint, a minute for five of them."""
-    m, rng = Mechanism("cad"), np.random.default_rng(0)
+    m = Mechanism("cad")
+    rng = np.random.default_rng(0)
     body = m.ground
     for i in range(4):
         child = m.body(f"b{i}")
         m.revolute(f"j{i}", body, child, at=rng.normal(size=3).round(3), rpy=rng.normal(size=3).round(4))
         body = child
     m.frame("tool", body, at=(0.1, 0, 0.2))
-    system, q = m.build(), rng.normal(size=4)
+    system = m.build()
+    q = rng.normal(size=4)
     J = system.symbolic.jacobian("tool")
     assert any(isinstance(factor, sympy.Add) for term in sympy.Add.make_args(J[0, 0]) for factor in term.args)
     values = {sympy.Symbol(n): x for n, x in zip(system.coordinate_names, q, strict=True)}

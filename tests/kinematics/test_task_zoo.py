@@ -68,7 +68,8 @@ def is_smooth(task: tasks.Task, s: System, q: np.ndarray) -> bool:
 def check(task: tasks.Task, s: System, q: np.ndarray) -> None:
     """The battery for one task at one configuration."""
     meters, radians = (float(x) for x in tasks.miss(s, task, q))
-    e, J = tasks.error(s, task, q), tasks.jacobian(s, task, q)
+    e = tasks.error(s, task, q)
+    J = tasks.jacobian(s, task, q)
     assert J.shape == (*e.shape, s.nv), task.label
     np.testing.assert_allclose(J, by_differences(task, s, q), atol=3e-7 * (1 + np.abs(J).max(initial=0)),
                                err_msg=task.label)  # fmt: skip
@@ -167,7 +168,8 @@ def test_masses_survive_files(tmp_path: Path):
 def test_centre_of_mass_and_its_jacobian_against_pinocchio(name):
     pinocchio = pytest.importorskip("pinocchio")
     path = next(p for n, p in urdf_files().items() if n.endswith(name))
-    s, model = kempe.load(path), pinocchio.buildModelFromUrdf(str(path))
+    s = kempe.load(path)
+    model = pinocchio.buildModelFromUrdf(str(path))
     data = model.createData()
     q = s.random(5)
     theirs = pinocchio.neutral(model)
@@ -182,7 +184,8 @@ def test_centre_of_mass_and_its_jacobian_against_pinocchio(name):
     ground = s.mechanism.bodies[s.body_names[0]]
     fixed = [n for n in s.body_names if s.structure.table.at[n][0] < 0]
     rest = [(s.mechanism.bodies[n].mass or 0.0, s.fk(q, n), s.mechanism.bodies[n].center or (0, 0, 0)) for n in fixed]
-    moving, com = sum(i.mass for i in model.inertias[1:]), pinocchio.centerOfMass(model, data, theirs)
+    moving = sum(i.mass for i in model.inertias[1:])
+    com = pinocchio.centerOfMass(model, data, theirs)
     total = moving + sum(m for m, _, _ in rest)
     expected = (moving * com + sum(m * (X @ [*c, 1.0])[:3] for m, X, c in rest)) / total
     assert ground.name == s.body_names[0]
@@ -193,7 +196,8 @@ def test_centre_of_mass_and_its_jacobian_against_pinocchio(name):
 
 def test_what_is_refused():
     s = kempe.load("panda")
-    q, X = s.neutral, np.eye(4)
+    q = s.neutral
+    X = np.eye(4)
     frame = s.body_names[-1]
     for bad, match in (
         (tasks.Pose(frame, np.eye(3)), "shape"), (tasks.Pose(frame, X.T + np.eye(4, k=-3)), "last row"),
@@ -237,7 +241,9 @@ def ends(rng: np.random.Generator, p: np.ndarray, q: np.ndarray) -> dict[str, tu
 @pytest.mark.parametrize("name", list(ends(np.random.default_rng(0), np.ones((2, 3)), np.zeros((2, 3)))))
 def test_ends_that_differ_from_target_to_target(name):
     """Each target of a batch is measured and solved as alone, and as the ends are written down here."""
-    panda, rng, n = kempe.load("panda"), np.random.default_rng(3), 6
+    panda = kempe.load("panda")
+    rng = np.random.default_rng(3)
+    n = 6
     q = panda.random(rng, n)
     p, other = (panda.fk(q, f)[:, :3, 3] for f in ("panda_link7", "panda_link4"))
     kind, requested = ends(rng, p, other)[name]
@@ -264,7 +270,8 @@ def test_ends_that_differ_from_target_to_target(name):
 
 
 def test_derivatives_of_ends_that_differ():
-    panda, rng = kempe.load("panda"), np.random.default_rng(4)
+    panda = kempe.load("panda")
+    rng = np.random.default_rng(4)
     q = panda.random(rng)
     p, other = (panda.fk(q, f)[None, :3, 3] for f in ("panda_link7", "panda_link4"))
     for kind, parameters in ends(rng, p, other).values():

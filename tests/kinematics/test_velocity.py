@@ -30,14 +30,17 @@ def twist_of(system: System, declared, q: Array, k: int) -> Array:
         )
         return inverse(A) @ B
 
-    before, here, after = pose(-STEP), pose(0.0), pose(STEP)
+    before = pose(-STEP)
+    here = pose(0.0)
+    after = pose(STEP)
     turn = (after[:3, :3] - before[:3, :3]) / (2 * STEP) @ here[:3, :3].T
     return np.array([*(after[:3, 3] - before[:3, 3]) / (2 * STEP), turn[2, 1], turn[0, 2], turn[1, 0]])
 
 
 def rates_by_differences(system: System, q: Array) -> tuple[Array, Array]:
     """A and b from expressions evaluated by numpy, at poses of `fk` and their differences."""
-    A, b = [], []
+    A = []
+    b = []
     for declared in system.mechanism.constraints.values():
         made = with_numbers(declared.of, system.mechanism.parameters)
         ends = declared.frames(system.mechanism.parameters, system.dim)
@@ -58,7 +61,8 @@ def rates_by_differences(system: System, q: Array) -> tuple[Array, Array]:
 
 def random_tree(rng: np.random.Generator, dim: int) -> Mechanism:
     """A tree of any joints, with constraints of velocity between any two of its bodies, or one and the ground."""
-    m, bodies = Mechanism("tree", dim=dim), []
+    m = Mechanism("tree", dim=dim)
+    bodies = []
     kinds = TURNING if dim == 3 else ["revolute", "prismatic", "planar", "free"]
 
     def place() -> dict:
@@ -75,12 +79,14 @@ def random_tree(rng: np.random.Generator, dim: int) -> Mechanism:
         m.frame(f"F{k}", body, **place())
     m.frame("table", m.ground, **place())
     for k in range(rng.integers(1, 4)):
-        i, j = rng.integers(len(bodies)), rng.integers(-1, len(bodies))
+        i = rng.integers(len(bodies))
+        j = rng.integers(-1, len(bodies))
         other = None if i == j else "table" if j < 0 else f"F{j}"
         if rng.random() < 0.5:
             m.constrain(NoSideslip(f"F{i}", other, speed=float(rng.normal())), f"C{k}")
         else:
-            shape, spin = str(rng.choice(["ball", "disc"])), bool(rng.random() < 0.5)
+            shape = str(rng.choice(["ball", "disc"]))
+            spin = bool(rng.random() < 0.5)
             m.constrain(Rolls(f"F{i}", other, float(rng.uniform(0.1, 1)), shape, spin), f"C{k}")
     return m
 

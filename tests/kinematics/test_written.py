@@ -93,8 +93,10 @@ class Apart(Constraint):
 def arm():
     """Three revolute joints, the last coupled to the first, and a slide at the end."""
     m = Mechanism("arm")
-    a, b = m.body("a"), m.body("b")
-    hand, tip = m.body("hand"), m.body("tip")
+    a = m.body("a")
+    b = m.body("b")
+    hand = m.body("hand")
+    tip = m.body("tip")
     m.revolute("A", m.ground, a, axis="z")
     m.revolute("B", a, b, at=(0.0, 0.0, 0.5), axis="y")
     m.revolute("C", b, hand, at=(0.6, 0.0, 0.0), axis="y")
@@ -122,8 +124,10 @@ def test_the_class_follows_from_the_rows(made, family):
 
 def test_numbers_of_expressions_of_coordinates_are_data_of_the_call(hunt):
     """A batch of values, and of factors, has one structure, and each target is met."""
-    s, rng = arm().build(), hunt.rng()
-    value, factor = rng.uniform(-1.0, 1.0, 1000), rng.uniform(0.5, 2.0, 1000)
+    s = arm().build()
+    rng = hunt.rng()
+    value = rng.uniform(-1.0, 1.0, 1000)
+    factor = rng.uniform(0.5, 2.0, 1000)
     q = s.ik([Weighed(("A", "B"), factor, value)], start=s.random(1)).q
     np.testing.assert_allclose(q[:, 0] + factor * q[:, 1], value, atol=1e-6)
     q = s.ik([Sum(("A", "B"), value)], start=s.random(1)).q
@@ -134,7 +138,8 @@ def test_numbers_of_expressions_of_coordinates_are_data_of_the_call(hunt):
 
 def test_ends_of_expressions_differ_from_target_to_target(hunt):
     """By the closest point: each q moves along (1, 2) until the sum is within its ends; infinite ends are none."""
-    s, rng = arm().build(), hunt.rng()
+    s = arm().build()
+    rng = hunt.rng()
     low = np.where(rng.random(500) < 0.2, -np.inf, rng.uniform(-1.0, 0.0, 500))
     high = np.where(rng.random(500) < 0.2, np.inf, rng.uniform(0.0, 1.0, 500))
     answer = s.ik([Sum(("A", "B"), at_least=low, at_most=high)], start=rng.uniform(-1.0, 1.0, (500, s.nq)))
@@ -146,8 +151,10 @@ def test_ends_of_expressions_differ_from_target_to_target(hunt):
 
 
 def test_each_of_several_numbers_has_ends(hunt):
-    s, rng = arm().build(), hunt.rng()
-    low, high = -rng.uniform(0.0, 0.5, (200, 2)), rng.uniform(0.0, 0.5, (200, 2))
+    s = arm().build()
+    rng = hunt.rng()
+    low = -rng.uniform(0.0, 0.5, (200, 2))
+    high = rng.uniform(0.0, 0.5, (200, 2))
     answer = s.ik([Between(("A", "B"), low, high)], start=rng.uniform(-1.0, 1.0, (200, s.nq)))
     assert answer.success.all()
     assert (answer.q[:, :2] > low - 2e-6).all() and (answer.q[:, :2] < high + 2e-6).all()
@@ -157,7 +164,8 @@ def test_each_of_several_numbers_has_ends(hunt):
 
 def test_rows_of_several_kinds_are_tasks_together(hunt):
     """Turned, at a height, off an axis: by poses."""
-    s, rng = free(), hunt.rng()
+    s = free()
+    rng = hunt.rng()
     height = rng.uniform(-1.0, 1.0, 100)
     for least in (0.4, rng.uniform(0.2, 0.6, 100)):
         answer = s.ik([Level("b", height, least)], start=s.random(3))
@@ -184,7 +192,9 @@ def test_distances_straight_above_have_derivatives():
 def test_goals_of_expressions_are_seen_from_frames_far_away(other):
     """On an ellipse cylinder, and a frame above a plane, about the ground, a body that stands and one that moves."""
     m = Mechanism("far")
-    base, a, b = m.body("base"), m.body("arm"), m.body("b")
+    base = m.body("base")
+    a = m.body("arm")
+    b = m.body("b")
     m.fixed("F", m.ground, base, at=(300.0, -200.0, 0.0), rpy=(0.1, 0.2, 0.3))
     m.revolute("A", base, a, axis="z")
     m.free("J", base, b)
@@ -210,7 +220,8 @@ def test_a_value_of_any_row_holds_where_it_is_declared():
 def test_coordinates_that_follow_others_are_read(hunt):
     m = arm()
     m.couple("C", {"A": 2.0}, 0.1)
-    s, value = m.build(), hunt.rng().uniform(-1.0, 1.0, 100)
+    s = m.build()
+    value = hunt.rng().uniform(-1.0, 1.0, 100)
     q = s.ik([Weighed(("C", "B"), 1.0, value)], start=s.random(1)).q
     np.testing.assert_allclose(2.0 * q[:, 0] + 0.1 + q[:, 1], value, atol=1e-6)
     assert max(tasks.miss(s, Weighed(("C", "B"), 1.0, value[7]), q[7])) < 1e-6
@@ -233,7 +244,8 @@ def test_what_has_no_number_is_refused():
 
 def test_a_value_and_its_derivatives_of_functions_and_expressions_agree(hunt):
     """The same equation as text, as a function of named coordinates that branches, and of q."""
-    s, rng = arm().build(), hunt.rng()
+    s = arm().build()
+    rng = hunt.rng()
     branching = c.Equation(lambda q: q["A"] * q["B"] - 0.2 if q["A"] < 9.0 else 1.0, of=("A", "B"))
     made = [c.Equation("A*B - 0.2"), branching, c.Function(lambda q: q[0] * q[1] - 0.2)]
     for q in rng.uniform(-1.0, 1.0, (20, s.nq)):

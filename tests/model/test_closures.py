@@ -22,7 +22,9 @@ def test_where_a_function_fails_kernels_find_no_numbers_and_the_error_is_kept():
 
     s = kempe.load("four_bar")
     made = Callback(s, 2, fails)
-    q, value, columns = s.mid.copy(), np.full(2, 7.0), np.zeros((s.nv, 2))
+    q = s.mid.copy()
+    value = np.full(2, 7.0)
+    columns = np.zeros((s.nv, 2))
     numbers = ctypes.POINTER(ctypes.c_double)
     called = ctypes.CFUNCTYPE(None, numbers, numbers, numbers, ctypes.c_int64)(made.address)
     called(*(x.ctypes.data_as(numbers) for x in (q, value, columns)), 1)

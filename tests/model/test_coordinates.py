@@ -24,9 +24,11 @@ def test_q_holds_all_coordinates_in_the_order_of_the_joints(graph: Graph):
     """Those of cut joints too; not those that follow or are locked."""
     s = graph.mechanism().build()
     gone = {of for of, *_ in graph.gears} | {name for name, _ in graph.locks}
-    names, velocities = [], []
+    names = []
+    velocities = []
     for e in graph.edges:
-        kind, particle = joint_type(e.kind, **e.options), e.child in graph.particles
+        kind = joint_type(e.kind, **e.options)
+        particle = e.child in graph.particles
         for c in kind.coordinates(graph.dim, particle):
             names += [n for n in [f"{e.name}.{c}" if c else e.name] if n not in gone]
         for c in kind.velocities(graph.dim, particle):
@@ -76,7 +78,8 @@ def test_the_table_has_a_row_for_each_moving_primitive_of_the_tree(graph: Graph)
     assert len(table.kind) == expected and set(table.kind) <= {R, P, Q}
     assert np.all(table.parent < np.arange(expected)) and np.all(table.parent >= -1)
     for row in range(expected):
-        iq, iv = int(table.iq[row]), int(table.iv[row])
+        iq = int(table.iq[row])
+        iv = int(table.iv[row])
         if table.kind[row] == Q:
             assert (
                 iq in s.structure.layout.quaternion_q
@@ -90,13 +93,15 @@ def test_the_table_has_a_row_for_each_moving_primitive_of_the_tree(graph: Graph)
 
 @given(graph=graphs(), seed=st.integers(0, 10**6))
 def test_packs_hold_what_moves_their_outputs(graph: Graph, seed):
-    s, rng = graph.mechanism().build(), np.random.default_rng(seed)
+    s = graph.mechanism().build()
+    rng = np.random.default_rng(seed)
     names = [s.body_names[i] for i in rng.integers(0, len(s.body_names), 3)]
     ints, floats = s.structure.table.pack(names)
     rows = sorted({r for n in names for r in s.structure.table.path(n)})
     assert (ints[0], ints[1], ints[2], ints[3]) == (len(rows), 3, s.nq, s.nv)
     assert len(ints) == 8 + 6 * len(rows) + 2 * 3 and len(floats) == 16 * len(rows) + 12 * 3
-    q, out = s.random(rng), np.empty((3, 4, 4))
+    q = s.random(rng)
+    out = np.empty((3, 4, 4))
     assert table_sweep.poses1(ints, floats, q, out) == 0
     np.testing.assert_allclose(out, s.fk(q, names), rtol=0, atol=1e-14)
     ints, floats = s.structure.table.pack(names[:1], s.structure.table.path(names[0]))

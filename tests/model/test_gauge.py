@@ -23,7 +23,8 @@ def differences(table, n=40):
     after = regauge(*before)
     results = []
     for packed in (before, after):
-        T, J = np.empty((n, 4, 4)), np.empty((n, 6, table.nv))
+        T = np.empty((n, 4, 4))
+        J = np.empty((n, 6, table.nv))
         table_sweep.jacobian(*packed, q, 0, T, J)
         C = np.empty((n, 4, 4))
         chain.chain_poses(*packed, q, C.reshape(n, 16))
@@ -58,7 +59,8 @@ def test_axes_at_special_angles(kinds, alpha):
 
 def test_a_robot_of_denavit_and_hartenberg_is_found_again():
     rng = np.random.default_rng(0)
-    rows, links = [], [(0.3, 0.0), (0.1, np.pi / 2), (0.4, 0.0), (0.0, -np.pi / 2)]
+    rows = []
+    links = [(0.3, 0.0), (0.1, np.pi / 2), (0.4, 0.0), (0.0, -np.pi / 2)]
     for i, (a, alpha) in enumerate(links):
         hidden = turn_z(rng.uniform(-3, 3)) @ pose(p=(0, 0, rng.normal()))
         rows.append(Row(TURN, i - 1, i, i, turn_x(alpha) @ pose(p=(a, 0, 0)) @ hidden))
@@ -109,6 +111,7 @@ def test_a_ball_ends_what_can_be_pushed():
 @pytest.mark.parametrize("n_rows", [2, 3, 5])
 def test_what_is_pushed_through_a_last_slide_goes_into_the_frame(n_rows):
     table = random_table(np.random.default_rng(n_rows), n_rows, chain=True, kinds=(TURN, SLIDE))
-    table.rows[-2].kind, table.rows[-1].kind = TURN, SLIDE
+    table.rows[-2].kind = TURN
+    table.rows[-1].kind = SLIDE
     ints, errors = differences(table)
     assert max(errors) < 3e-15 and forms(ints)[-1] != GENERAL

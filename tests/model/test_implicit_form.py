@@ -40,7 +40,8 @@ def test_what_is_held(kind):
 
 
 def test_screws_are_recognised_by_their_primitives():
-    turn, slide = Primitive(R, "z", 0), Primitive(P, "z", 0, 0.3)
+    turn = Primitive(R, "z", 0)
+    slide = Primitive(P, "z", 0, 0.3)
     assert screw(Helical(0.3)) == screw(declared("s", [slide, turn])) == 0.3
     for steps in ([turn], [turn, slide._replace(coordinate=1)], [turn, slide._replace(axis="x")], [turn, turn],
                   [turn._replace(multiplier=2.0), slide]):  # fmt: skip
@@ -57,7 +58,8 @@ def loop(rng: np.random.Generator, kind: JointType, dim: int) -> tuple[System, n
 
 def evaluated(system: System, loops: PackedLoops, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Residual and Jacobian of packed loops at configurations (n, nq)."""
-    out, columns = np.empty((len(q), len(loops.names))), np.empty((len(q), len(loops.names), system.nv))
+    out = np.empty((len(q), len(loops.names)))
+    columns = np.empty((len(q), len(loops.names), system.nv))
     closure_batch.equations(
         loops.ints, loops.floats, loops.plan, loops.weights, np.zeros((1, 0)), q, True, out, columns
     )  # fmt: skip
@@ -71,9 +73,11 @@ def nullity(J: np.ndarray) -> int:
 def compare(system: System, q: np.ndarray, rng: np.random.Generator) -> None:
     """Both forms of the only loop: closed at q, as many freedoms, and each closes where the other does."""
     explicit = frozenset(system.structure.closures)
-    small, large = loops_of(system, frozenset()), loops_of(system, explicit)
+    small = loops_of(system, frozenset())
+    large = loops_of(system, explicit)
     at = q[None]
-    (r, J), (R_, K) = evaluated(system, small, at), evaluated(system, large, at)
+    (r, J) = evaluated(system, small, at)
+    (R_, K) = evaluated(system, large, at)
     assert np.abs(r).max(initial=0.0) < 1e-12 and np.abs(R_).max(initial=0.0) < 1e-12
     own = [system.structure.velocity_names.index(n) for n in system.structure.velocity_names if n.split(".")[0] == "j2"]
     others = [v for v in range(system.nv) if v not in own]
@@ -106,7 +110,8 @@ def test_what_has_no_implicit_form_is_explicit(kind, dim):
 
 def test_random_types(hunt):
     """Implicit forms of random types, most of which have none."""
-    rng, found = hunt.rng(), 0
+    rng = hunt.rng()
+    found = 0
     for k in range(hunt.cases(150)):
         dim = int(rng.choice([2, 3]))
         steps = list(reordered(rng, dim))

@@ -17,7 +17,8 @@ def test_once_for_each_system_and_keys():
         calls.append((system, *keys))
         return [*keys]
 
-    a, b = kempe.load("four_bar"), kempe.load("four_bar")
+    a = kempe.load("four_bar")
+    b = kempe.load("four_bar")
     assert answer(a, 1) is answer(a, 1) and answer(a, 1) is not answer(b, 1) and answer(a) == []
     assert calls == [(a, 1), (b, 1), (a,)]
 
@@ -49,7 +50,8 @@ def test_the_oldest_go_first():
 
 
 def test_a_system_does_not_grow_with_its_calls(hunt):
-    arm, rng = kempe.load("puma560"), hunt.rng()
+    arm = kempe.load("puma560")
+    rng = hunt.rng()
     X = arm.fk(arm.mid, "tool")
     for _ in range(MOST + 50):
         axis = rng.normal(size=3)

@@ -26,7 +26,8 @@ def four_bar(*cut: str, **more) -> System:
 
 @pytest.mark.parametrize("cut", ["", "A", "B", "C", "D", "AB", "ABCD"])
 def test_a_mark_changes_what_is_left_out_but_not_the_tree_of_solvers(cut):
-    s, plain = four_bar(*cut), four_bar()
+    s = four_bar(*cut)
+    plain = four_bar()
     tree = own_tree(s)
     assert tree.structure.topology == plain.structure.topology and tree.structure.closures == ("C",)
     assert (tree is s) == (s.structure.closures == ("C",))
@@ -79,7 +80,8 @@ def test_a_joint_that_holds_one_motion_is_not_kept_in_the_tree_by_a_mark():
     """Only one that holds nothing is."""
     for more, kept in (("", "J"), (" P(z)", "A")):
         m = Mechanism("loop")
-        crank, table = m.body("crank"), m.body("table")
+        crank = m.body("crank")
+        table = m.body("table")
         m.revolute("A", m.ground, crank, cut=True)
         m.revolute("B", crank, table, at=(1.0, 0.0, 0.0), rpy=(0.1, 0.2, 0.3))
         m.joint("J", "R(x) R(y) R(z) P(x) P(y)" + more, m.ground, table)

@@ -99,7 +99,8 @@ def test_subchains_move_as_in_the_whole(graph: Graph):
     s = graph.mechanism().build()
     q = s.random(5)
     free = s.q_dict(q)
-    base, tip = s.body_names[0], s.body_names[-1]
+    base = s.body_names[0]
+    tip = s.body_names[-1]
     for a, b in ((base, tip), (tip, base)):
         try:
             chain = s.mechanism.subchain(a, b).build()

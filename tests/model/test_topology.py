@@ -34,15 +34,18 @@ def tree_by_name(system: System) -> dict:
 @given(graph=graphs(), seed=st.integers(0, 10**6))
 @settings(max_examples=examples(120))
 def test_the_order_of_the_file_changes_no_answer_by_name(graph, seed):
-    one, other = graph.mechanism().build(), graph.shuffled(seed).mechanism().build()
+    one = graph.mechanism().build()
+    other = graph.shuffled(seed).mechanism().build()
     assert set(one.structure.closures) == set(other.structure.closures)
     assert tree_by_name(one) == tree_by_name(other)
     assert sorted(one.coordinate_names) == sorted(other.coordinate_names)
     by_name = lambda s, x: dict(zip(s.structure.velocity_names, x.tolist(), strict=True))  # noqa: E731
     assert by_name(one, one.lower) == by_name(other, other.lower)
-    q, p = one.random(3), other.random(3)
+    q = one.random(3)
+    p = other.random(3)
     assert one.q_dict(q) == other.q_dict(p)
-    poses, others = one.fk(q), other.fk(p)
+    poses = one.fk(q)
+    others = other.fk(p)
     for name in one.body_names:
         np.testing.assert_allclose(
             poses[one.body_names.index(name)], others[other.body_names.index(name)], rtol=0, atol=1e-13
@@ -75,7 +78,8 @@ def test_it_is_a_spanning_tree_that_keeps_directions(graph):
 def test_bodies_keep_their_order_unless_a_parent_comes_later(graph):
     t = spanning_tree(graph.mechanism())
     parent = {b: t.bodies[p] for b, p in zip(t.bodies[1:], t.parent, strict=True)}
-    expected, waiting = ["ground"], list(graph.bodies + graph.particles)
+    expected = ["ground"]
+    waiting = list(graph.bodies + graph.particles)
     while waiting:  # always the first declared body whose parent is there
         body = next(b for b in waiting if parent[b] in expected)
         waiting.remove(body)
@@ -99,7 +103,8 @@ def way_to_ground(t: Topology) -> Callable[[str], dict[str, None]]:
 
 def loops_of(system: System) -> dict[str, set[str]]:
     """For each joint that is left out the joints of the tree that are on its loop."""
-    way, joints = way_to_ground(system.structure.topology), system.structure.joints
+    way = way_to_ground(system.structure.topology)
+    joints = system.structure.joints
     return {
         n: {*way(joints[n].parent)} ^ {*way(joints[n].child)} for n in system.structure.closures
     }  # fmt: skip
@@ -198,13 +203,15 @@ def test_loops_of_a_ladder_do_not_run_to_the_ground(names):
     """Rails A and B, rungs X, whatever they are called; 40 loops of four joints."""
     a, b, x = names
     m = Mechanism("ladder", dim=2)
-    left, right = m.ground.name, m.body("base").name
+    left = m.ground.name
+    right = m.body("base").name
     m.revolute(f"{x}0", left, right)
     for k in range(1, 41):
         m.body(f"l{k}"), m.body(f"r{k}")
         m.revolute(f"{a}{k}", left, f"l{k}"), m.revolute(f"{b}{k}", right, f"r{k}")
         m.revolute(f"{x}{k}", f"l{k}", f"r{k}")
-        left, right = f"l{k}", f"r{k}"
+        left = f"l{k}"
+        right = f"r{k}"
     assert [len(loop) for loop in loops_of(m.build()).values()] == [3] * 40
 
 
@@ -404,7 +411,8 @@ def steps(function: Callable[[], object]) -> int:
 
 @pytest.mark.parametrize("rungs", [0, 50])
 def test_work_grows_linearly(rungs):
-    small, large = chain(250, rungs), chain(1000, 4 * rungs)
+    small = chain(250, rungs)
+    large = chain(1000, 4 * rungs)
     assert steps(large.build) < 4.8 * steps(small.build)
     assert steps(lambda: chain(1000)) < 4.8 * steps(lambda: chain(250))
 

@@ -20,12 +20,14 @@ if TYPE_CHECKING:
 
 def coordinate_row(system: System, name: str) -> np.ndarray:
     """Derivatives (nv,) of any coordinate that is an angle or a length, also of one that is not in q."""
-    row, factor = np.zeros(system.nv), 1.0
+    row = np.zeros(system.nv)
+    factor = 1.0
     follower = system.structure.couplings.get(name)
     if follower is not None:
         if follower.source is None:
             return row
-        name, factor = follower.source, follower.multiplier
+        name = follower.source
+        factor = follower.multiplier
     row[system.structure.coordinates.first[name][1]] = factor
     return row
 
@@ -43,12 +45,14 @@ class Carried(Pair):
 
     def residual(self, system: System, q: Any) -> Array:
         """How far it is violated (..., size), in metres and radians."""
-        q, keep = as_q(system, q), list(self.own.keep)
+        q = as_q(system, q)
+        keep = list(self.own.keep)
         return self.own.error(self.pose(system, q), self.values(system, q)).value[..., keep]
 
     def jacobian(self, system: System, q: Any) -> Array:
         """Derivatives (..., size, nv) of the residual by the velocity coordinates."""
-        q, keep = as_q(system, q), list(self.own.keep)
+        q = as_q(system, q)
+        keep = list(self.own.keep)
         e = self.own.error(self.pose(system, q), self.values(system, q))
         rates = e.by_pose @ self.motion(system, q) + e.by_own @ self._own_rows(system)
         return rates[..., keep, :]

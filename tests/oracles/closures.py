@@ -50,16 +50,19 @@ class Closure(Pair):
         return self._both(system, as_q(system, q))[1]
 
     def _both(self, system: System, q: Array) -> tuple[Array, Array]:
-        X, motion = self.pose(system, q), self.motion(system, q)
+        X = self.pose(system, q)
+        motion = self.motion(system, q)
         value, rates = self.hold.rows(X)
-        values, jacobians = [value], [rates @ motion]
+        values = [value]
+        jacobians = [rates @ motion]
         for names, kind in self.tied:
             if len(names) == 1:
                 number, rates = pairs.read(X, kind, self.pitch)
                 number = number - coordinate_value(system, q, names[0])
                 if kind.startswith("turn"):
                     number = (number + np.pi) % (2.0 * np.pi) - np.pi  # a full turn more is the same pose
-                number, J = number[..., None], rates[..., None, :] @ motion - coordinate_row(system, names[0])
+                number = number[..., None]
+                J = rates[..., None, :] @ motion - coordinate_row(system, names[0])
             else:
                 own = np.stack([coordinate_value(system, q, n) for n in names], axis=-1)
                 number, rates, by_own = (pairs.angle_rows if len(names) == 3 else pairs.quaternion_rows)(X, own)
@@ -94,7 +97,8 @@ def closure_of(system: System, joint: str, own: bool = False) -> Closure | Carri
     particle = mechanism.bodies[j.child].particle
     X_PF, X_CM = (X.evaluate(mechanism.parameters) for X in (j.X_PF, j.X_CM))
     X_PF, X_CM = pairs.frames_of(j.type, X_PF, X_CM, system.dim, particle)
-    names, hold = system.structure.coordinates_of_joint(joint), pairs.hold_of(j.type, system.dim, particle)
+    names = system.structure.coordinates_of_joint(joint)
+    hold = pairs.hold_of(j.type, system.dim, particle)
     if hold is None:
         motion = motion_of(system, j, slides_along_z(j.type, system.dim, particle))
         return Carried(joint, j.parent, j.child, motion, X_A=X_PF, X_B=X_CM)

@@ -34,7 +34,8 @@ def maximal_residual(system: System, poses: ArrayLike, near: Any = None) -> Arra
     Poses do not tell full turns. Where a coupling depends on them, they are those nearest to the configuration
     `near`; without it, those that fit best.
     """
-    form, poses = form_of(system), as_poses(system, poses)
+    form = form_of(system)
+    poses = as_poses(system, poses)
     near = None if near is None else as_start(system, near)
     values = [pair.rows(pose_in(system, pair, poses))[0] for pair in form.pairs]
     if form.relations:
@@ -46,7 +47,8 @@ def maximal_residual(system: System, poses: ArrayLike, near: Any = None) -> Arra
 
 def maximal_jacobian(system: System, poses: ArrayLike, near: Any = None) -> Array:
     """Derivatives (..., m_c, n) of the residual by the twists of the bodies, axes of the ground; n = 6 n_b in space."""
-    form, poses = form_of(system), as_poses(system, poses)
+    form = form_of(system)
+    poses = as_poses(system, poses)
     near = None if near is None else as_start(system, near)
     rows = [pair.rows(pose_in(system, pair, poses))[1] @ motion_in(system, pair, poses) for pair in form.pairs]
     if form.relations:
@@ -59,7 +61,9 @@ def maximal_jacobian(system: System, poses: ArrayLike, near: Any = None) -> Arra
 
 def maximal_integrate(system: System, poses: ArrayLike, v: ArrayLike) -> Array:
     """Poses reached from `poses` by the twists `v` (..., n) in one unit of time: r + v and exp(w) R."""
-    poses, v, n = as_poses(system, poses), reals(v, "v"), len(maximal_velocity_names(system))
+    poses = as_poses(system, poses)
+    v = reals(v, "v")
+    n = len(maximal_velocity_names(system))
     if v.shape[-1:] != (n,):
         raise InputError(f"v has shape {v.shape}; {system.name} has {n} velocities of bodies: (..., {n})")
     out = np.array(np.broadcast_to(poses, (*np.broadcast_shapes(poses.shape[:-3], v.shape[:-1]), *poses.shape[-3:])))

@@ -69,7 +69,8 @@ class Form(NamedTuple):
 @kept
 def form_of(system: System) -> Form:
     """The equations of a system."""
-    mechanism, followers = system.mechanism, system.structure.couplings
+    mechanism = system.mechanism
+    followers = system.structure.couplings
     every = [closure_of(system, name, own=True) for name in mechanism.joints]
     joints = [j for j in every if isinstance(j, Closure)]
     turning = {names[0] for j in joints for names, kind in j.tied if kind.startswith("turn")}
@@ -117,7 +118,8 @@ def pose_in(system: System, pair: Pair, poses: Array) -> Array:
 
 def motion_in(system: System, pair: Pair, poses: Array) -> Array:
     """Matrix (..., 6, n) from the twists of the bodies to that of B against A."""
-    selectors, number = form_of(system).selectors, system.body_names.index
+    selectors = form_of(system).selectors
+    number = system.body_names.index
     ends = ((pair.a, pair.X_A), (pair.b, pair.X_B))
     return pairs.motion(*((_body(system, b, poses), X, selectors[number(b)]) for b, X in ends))
 
@@ -135,9 +137,11 @@ def coordinates_of(system: System, poses: Array, near: Any) -> tuple[dict[str, A
     derivatives (..., n) by the twists.
     """  # fmt: skip
     near = system.mid if near is None else as_start(system, near)
-    values, rates = {}, {}
+    values = {}
+    rates = {}
     for joint in form_of(system).joints:
-        X, motion = pose_in(system, joint, poses), motion_in(system, joint, poses)
+        X = pose_in(system, joint, poses)
+        motion = motion_in(system, joint, poses)
         if isinstance(joint, Carried):
             own, slope = joint.read(X, joint.values(system, near))
             values |= {n: own[..., i] for i, n in enumerate(joint.own.names)}
@@ -154,7 +158,8 @@ def coordinates_of(system: System, poses: Array, near: Any) -> tuple[dict[str, A
             else:
                 value, slope = pairs.read(X, kind, joint.pitch)
                 turning = kind.startswith("turn") or (kind == "screw" and joint.pitch == 0.0)
-                found, slopes = (_unwrapped(value, at[..., 0]) if turning else value)[..., None], [slope]
+                found = (_unwrapped(value, at[..., 0]) if turning else value)[..., None]
+                slopes = [slope]
             values |= {n: found[..., i] for i, n in enumerate(names)}
             rates |= {n: (s[..., None, :] @ motion)[..., 0, :] for n, s in zip(names, slopes, strict=False)}
     return values, rates

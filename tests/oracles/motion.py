@@ -16,9 +16,12 @@ from oracles import pairs
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-STARTS, STEPS, POLISH = 16, 60, 4
+STARTS = 16
+STEPS = 60
+POLISH = 4
 """Starts of a fit, its damped steps, and Newton steps after them."""
-AT_LEAST, SETTLED = 12, 1e-6
+AT_LEAST = 12
+SETTLED = 1e-6
 """Steps that every start of a fit has, and the length of the best start's step from which Newton steps go on."""
 FITS = 1e-13
 """Residual, in metres and radians, at which a fit is done."""
@@ -78,7 +81,8 @@ class Motion:
                 X[..., :3, :3] = X[..., :3, :3] @ spatial.quat_wxyz_to_matrix(quat)
                 parts += [(X[..., :3, i].copy(), X[..., :3, 3].copy()) for i in range(3)]
             else:
-                axis, amount = X[..., :3, s.axis].copy(), s.multiplier * values[..., s.value]
+                axis = X[..., :3, s.axis].copy()
+                amount = s.multiplier * values[..., s.value]
                 parts.append((s.multiplier * axis, X[..., :3, 3].copy() if s.kind == R else None))
                 if s.kind == P:
                     X[..., :3, 3] += amount[..., None] * axis
@@ -105,7 +109,8 @@ class Motion:
         back = np.swapaxes(predicted[..., :3, :3], -1, -2)
         off = (back @ (X[..., :3, 3] - predicted[..., :3, 3])[..., None])[..., 0]
         phi = spatial.log_so3(back @ X[..., :3, :3])
-        rate, own = pairs.log_rate(phi), twists @ self.owners()
+        rate = pairs.log_rate(phi)
+        own = twists @ self.owners()
         by_pose = np.zeros((*off.shape[:-1], 6, 6))
         by_pose[..., :3, :3], by_pose[..., 3:, 3:] = back, rate @ back
         slides = spatial.skew(off) @ own[..., 3:, :] - own[..., :3, :]
@@ -121,18 +126,21 @@ class Motion:
             out[..., value] += by[..., velocity]
         for s in self.steps:
             if s.kind == Q and s.held is None:
-                i, turn = s.value, spatial.quat_wxyz_exp(by[..., s.velocity : s.velocity + 3])
+                i = s.value
+                turn = spatial.quat_wxyz_exp(by[..., s.velocity : s.velocity + 3])
                 out[..., i : i + 4] = spatial.unit(spatial.quat_wxyz_multiply(spatial.unit(out[..., i : i + 4]), turn))
         return out
 
     def slope(self, e: Error) -> tuple[Array, Array]:
         """Derivatives of own^T value, zero at the best fit: by the velocities, and by the twist of the pose."""
-        a, b = e.twists[..., :, None], e.twists[..., None, :]
+        a = e.twists[..., :, None]
+        b = e.twists[..., None, :]
         v = _cross(a[..., 3:, :, :], b[..., :3, :, :]) - _cross(b[..., 3:, :, :], a[..., :3, :, :])
         bracket = np.concatenate([v, _cross(a[..., 3:, :, :], b[..., 3:, :, :])], axis=-3)
         step = np.array([k for k, s in enumerate(self.steps) if s.held is None for _ in range(_count(s))], dtype=int)
         curved = np.sum(e.value[..., :, None, None] * bracket, axis=-3) * (step[:, None] < step)
-        turned, owners = np.swapaxes(e.own, -1, -2), self.owners()
+        turned = np.swapaxes(e.own, -1, -2)
+        owners = self.owners()
         return owners.T @ curved @ owners + turned @ e.by_own, turned @ e.by_pose
 
     def fit(self, X: Array, near: Array | None = None) -> Array:
@@ -142,7 +150,8 @@ class Motion:
         if near is None and self.ball >= 0:
             home[..., self.ball] = 1.0
         X, starts = X[..., None, :, :], self._starts(X, home)
-        values, e = starts, self.error(X, starts)
+        values = starts
+        e = self.error(X, starts)
         damping = np.full((*starts.shape[:-1], 1, 1), 1e-3)
         for k in range(STEPS):
             size = _size(e)
@@ -156,7 +165,8 @@ class Motion:
             tried = self.moved(values, np.asarray(step, dtype=float))
             new = self.error(X, tried)
             better = _size(new) < size
-            values, e = np.where(better[..., None], tried, values), _pick(better, new, e)
+            values = np.where(better[..., None], tried, values)
+            e = _pick(better, new, e)
             damping = np.clip(np.where(better[..., None, None], 0.2, 5.0) * damping, 1e-12, 1e6)
         return self._polished(X[..., 0, :, :], self._nearest(values, _size(e), home))
 
@@ -176,7 +186,8 @@ class Motion:
 
     def _nearest(self, values: Array, size: Array, home: Array) -> Array:
         """Of values (..., k, n) with residuals (..., k) the best, and of equally good ones the nearest to `home`."""
-        home, turning = home[..., None, :], self.turning()
+        home = home[..., None, :]
+        turning = self.turning()
         values[..., turning] += 2.0 * np.pi * np.round((home - values)[..., turning] / (2.0 * np.pi))
         if self.ball >= 0:
             ball = slice(self.ball, self.ball + 4)
@@ -197,7 +208,8 @@ class Motion:
             new = self.error(X, tried)
             better = np.linalg.norm(_gradient(new), axis=-1) < np.linalg.norm(_gradient(e), axis=-1)
             better &= _size(new) <= _size(e) + AS_GOOD
-            values, e = np.where(better[..., None], tried, values), _pick(better, new, e)
+            values = np.where(better[..., None], tried, values)
+            e = _pick(better, new, e)
         return values
 
 
@@ -224,14 +236,17 @@ def motion_of(system: System, joint: Joint, flat: bool) -> Motion:
             for k in range(p.coordinate, p.coordinate + 4)}  # fmt: skip
     value = {k: i for i, k in enumerate(k for k in range(len(names)) if k not in held)}
     velocity: dict[int, int] = {}
-    steps, size, ball = [], 0, -1
+    steps = []
+    size = 0
+    ball = -1
     for p in primitives:
         if p.coordinate in held:
             quat = [system.structure.couplings[n].offset for n in names[p.coordinate : p.coordinate + 4]]
             steps.append(Step(Q, 2, 1.0, -1, -1, spatial.quat_wxyz_to_matrix(spatial.unit(quat))))
             continue
         if p.coordinate not in velocity:
-            velocity[p.coordinate], size = size, size + (3 if p.kind == Q else 1)
+            velocity[p.coordinate] = size
+            size = size + (3 if p.kind == Q else 1)
         ball = value[p.coordinate] if p.kind == Q else ball
         axis = 0 if flat else "xyz".index(p.axis)
         steps.append(Step(p.kind, axis, p.multiplier, value[p.coordinate], velocity[p.coordinate]))

@@ -112,7 +112,8 @@ def _turning(X: Array) -> Array:
 def _angle(X: Array, s: tuple[int, int], c: tuple[int, int]) -> tuple[Array, Array]:
     """atan2 of two entries of the rotation, with its rates (..., 6)."""
     D = _turning(X)
-    a, b = X[..., s[0], s[1]], X[..., c[0], c[1]]
+    a = X[..., s[0], s[1]]
+    b = X[..., c[0], c[1]]
     square = (a * a + b * b)[..., None]
     with np.errstate(invalid="ignore", divide="ignore"):
         w = (b[..., None] * D[..., s[0], s[1]] - a[..., None] * D[..., c[0], c[1]]) / square
@@ -133,7 +134,8 @@ def turn(X: Array, which: str) -> tuple[Array, Array]:
     if which == "roll":
         return _angle(X, (2, 1), (2, 2))
     D = _turning(X)
-    up, across = -X[..., 2, 0], np.hypot(X[..., 0, 0], X[..., 1, 0])
+    up = -X[..., 2, 0]
+    across = np.hypot(X[..., 0, 0], X[..., 1, 0])
     with np.errstate(invalid="ignore", divide="ignore"):
         d_across = (X[..., 0, 0, None] * D[..., 0, 0] + X[..., 1, 0, None] * D[..., 1, 0]) / across[..., None]
     d_across = np.where(across[..., None] > 0.0, d_across, 0.0)
@@ -159,10 +161,13 @@ def log_rate(phi: Array) -> Array:
 
 def alignment(X: Array) -> Rows:
     """Rotation vector, about x and y of F, of the smallest turn that takes z of F to z of M (2 rows)."""
-    z, D = X[..., :3, 2], _turning(X)[..., :, 2]
-    sine, cosine = np.hypot(z[..., 0], z[..., 1]), z[..., 2]
+    z = X[..., :3, 2]
+    D = _turning(X)[..., :, 2]
+    sine = np.hypot(z[..., 0], z[..., 1])
+    cosine = z[..., 2]
     angle = np.arctan2(sine, cosine)
-    near, safe = (sine < 1e-3) & (cosine > 0.0), np.where(sine > 0.0, sine, 1.0)
+    near = (sine < 1e-3) & (cosine > 0.0)
+    safe = np.where(sine > 0.0, sine, 1.0)
     ratio = np.where(near, 1.0 + sine**2 / 6.0 + 3.0 * sine**4 / 40.0, angle / safe)[..., None]
     slope = np.where(near, -1.0 / 3.0 - 2.0 / 15.0 * sine**2, (angle * cosine - sine) / safe**3)[..., None]
     across = np.stack([-z[..., 1], z[..., 0]], axis=-1)
@@ -232,7 +237,9 @@ def read(X: Array, kind: str, pitch: float = 0.0) -> tuple[Array, Array]:
 
 def angle_rows(X: Array, angles: Array) -> tuple[Array, Array, Array]:
     """As `quaternion_rows`, for turns by `angles` (..., 3) about z, y' and x''; derivatives by these angles."""
-    a, b, c = (spatial.rot_z(angles[..., 0]), spatial.rot_y(angles[..., 1]), spatial.rot_x(angles[..., 2]))
+    a = spatial.rot_z(angles[..., 0])
+    b = spatial.rot_y(angles[..., 1])
+    c = spatial.rot_x(angles[..., 2])
     bc = np.swapaxes(b @ c, -1, -2)
     axes = np.stack([bc[..., :, 2], np.swapaxes(c, -1, -2)[..., :, 1], np.broadcast_to([1.0, 0, 0], a.shape[:-1])], -1)
     phi, rates, by_turn = _rotation_rows(X, a @ b @ c)

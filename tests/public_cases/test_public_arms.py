@@ -46,7 +46,8 @@ def test_a_tool_down_pose_of_a_rokae_arm_has_its_published_solution():
     q = np.random.default_rng(0).uniform(-2, 2, 6)
     np.testing.assert_allclose(s.fk(q, "tool"), pose(q), atol=1e-12)
     down = at(0.2834, 0.2788, 0.3) @ turn("y", PI)
-    answer, answers = s.ik(down, "tool"), s.ik_all(down, "tool")
+    answer = s.ik(down, "tool")
+    answers = s.ik_all(down, "tool")
     assert answer and pose_error(pose(answer.q), down) < 1e-6
     assert len(answers) > 0 and max(pose_error(pose(v), down) for v in answers.q) < 1e-8
     assert nearest(answers.q, [0.7772, 0.9013, 1.479, 0, -0.8091, 0.7772]) < 2e-3
@@ -84,7 +85,8 @@ def test_an_elbow_beside_its_link_becomes_an_offset_of_the_angle():
     m.frame("tip", before, at=(0.126, 0, 0))
     s = m.build()
     np.testing.assert_allclose(s.fk({"j3": -PI / 2}, "tip")[:3, 3], [0.024, 0, 0.455], atol=1e-12)
-    length, angle = math.hypot(0.024, 0.128), math.atan2(0.128, 0.024)
+    length = math.hypot(0.024, 0.128)
+    angle = math.atan2(0.128, 0.024)
     links = [{"a": length, "offset": -angle}, {"a": 0.124, "offset": angle}, {"a": 0.126}]
     table = kempe.from_dh([{"d": 0.077, "alpha": -PI / 2}, *links]).build()
     for seed in range(20):
@@ -126,7 +128,9 @@ def test_seven_joints_with_offsets_and_limits_reach_their_poses():
 
 def test_five_joints_hold_a_direction_where_they_hold_no_pose():
     """Robotics Stack Exchange: five joints (d 63.5, 90, 100 mm, a 400, 200 mm), tool down at (550, 90, 0)."""
-    alpha, a, d = np.deg2rad([-90, 0, 0, 90, 0]), [0, 400, 200, 0, 0], [63.5, 0, 0, 90, 100]
+    alpha = np.deg2rad([-90, 0, 0, 90, 0])
+    a = [0, 400, 200, 0, 0]
+    d = [63.5, 0, 0, 90, 100]
     s = kempe.from_dh([{"d": d[i], "a": a[i], "alpha": alpha[i]} for i in range(5)], name="five").build()
 
     def pose(q):
@@ -136,7 +140,9 @@ def test_five_joints_hold_a_direction_where_they_hold_no_pose():
     np.testing.assert_allclose(s.fk(q, "tool"), pose(q), atol=1e-9)
     down = at(550, 90, 0) @ turn("x", PI)
     pointing = [tasks.Position("tool", (550, 90, 0)), tasks.Pointing("tool", (0, 0, -1))]
-    full, place, direction = s.ik(down, "tool"), s.ik(down, "tool", task="position"), s.ik(pointing)
+    full = s.ik(down, "tool")
+    place = s.ik(down, "tool", task="position")
+    direction = s.ik(pointing)
     assert full and pose_error(pose(full.q), down) < 1e-6
     for answer in (place, direction):
         assert answer and np.linalg.norm(pose(answer.q)[:3, 3] - down[:3, 3]) < 1e-6
@@ -192,7 +198,8 @@ def test_a_calibrated_arm_keeps_its_solutions():
     for case in range(60):
         q = rng.uniform(-2.8, 2.8, 6)
         X = pose(q)
-        answer, answers = s.ik(X, "tool"), s.ik_all(X, "tool")
+        answer = s.ik(X, "tool")
+        answers = s.ik_all(X, "tool")
         assert answer and pose_error(pose(answer.q), X) < 1e-6, case
         assert max(pose_error(pose(v), X) for v in answers.q) < 1e-6 and nearest(answers.q, q) < 1e-5, case
         for v in nominal.ik_all(X, "tool").q if case < 20 else ():
@@ -217,7 +224,8 @@ def test_a_tool_ten_centimetres_longer_is_undone_on_the_right_side():
     plain = kempe.load("puma560")
     m = kempe.read("puma560")
     last = plain.body_names[-1]
-    flange, tool = plain.fk(plain.neutral, last), plain.fk(plain.neutral, "tool")
+    flange = plain.fk(plain.neutral, last)
+    tool = plain.fk(plain.neutral, "tool")
     m.frame("tip", last, at=np.linalg.inv(flange) @ tool @ at(0, 0, 0.1))
     s = m.build()
     for seed in range(200):
@@ -340,7 +348,8 @@ def test_limits_from_zero_to_a_turn_contain_all_angles():
     s = u.with_limits(dict.fromkeys(u.coordinate_names, (0, 2 * PI)))
     for seed in range(100):
         X = s.fk(s.random(seed), "tool")
-        answer, answers = s.ik(X, "tool"), s.ik_all(X, "tool")
+        answer = s.ik(X, "tool")
+        answers = s.ik_all(X, "tool")
         assert answer and inside(s, answer.q), seed
         assert answers.inside.all() and all(inside(s, v) for v in answers.q), seed
         assert len(s.ik_all(X, "tool", limits=True)) == len(answers), seed
@@ -370,7 +379,8 @@ def test_six_joints_with_four_parallel_axes_have_families():
     rows = [{"d": 0.3, "alpha": PI / 2}, {"a": 0.4}, {"a": 0.35}, {"a": 0.3}, {"a": 0.1, "alpha": PI / 2}, {"d": 0.1}]
     s = kempe.from_dh(rows, name="redundant").build()
     X = s.fk(np.array([0.3, 0.5, -0.7, 0.4, 0.6, 0.2]), "tool")
-    answer, answers = s.ik(X, "tool"), s.ik_all(X, "tool")
+    answer = s.ik(X, "tool")
+    answers = s.ik_all(X, "tool")
     assert answer and pose_error(s.fk(answer.q, "tool"), X) < 1e-6
     said = answers.status.lower()
     assert not answers.complete or len(answers) >= 50 or "famil" in said or "infinit" in said, said
@@ -385,7 +395,8 @@ def test_singularities_of_a_ur5_name_wrist_and_elbow():
     """xarm_ros, issue 169; moveit, issue 3350; UR-kinematics, issue 76: what are the singularities of my robot?"""
     s = kempe.load("ur5")
     text = str(s.singularities("tool"))
-    elbow, wrist = s.coordinate_names[2], s.coordinate_names[4]
+    elbow = s.coordinate_names[2]
+    wrist = s.coordinate_names[4]
     assert elbow in text and wrist in text
     for straight in (2, 4):
         q = np.array([0.3, -1.1, 1.2, 0.4, 0.9, 0.2])

@@ -95,9 +95,12 @@ def test_bounce_times_of_a_ball_are_those_of_a_geometric_series():
 
 def test_a_tractor_with_a_trailer_moves_as_its_differential_equation():
     """MRPT, issue 408; rsmotion, issue 4: the hitch is behind the rear axle; what is controllable, where does it go?"""
-    wheelbase, hitch, trailer = 2.5, 0.6, 3.0
+    wheelbase = 2.5
+    hitch = 0.6
+    trailer = 3.0
     m = Mechanism("tractor and trailer", dim=2)
-    front, rear = m.body("tractor"), m.body("trailer")
+    front = m.body("tractor")
+    rear = m.body("trailer")
     m.planar("p", m.ground, front)
     m.no_sideslip("rear axle", front)
     m.revolute("hitch", front, rear, at=(-hitch, 0))
@@ -106,11 +109,13 @@ def test_a_tractor_with_a_trailer_moves_as_its_differential_equation():
     s = m.build()
     kind = s.classify({"hitch": 0.3})
     assert (kind.position_dof, kind.velocity_dof, kind.growth[-1]) == (4, 2, 4)
-    v, w = 1.0, 0.25
+    v = 1.0
+    w = 0.25
     assert math.atan(wheelbase * w / v) < 0.6  # a steering angle that a tractor has
 
     def rates(_, x):
-        heading, angle = x[2], x[3]
+        heading = x[2]
+        angle = x[3]
         sideways = -math.sin(angle) * v + math.cos(angle) * -hitch * w  # of the hitch, in the frame of the trailer
         return [v * math.cos(heading), v * math.sin(heading), w, sideways / trailer - w]
 
@@ -122,7 +127,8 @@ def test_a_tractor_with_a_trailer_moves_as_its_differential_equation():
 def test_a_rolling_disc_reaches_every_place_heading_and_angle():
     """Pages about nonholonomic systems: a disc rolls on a plane; which coordinates can it reach?"""
     m = Mechanism("disc")
-    yoke, disc = m.body("yoke"), m.body("disc")
+    yoke = m.body("yoke")
+    disc = m.body("disc")
     m.planar("p", m.ground, yoke, at=(0, 0, 0.2))
     m.revolute("roll", yoke, disc, axis="y")
     m.rolls("floor", disc, radius=0.2, shape="disc")
@@ -151,7 +157,8 @@ def test_a_ball_that_may_not_spin_has_growth_two_three_five():
 
 def test_wheel_angles_of_a_differential_drive_reach_four_dimensions():
     """burro, issue 36, and pages about rolling: R (right - left) = 2 b heading is a hidden position constraint."""
-    R, b = 0.1, 0.25
+    R = 0.1
+    b = 0.25
     m = Mechanism("differential drive", dim=2)
     chassis = m.body("chassis")
     m.planar("p", m.ground, chassis)
@@ -159,7 +166,8 @@ def test_wheel_angles_of_a_differential_drive_reach_four_dimensions():
     m.revolute("right", chassis, m.body("right wheel"))
 
     def rolling(x):
-        c, s = np.cos(x["p.rz"]), np.sin(x["p.rz"])
+        c = np.cos(x["p.rz"])
+        s = np.sin(x["p.rz"])
         return [[s, -c, 0, 0, 0], [c, s, b, 0, -R], [c, s, -b, -R, 0]]
 
     m.velocity_equation("rolling", rolling, of=("p.x", "p.y", "p.rz", "left", "right"))

@@ -91,7 +91,9 @@ def test_continuous_joints_have_no_limits_and_finite_samples():
 def test_continuous_joints_go_the_short_way_round():
     """aikido, issue 430: what is between 3.1 and -3.1 rad of a continuous joint?"""
     space = kempe.load(CONTINUOUS).configuration_space
-    here, there, short = np.array([3.1, 0.0]), np.array([-3.1, 0.0]), 2 * PI - 6.2
+    here = np.array([3.1, 0.0])
+    there = np.array([-3.1, 0.0])
+    short = 2 * PI - 6.2
     assert space.distance(here, there) == pytest.approx(short, abs=1e-9)
     assert space.difference(here, there)[0] == pytest.approx(short, abs=1e-9)
     assert apart(space.interpolate(here, there, 0.5)[:1], [PI]) < 1e-9
@@ -281,7 +283,8 @@ def test_a_decimal_comma_is_refused():
 
 def test_a_heavy_robot_with_a_parallelogram_and_a_cylinder_moves_as_its_triangle_says():
     """onshape-to-robot, issue 94: one link has two parents; is the URDF file read, counted and moved?"""
-    ends, y = (-3, 3), (0, 1, 0)
+    ends = (-3, 3)
+    y = (0, 1, 0)
     s = kempe.load(
         robot(
             "base col lower upper crank rod cyl piston tip lug",

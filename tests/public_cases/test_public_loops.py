@@ -184,7 +184,10 @@ def length(A: np.ndarray, B: np.ndarray) -> float:
 def test_a_four_bar_given_by_places_has_the_range_of_the_triangle_inequality():
     """PMKSWeb, issue 91: hinges and coupler point are given by coordinates; the program drew a wrong path."""
     A, B, C, D, E = map(np.array, [(4.1, 3.75), (1.244, 0.196), (-2.32, -2.293), (0.165, 1.322), (-2.591, 1.657)])
-    AB, BC, DC, AD = length(A, B), length(B, C), length(D, C), length(A, D)
+    AB = length(A, B)
+    BC = length(B, C)
+    DC = length(D, C)
+    AD = length(A, D)
     m = Mechanism("places", dim=2)
     crank, coupler, rocker = (m.body(name) for name in ("crank", "coupler", "rocker"))
     m.revolute("A", m.ground, crank, at=A)
@@ -198,7 +201,8 @@ def test_a_four_bar_given_by_places_has_the_range_of_the_triangle_inequality():
     assert answer
     np.testing.assert_allclose(s.fk(answer.q, "E")[:2, 3], E, atol=1e-9)
     trace = s.trace("A", start=answer.q)
-    cranks, rockers = s.fk(trace.q, "crank"), s.fk(trace.q, "rocker")
+    cranks = s.fk(trace.q, "crank")
+    rockers = s.fk(trace.q, "rocker")
     couplers = (cranks @ [AB, 0, 0, 1] - rockers @ [DC, 0, 0, 1])[:, :2]
     np.testing.assert_allclose(np.linalg.norm(couplers, axis=1), BC, atol=1e-9)
     ends = sorted(event.q[0] for event in trace.turning_points)
@@ -280,7 +284,8 @@ def test_an_engine_with_a_cylindrical_pin_closes_from_far_away():
     assert s.mobility().dof == 1
     rng = np.random.default_rng(0)
     for case in range(200):
-        start, angle = rng.uniform(-200, 200, s.nq), rng.uniform(-3, 3)
+        start = rng.uniform(-200, 200, s.nq)
+        angle = rng.uniform(-3, 3)
         answer = s.assemble({"main": angle}, start=start)
         assert answer, case
         above = s.fk(answer.q, "piston")[2, 3] + 40 * math.sin(angle)
@@ -365,11 +370,16 @@ def test_a_roller_adds_a_freedom_that_is_of_no_use():
 
 def test_a_steering_trapezoid_moves_as_its_triangles():
     """onshape-to-robot, issue 94; solidworks_urdf_exporter2, issue 92: a rack steers two wheels, not in proportion."""
-    track, arm, tie, behind, slant = 0.30, 0.06, 0.11, -0.05, 0.25
+    track = 0.30
+    arm = 0.06
+    tie = 0.11
+    behind = -0.05
+    slant = 0.25
     arms = {side: -arm * np.array([math.cos(slant), side * math.sin(slant)]) for side in (1, -1)}
     m = Mechanism("steering", dim=2)
     wheels = {1: m.body("left"), -1: m.body("right")}
-    rack, ties = m.body("rack"), {1: m.body("left tie"), -1: m.body("right tie")}
+    rack = m.body("rack")
+    ties = {1: m.body("left tie"), -1: m.body("right tie")}
     names = {1: "L", -1: "R"}
     for side, wheel in wheels.items():
         m.revolute(names[side], m.ground, wheel, at=(0, side * track / 2))
@@ -385,7 +395,8 @@ def test_a_steering_trapezoid_moves_as_its_triangles():
 
     def angles(y, side):
         def missing(t):
-            c, n = math.cos(t), math.sin(t)
+            c = math.cos(t)
+            n = math.sin(t)
             end = np.array([[c, -n], [n, c]]) @ arms[side] + [0, side * track / 2]
             return float(np.linalg.norm(end - [behind, y + side * 0.03])) - tie
 
@@ -412,19 +423,22 @@ def scissor(cells: int, dim: int, limits: tuple[float, float] | None) -> tuple[S
         return (x, y, 0)[:dim]
 
     hinge = {} if dim == 2 else {"axis": (0, 0, 1)}
-    left, right = m.ground, m.body("slider")
+    left = m.ground
+    right = m.body("slider")
     m.prismatic("S", m.ground, right, axis=place(1), limits=limits)
     slope = 0.6
     start = {"S": math.cos(slope)}
     for i in range(cells):
-        a, b = m.body(f"a{i}"), m.body(f"b{i}")
+        a = m.body(f"a{i}")
+        b = m.body(f"b{i}")
         end = place(1.0 if i else 0.0)
         m.revolute(f"p{i}", left, a, at=end, **hinge)
         m.revolute(f"r{i}", right, b, at=end, **hinge)
         m.revolute(f"c{i}", a, b, at=place(0.5), child_at=place(0.5), **hinge)
         start |= {f"p{i}": 2 * slope - PI if i else slope, f"r{i}": PI - 2 * slope if i else PI - slope}
         start[f"c{i}"] = PI - 2 * slope
-        left, right = b, a
+        left = b
+        right = a
     return m.build(), start
 
 
@@ -469,7 +483,8 @@ def test_a_leg_of_parallel_hinges_in_space_is_counted_and_moved():
         rod_now = point(s, answer.q, "crank", 0.06) - point(s, answer.q, "shank", 0.06)
         assert np.linalg.norm(rod_now) == pytest.approx(0.35, abs=1e-9)
     J = s.loops.jacobian(answer.q, inputs=["hip", "motor"], outputs=["knee"]).matrix
-    motor, h = s.q_dict(answer.q)["motor"], 1e-6
+    motor = s.q_dict(answer.q)["motor"]
+    h = 1e-6
     after, before = (s.assemble({"hip": 0.3, "motor": motor + d}, start=answer.q).q for d in (h, -h))
     rate = (s.q_dict(after)["knee"] - s.q_dict(before)["knee"]) / (2 * h)
     assert J[0, 1] == pytest.approx(rate, abs=1e-5)
@@ -517,7 +532,8 @@ def test_a_parallel_ankle_is_solved_both_ways():
     assert s.mobility().dof == 2
     rng = np.random.default_rng(0)
     for case in range(100):
-        pitch, roll = rng.uniform(-0.5, 0.5), rng.uniform(-0.3, 0.3)
+        pitch = rng.uniform(-0.5, 0.5)
+        roll = rng.uniform(-0.3, 0.3)
         answer = s.assemble({"U.rx": roll, "U.ry": pitch})
         assert answer, case
         values = s.q_dict(answer.q)
@@ -530,7 +546,8 @@ def test_a_parallel_ankle_is_solved_both_ways():
 
 def test_limits_of_a_model_do_not_hide_modes_that_are_asked_for_without_them():
     """RBDyn, issue 127; Linkage, issue 12: all modes of an ankle with and without limits, counted from many starts."""
-    free, limited = ankle(None), ankle(ANKLE_LIMITS)
+    free = ankle(None)
+    limited = ankle(ANKLE_LIMITS)
     values = free.q_dict(free.assemble({"U.rx": 0.0539, "U.ry": 0.4783}).q)
     motors = {"mL": values["mL"], "mR": values["mR"]}
 

@@ -29,7 +29,8 @@ def test_the_jacobian_of_the_world_is_that_of_the_point_at_the_origin():
     """pinocchio, issue 1140: the "WORLD" Jacobian surprised; it is the velocity of the body's point at the origin."""
     s = kempe.load("gen3")
     q = np.random.default_rng(2).uniform(-2, 2, 7)
-    J, place = s.jacobian(q, "tool"), s.fk(q, "tool")[:3, 3]
+    J = s.jacobian(q, "tool")
+    place = s.fk(q, "tool")[:3, 3]
     at_origin = J[:3] + np.cross(place, J[3:], axisb=0).T
     np.testing.assert_allclose(s.jacobian(q, "tool", "world")[:3], at_origin, atol=1e-9)
 
@@ -54,7 +55,8 @@ def arm(unit: float) -> System:
 @pytest.mark.parametrize("unit", [1.0, 1e3, 1e-3, 1e-6])
 def test_angles_do_not_depend_on_the_unit_of_length(unit):
     """KDL, issue 33; compas_fab, issue 192; mujoco, issue 1086: the same arm in metres, millimetres, kilometres."""
-    metres, s = arm(1.0), arm(unit)
+    metres = arm(1.0)
+    s = arm(unit)
     for seed in range(60):
         q = metres.random(seed)
         X = metres.fk(q, "tool").copy()
@@ -117,7 +119,8 @@ def test_a_quaternion_and_its_negative_are_one_orientation():
     s = box()
     space = s.configuration_space
     for seed in range(50):
-        q, other = s.random(seed), s.random(seed + 100)
+        q = s.random(seed)
+        other = s.random(seed + 100)
         same = q * [1, 1, 1, -1, -1, -1, -1]
         assert space.distance(q, same) < 1e-12 and np.abs(space.difference(q, same)).max() < 1e-12
         assert space.distance(q, other) == pytest.approx(space.distance(same, other), abs=1e-12)

@@ -24,7 +24,8 @@ def test_streaming_comes_back_from_outside_the_limits():
     q[3] = s.upper[3] + 0.2
     X = s.fk(s.mid, "tool")
     for _ in range(200):
-        before, q = q, s.ik_step(q, X, "tool", 0.02, velocity_limits=1.0).q
+        before = q
+        q = s.ik_step(q, X, "tool", 0.02, velocity_limits=1.0).q
         assert np.abs(q - before).max() <= 0.02 + 1e-9
     assert (q <= s.upper + 1e-9).all()
     assert pose_error(s.fk(q, "tool"), X) < 1e-4
@@ -67,7 +68,8 @@ def test_streaming_to_a_pose_out_of_reach_does_not_wind_up(cycles):
 def test_a_slider_dragged_past_the_end_of_its_slot_does_not_turn_the_lid():
     """FreeCAD, issue 29820: a latch on a hinged lid is dragged out of its slot; does the lid jump to 180 degrees?"""
     m = Mechanism("lid")
-    lid, latch = m.body("lid"), m.body("latch")
+    lid = m.body("lid")
+    latch = m.body("latch")
     m.revolute("hinge", m.ground, lid, axis=(0, 1, 0), limits=(0, PI))
     m.prismatic("slot", lid, latch, at=(0.2, 0, 0), axis=(0, 0, 1), limits=(-0.05, 0.02))
     s = m.build()
@@ -75,7 +77,8 @@ def test_a_slider_dragged_past_the_end_of_its_slot_does_not_turn_the_lid():
     X = s.fk(q, "latch")
     for k in range(100):
         target = X[:3, 3] - 0.002 * k * X[:3, 2]
-        before, q = q, s.ik_step(q, [tasks.Position("latch", target)], dt=0.02).q
+        before = q
+        q = s.ik_step(q, [tasks.Position("latch", target)], dt=0.02).q
         assert np.abs(q - before).max() < 0.15 and inside(s, q), k
 
 
@@ -190,7 +193,8 @@ def test_a_quadruped_moves_its_trunk_while_the_feet_stay():
     legs = ("FL", "FR", "RL", "RR")
     start = s.q({"base.z": 0.3, "base.qw": 1.0, **{f"{n}_h": 0.8 for n in legs}, **{f"{n}_k": -1.6 for n in legs}})
     feet = [f"{n}_foot" for n in legs]
-    places, X = s.fk(start, feet)[:, :3, 3], s.fk(start, "trunk")
+    places = s.fk(start, feet)[:, :3, 3]
+    X = s.fk(start, "trunk")
     rng = np.random.default_rng(0)
     reached = 0
     for _ in range(100):
@@ -265,7 +269,8 @@ def test_an_elbow_goes_up_while_the_tool_stays():
     """xArm-Python-SDK, issue 45: the elbow is asked upwards, and the tool may not move."""
     s = kempe.load("iiwa14")
     q = np.array([0.3, 0.7, -0.4, -1.3, 0.2, 0.9, 0.1])
-    X, elbow = s.fk(q, "tool"), s.body_names[4]
+    X = s.fk(q, "tool")
+    elbow = s.body_names[4]
     above = s.fk(q, elbow)[:3, 3] + [0, 0, 1]
     answer = s.ik([tasks.Pose("tool", X), tasks.Position(elbow, above, priority=1)], start=q)
     assert pose_error(s.fk(answer.q, "tool"), X) < 1e-6 and inside(s, answer.q)
@@ -287,7 +292,8 @@ def humanoid() -> System:
 
 def test_only_one_arm_of_a_humanoid_moves(humanoid):
     """bullet3, issue 4642: all joints but those of the right arm are held; is the hand still brought to its pose?"""
-    s, hand = humanoid, "arm_right_7_link"
+    s = humanoid
+    hand = "arm_right_7_link"
     start = s.mid.copy()
     arm = np.array([name.startswith("arm_right") for name in s.coordinate_names])
     held = {n: (v - 1e-12, v + 1e-12) for n, v, a in zip(s.coordinate_names, start, arm, strict=True) if not a}
@@ -301,7 +307,8 @@ def test_only_one_arm_of_a_humanoid_moves(humanoid):
 
 def test_joints_that_do_not_lead_to_the_hand_stay(humanoid):
     """lerobot, issue 3613: nothing is held; do legs or the other arm move although the hand does not need them?"""
-    s, hand = humanoid, "arm_right_7_link"
+    s = humanoid
+    hand = "arm_right_7_link"
     start = s.mid.copy()
     arm = np.array([name.startswith("arm_right") for name in s.coordinate_names])
     answer = s.ik(s.fk(np.where(arm, s.random(59), start), hand), hand, start=start)

@@ -93,7 +93,8 @@ def six_sps(rng: np.random.Generator, flat: bool) -> tuple[System, dict[str, flo
     """A platform on six telescopic legs between balls, with the legs' lengths; base and platform may be flat."""
     m = Mechanism("6-SPS")
     body = m.body("platform")
-    base, ends = rng.uniform(-1, 1, (6, 3)), rng.uniform(-0.6, 0.6, (6, 3))
+    base = rng.uniform(-1, 1, (6, 3))
+    ends = rng.uniform(-0.6, 0.6, (6, 3))
     if flat:
         base[:, 2] = ends[:, 2] = 0.0
     R = np.linalg.qr(rng.normal(size=(3, 3)))[0]
@@ -142,7 +143,9 @@ class Rssr:
         """Both angles of the rocker: |place + rocker (cos x + sin y) - start| = rod is a cos + b sin = c."""
         x, y, _ = self.frame().T
         d = self.place - self.start(self.angle)
-        a, b = 2 * self.rocker * (d @ x), 2 * self.rocker * (d @ y)
+        a = 2 * self.rocker * (d @ x)
+        b = 2 * self.rocker * (d @ y)
         c = self.rod**2 - self.rocker**2 - d @ d
-        middle, off = np.arctan2(b, a), np.arccos(np.clip(c / np.hypot(a, b), -1, 1))
+        middle = np.arctan2(b, a)
+        off = np.arccos(np.clip(c / np.hypot(a, b), -1, 1))
         return np.sort(np.angle(np.exp(1j * np.array([middle - off, middle + off]))))

@@ -45,7 +45,8 @@ def linear(A: np.ndarray, b: np.ndarray) -> Any:
 @pytest.mark.parametrize("weak", [1.0, 1e-3, 1e-4])
 def test_a_descent_ends_in_the_least_squares_solution_however_badly_it_is_conditioned(weak):
     A = np.array([[1.0, 1.0, 0.0], [1.0, 1.0 + weak, 0.0], [0.0, 0.0, 1.0], [0.5, 0.5, 0.5]])
-    x, across = np.array([0.3, -0.2, 0.4]), np.linalg.svd(A)[0][:, 3]
+    x = np.array([0.3, -0.2, 0.4])
+    across = np.linalg.svd(A)[0][:, 3]
     free = np.full(3, math.inf)
     found = nearest.descend(linear(A, A @ x + 0.01 * across), np.zeros((2, 3)), -free, free)
     np.testing.assert_allclose(found, [x, x], atol=1e-7)
@@ -54,9 +55,11 @@ def test_a_descent_ends_in_the_least_squares_solution_however_badly_it_is_condit
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_descent_leaves_joints_at_the_limits_on_which_they_press(sign):
     """Against bounded least squares; the gradients are small, the joints far from independent."""
-    A, b = np.array([[1.0, 0.9], [0.9, 1.0]]), sign * np.array([0.05, -0.04])
+    A = np.array([[1.0, 0.9], [0.9, 1.0]])
+    b = sign * np.array([0.05, -0.04])
     low, high = (-1.0, 0.0) if sign > 0.0 else (0.0, 1.0)
-    low, high = np.array([low, -1.0]), np.array([high, 1.0])
+    low = np.array([low, -1.0])
+    high = np.array([high, 1.0])
     expected = lsq_linear(A, b, (low, high), tol=1e-14).x
     assert expected[0] == pytest.approx(0.0, abs=1e-9)
     found = nearest.descend(linear(A, b), np.zeros((1, 2)), low, high)
@@ -143,7 +146,8 @@ def test_nothing_is_left_out_where_there_was_room():
 def test_curves_cross_where_the_second_singular_value_vanishes():
     """It is the distance from 0.47 along a straight curve, and nowhere near zero at its other ends."""
     x = np.linspace(0.0, 1.0, 9)
-    theta, way = np.stack([x, 0.0 * x], axis=1), np.tile([1.0, 0.0], (9, 1))
+    theta = np.stack([x, 0.0 * x], axis=1)
+    way = np.tile([1.0, 0.0], (9, 1))
     chain: Any = SimpleNamespace(led=lambda p, t: (p, None, p), spectrum=lambda p: (0.0, abs(p[0] - 0.47)))
     curve = Samples(1, theta, way, way[:1], False, 0.0, 0.1 * np.abs(x - 0.47))
     (found,) = TolerantMotion.crossings_of(chain, curve)

@@ -33,7 +33,8 @@ MECHANISMS = [
 
 def rocker_angles(a, b, c, d, theta):
     """Both angles of the rocker of a four-bar, by intersecting two circles."""
-    x, y = a * math.cos(theta) - d, a * math.sin(theta)
+    x = a * math.cos(theta) - d
+    y = a * math.sin(theta)
     r = math.hypot(x, y)
     spread = math.acos((r * r + c * c - b * b) / (2 * r * c))
     return math.atan2(y, x) + spread, math.atan2(y, x) - spread
@@ -74,7 +75,9 @@ def test_convergence_is_quadratic(name):
     b = Assembler(s, ())
     rng = np.random.default_rng(2)
     start = s.configuration_space.integrate(s.q("closed"), 0.02 * rng.normal(size=s.nv))[None]
-    q, r, info = np.empty_like(start), np.empty(1), np.empty((1, 3), dtype=np.int64)
+    q = np.empty_like(start)
+    r = np.empty(1)
+    info = np.empty((1, 3), dtype=np.int64)
     sizes = []
     arrays = b.loops.ints, b.loops.floats, b.loops.plan, b.loops.weights
     for limit in range(4):
@@ -110,7 +113,8 @@ def test_closed_in_pinocchio_too(name):
 
 def pinocchio_tree(pin, s):
     """The spanning tree as a Pinocchio model of revolute and prismatic joints, and where its coordinates are."""
-    model, place = pin.Model(), {}
+    model = pin.Model()
+    place = {}
     ids = {0: 0}
     at = {0: pin.SE3.Identity()}
     m = s.mechanism
@@ -124,11 +128,14 @@ def pinocchio_tree(pin, s):
         for k, p in enumerate(primitives):
             axis = "xyz".index(p.axis)
             if p.kind == 2:
-                kind, size = pin.JointModelSpherical(), 4
+                kind = pin.JointModelSpherical()
+                size = 4
             elif p.kind == 0:
-                kind, size = [pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ][axis](), 1
+                kind = [pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ][axis]()
+                size = 1
             else:
-                kind, size = [pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ][axis](), 1
+                kind = [pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ][axis]()
+                size = 1
             here = model.addJoint(here, kind, before, f"{name}_{k}")
             before = pin.SE3.Identity()
             first = s.coordinate_names.index(names[p.coordinate])
@@ -386,7 +393,8 @@ def truss(bays: int, brace: float = math.sqrt(2.0)) -> tuple[kempe.System, np.nd
 def rods_open(q: np.ndarray) -> float:
     """By how much the rods of a truss are too long or too short, in numpy alone."""
     places = np.concatenate([[[[0.0, 0.0], [0.0, 1.0]]], q.reshape(-1, 2, 2)])
-    n, m = places[:, 0], places[:, 1]
+    n = places[:, 0]
+    m = places[:, 1]
     pairs = [(n[1:], n[:-1], 1.0), (m[1:], m[:-1], 1.0), (n[1:], m[1:], 1.0), (m[1:], n[:-1], math.sqrt(2.0))]
     return max(float(np.abs(np.linalg.norm(a - b, axis=1) - length).max()) for a, b, length in pairs)
 
@@ -490,7 +498,8 @@ def test_a_mechanism_far_from_the_origin():
     """1000 m away loops close, and are traced, as at the origin: no digits and no tolerance are lost."""
     m = Mechanism("far", ground="world")
     m.attach(kempe.load("sarrus"), m.ground, at=(1000.0, 2000.0, 0.0), rpy=(0.3, 0.2, 1.0))
-    far, home = m.build(), kempe.load("sarrus")
+    far = m.build()
+    home = kempe.load("sarrus")
     driver = home.structure.velocity_names[0]
     start = far.q({k: v for k, v in home.q_dict(home.q("closed")).items()})
     assert far.trace(driver, start).length == pytest.approx(home.trace(driver, "closed").length, rel=1e-6)
@@ -504,7 +513,9 @@ def test_a_mechanism_far_from_the_origin():
 def test_a_known_place_far_from_the_origin():
     """Places of frames are in the ground, however the loops are measured."""
     m = Mechanism("four-bar", dim=2)
-    crank, coupler, rocker = m.body("crank"), m.body("coupler"), m.body("rocker")
+    crank = m.body("crank")
+    coupler = m.body("coupler")
+    rocker = m.body("rocker")
     m.revolute("A", m.ground, crank, at=(500, 0))
     m.revolute("B", crank, coupler, at=(0.1, 0))
     m.revolute("C", coupler, rocker, at=(0.5, 0), child_at=(0.4, 0))
@@ -583,14 +594,16 @@ def test_bad_further_constraints_are_refused_and_violated_ones_named():
             s.assemble(also=wrong)
     with pytest.raises(InputError, match=r"its Jacobian has shape \(1, 3\)"):
         s.assemble(also=constraints.Function(lambda q: q[0], lambda q: np.zeros(3)))
-    a, b = s.body_names[1], s.body_names[-1]
+    a = s.body_names[1]
+    b = s.body_names[-1]
     answer = s.assemble(also=constraints.Distance(a, b, 99.0, name="far rod"))
     assert not answer and "'far rod'" in answer.status
 
 
 def test_values_of_a_bound_assembler_are_rows_of_its_coordinates():
     s = kempe.load("five_bar")
-    assembler, rows = s.loops.assembler(["A", "D"]), np.array([[1.9, 1.2], [2.1, 1.0]])
+    assembler = s.loops.assembler(["A", "D"])
+    rows = np.array([[1.9, 1.2], [2.1, 1.0]])
     found = assembler(rows)
     assert found.success.all()
     np.testing.assert_allclose([[s.q_dict(q)[name] for name in "AD"] for q in found.q], rows, atol=1e-12)
@@ -609,8 +622,10 @@ def test_held_balls_keep_their_known_quaternions():
     m.spherical("B", "a", m.body("b"))
     m.spherical("C", "b", m.body("c"))
     s = m.build()
-    loops, none = SimpleNamespace(unknown=np.array([1, 2, 3])), np.zeros(0)
-    q, known = np.arange(9.0)[None], -1.0 - np.arange(9.0)[None]
+    loops = SimpleNamespace(unknown=np.array([1, 2, 3]))
+    none = np.zeros(0)
+    q = np.arange(9.0)[None]
+    known = -1.0 - np.arange(9.0)[None]
     found = OneSidedAssembly(s, loops, none, 0, 0.0, 0, None)._with_known(q, known)
     assert found.tolist() == [[-1.0, 1.0, 2.0, 3.0, 4.0, -6.0, -7.0, -8.0, -9.0]]
 
@@ -634,7 +649,9 @@ def searched(monkeypatch):
 
 def test_a_named_branch_is_evaluated_once_and_not_searched(searched, monkeypatch):
     """A closed form that fulfils the equations is the answer: one evaluation a row, no search, no sign found again."""
-    s, n, evaluated = kempe.load("four_bar"), 10_000, []
+    s = kempe.load("four_bar")
+    n = 10_000
+    evaluated = []
     s.assemble({"A": 0.3})
     searched.clear()
     equations = assembler_module.closure_batch.equations
@@ -664,12 +681,14 @@ def test_a_sequence_on_one_branch_searches_its_first_row_only(searched):
 def test_the_usual_call_of_a_bound_assembler_is_one_call_of_the_kernel(searched, monkeypatch):
     """One array and plain numbers by name go to the kernel; the same answer comes from the general way."""
     s = kempe.load("four_bar")
-    q, bound = s.assemble({"A": 0.3}).q, s.loops.assembler(["A"])
+    q = s.assemble({"A": 0.3}).q
+    bound = s.loops.assembler(["A"])
     bound({"A": 0.4}, q)
     general = bound([0.4], q)
     searched.clear()
     monkeypatch.setattr(Assembler, "_solve", lambda *args: pytest.fail("this is for other calls"))
-    usual, public = bound({"A": 0.4}, q), s.assemble({"A": 0.4}, q)
+    usual = bound({"A": 0.4}, q)
+    public = s.assemble({"A": 0.4}, q)
     np.testing.assert_array_equal(usual.q, general.q)
     np.testing.assert_array_equal(public.q, general.q)
     assert usual.iterations == general.iterations and usual.status == general.status
@@ -678,7 +697,8 @@ def test_the_usual_call_of_a_bound_assembler_is_one_call_of_the_kernel(searched,
 
 def test_a_new_design_copies_its_description_few_times(monkeypatch):
     """To build and assemble a mechanism copies its description a few times, not once for each joint."""
-    copies, copy = [], Mechanism.copy
+    copies = []
+    copy = Mechanism.copy
     monkeypatch.setattr(Mechanism, "copy", lambda self: copies.append(self) or copy(self))
     for links in (3, 9):
         m = Mechanism(f"ring of {links}", dim=2)
@@ -702,10 +722,12 @@ def follow(system, known, start, monkeypatch, by_rows):
 
 def test_a_sequence_by_the_closed_form_is_as_row_by_row(hunt, monkeypatch):
     """Random chains of dyads whose known coordinates go along lines, in small and in large steps."""
-    rng, taken = hunt.rng(), 0
+    rng = hunt.rng()
+    taken = 0
     for _ in range(hunt.cases(80)):
         chain = random_chain(int(rng.integers(2**32)), most=3)
-        system, start = chain.system(), chain.system().q(chain.values)
+        system = chain.system()
+        start = chain.system().q(chain.values)
         way = (
             np.linspace(0.0, 1.0, LONG + 100)[:, None] * rng.normal(size=len(chain.known)) * 10.0 ** rng.uniform(-2, 1)
         )

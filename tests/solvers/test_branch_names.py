@@ -34,7 +34,8 @@ def names_of(system: kempe.System, frame: str, Q: np.ndarray) -> list[str]:
 def planar_arm(rng: np.random.Generator, count: int) -> tuple[kempe.System, np.ndarray]:
     """An arm in the plane, anywhere, its joints with any zero; the offsets of these zeros."""
     m = kempe.Mechanism("arm", dim=2)
-    zeros, body = rng.uniform(-3, 3, count), m.ground
+    zeros = rng.uniform(-3, 3, count)
+    body = m.ground
     for k in range(count):
         at = rng.uniform(-1, 1, 2) if k == 0 else (rng.uniform(0.2, 1.0), 0.0)
         body_k = m.body(f"b{k}")
@@ -62,15 +63,18 @@ def test_elbows_in_the_plane_are_the_lectures(hunt, count):
 @pytest.mark.parametrize("axis", ["z", "-z", (0.3, -0.4, 0.8)])
 def test_elbows_of_a_scara_are_those_of_the_plane(slide, axis):
     """Its slide at any place: the elbow is to the left or right, seen from where the axes point to, of the way on."""
-    m, rng = kempe.Mechanism("scara"), np.random.default_rng(slide)
-    body, turns = m.ground, []
+    m = kempe.Mechanism("scara")
+    rng = np.random.default_rng(slide)
+    body = m.ground
+    turns = []
     for k in range(4):
         at = (0.0, 0.0, 0.4) if k == 0 else rng.uniform(0.1, 0.5, 3)
         (m.prismatic if k == slide else m.revolute)(f"q{k}", body, m.body(f"b{k}"), at=at, axis=axis)
         turns += [] if k == slide else [f"b{k}"]
         body = f"b{k}"
     m.frame("tip", body, at=(0.1, 0.2, -0.3))
-    system, up = m.build(), spatial.unit(np.array({"z": (0, 0, 1), "-z": (0, 0, -1)}.get(axis, axis), dtype=float))
+    system = m.build()
+    up = spatial.unit(np.array({"z": (0, 0, 1), "-z": (0, 0, -1)}.get(axis, axis), dtype=float))
     for q in system.random(rng, 10):
         a = system.ik_all(system.fk(q, "tip"), "tip")
         assert sorted(a.names) == ["elbow-down", "elbow-up"]
@@ -132,7 +136,8 @@ def test_the_stanford_arm_has_eight_names(hunt):
 
 
 def test_three_slides_and_a_wrist_have_flips():
-    m, body = kempe.Mechanism("gantry"), "ground"
+    m = kempe.Mechanism("gantry")
+    body = "ground"
     for k, (kind, axis) in enumerate(zip("PPPRRR", ("x", "y", "z", "z", "y", "z"), strict=True)):
         (m.prismatic if kind == "P" else m.revolute)(f"q{k}", body, m.body(f"b{k}"), axis=axis)
         body = f"b{k}"
@@ -147,7 +152,8 @@ def test_three_slides_and_a_wrist_have_flips():
 
 def test_arms_of_seven_joints_are_named_by_the_signs_of_three(hunt):
     """Of iiwa 14, which is stretched at zero: of sin q2, q4 and q6; at one arm angle all eight differ."""
-    iiwa, rng = kempe.load("iiwa14"), hunt.rng()
+    iiwa = kempe.load("iiwa14")
+    rng = hunt.rng()
     for q in iiwa.random(rng, hunt.cases(5)):
         X = iiwa.fk(q, "tool")
         a = iiwa.ik_all(X, "tool")
@@ -176,7 +182,8 @@ def test_chains_without_names(robot, frame):
 
 def test_hyphens_and_spaces_are_alike():
     """A word is understood in both spellings, of planar arms and of spatial ones; "elbow -" is not "elbow"."""
-    arm, puma = kempe.load("two_link"), kempe.load("puma560")
+    arm = kempe.load("two_link")
+    puma = kempe.load("puma560")
     a = arm.ik_all([0.6, 0.3], "e")
     for other in ("elbow up", "elbow-up", " elbow  up "):
         assert a.named(other).tolist() == a.named("elbow-up").tolist() and a.named(other).sum() == 1
@@ -241,19 +248,23 @@ def seen(system: kempe.System, q: np.ndarray, kind: str) -> str:
     """
     first = system.structure.joints["q1"]
     X = [system.fk(q, first.parent) @ first.X_PF.evaluate(system.structure.parameters), *system.fk(q, LINKS)]
-    z, p, wrist = [Y[:3, 2] for Y in X], [Y[:3, 3] for Y in X], X[5][:3, 3]
+    z = [Y[:3, 2] for Y in X]
+    p = [Y[:3, 3] for Y in X]
+    wrist = X[5][:3, 3]
     n = np.cross(z[0], z[1])
     ahead = float((wrist - p[0]) @ n)
     # the offset of the arm's plane, from where the common normal of axes 1 and 2 leaves axis 1
     foot = p[0] + z[0] * np.linalg.solve(np.stack([z[0], -z[1], n], axis=1), p[1] - p[0])[0]
     offset = float((wrist - foot) @ z[1])
     side = 1.0 if abs(offset) < 1e-7 else np.sign(offset)
-    shoulder, flip = ahead * side < 0, np.cross(z[3], z[5]) @ z[4] < 0
+    shoulder = ahead * side < 0
+    flip = np.cross(z[3], z[5]) @ z[4] < 0
     if kind == "slide":
         middle = "slide ahead" if (wrist - p[1]) @ z[2] > 0 else "slide back"
         return f"shoulder {'left' if shoulder else 'right'}, {middle}, {'flip' if flip else 'no flip'}"
     # in the plane across axis 2, seen with the wrist to the right: is the elbow above the way from shoulder to wrist
-    elbow, end = p[2] - p[1], (p[3] if kind == "parallel" else wrist) - p[1]
+    elbow = p[2] - p[1]
+    end = (p[3] if kind == "parallel" else wrist) - p[1]
     above = float(np.cross(end, elbow) @ z[1]) * np.sign(ahead)
     return ", ".join([
         "shoulder left" if shoulder else "shoulder right",
@@ -273,7 +284,9 @@ def check_arm(rng: np.random.Generator, kind: str) -> int:
     assert len(set(a.names[alone])) == alone.sum()
     for row, name in zip(a.q, a.names, strict=True):
         assert name == seen(plain, row, kind)
-    zeros, base, tool = rng.uniform(-3, 3, 6), random_pose(rng), random_pose(rng)
+    zeros = rng.uniform(-3, 3, 6)
+    base = random_pose(rng)
+    tool = random_pose(rng)
     moved = kempe.from_dh(
         [{**r, ("d" if "type" in r else "theta"): float(x)} for r, x in zip(rows, zeros, strict=True)],
         base=base,
@@ -311,7 +324,8 @@ def smallest(system: kempe.System, q: np.ndarray) -> float:
 
 @pytest.mark.parametrize("kind", ["wrist", "parallel", "slide"])
 def test_names_change_at_singular_configurations_only(kind, hunt):
-    rng, changes = hunt.rng(), 0
+    rng = hunt.rng()
+    changes = 0
     for _ in range(hunt.cases(8)):
         system = kempe.from_dh(arm_rows(rng, kind), base=random_pose(rng)).build()
         way = rng.uniform(-3, 3, (2, 6))
@@ -320,7 +334,9 @@ def test_names_change_at_singular_configurations_only(kind, hunt):
         for k in range(len(Q) - 1):
             if names[k] == names[k + 1]:
                 continue
-            low, high, changes = Q[k], Q[k + 1], changes + 1
+            low = Q[k]
+            high = Q[k + 1]
+            changes = changes + 1
             while np.abs(high - low).max() > 1e-13:
                 middle = 0.5 * (low + high)
                 if (names_of(system, "tool", middle[None]) == [names[k]]) and not np.array_equal(middle, low):
@@ -353,15 +369,18 @@ def test_singular_configurations_are_called_so(kind, hunt):
 
 def test_where_the_shoulder_is_singular_the_elbow_has_a_sign(hunt):
     """Straight above the shoulder up and down cannot be distinguished; two solutions still have two names."""
-    right, rng = np.pi / 2, hunt.rng()
+    right = np.pi / 2
+    rng = hunt.rng()
     wrist = [{"d": 0.5, "alpha": right}, {"alpha": -right}, {}]
     system = kempe.from_dh([{"alpha": right}, {"a": 0.6}, {"a": 0.1, "alpha": -right, "d": 0.15}, *wrist]).build()
     for _ in range(hunt.cases(20)):
         q = rng.uniform(-2, 2, 6)
         # the wrist in the plane of axes 1 and 2: turn joint 2 until it is there
         w = system.fk(q, "link4")[:3, 3]
-        c, s = np.cos(q[0]), np.sin(q[0])
-        x, height = w @ (c, s, 0), w[2]
+        c = np.cos(q[0])
+        s = np.sin(q[0])
+        x = w @ (c, s, 0)
+        height = w[2]
         q[1] += np.pi / 2 - np.arctan2(height, x)
         a = system.ik_all(system.fk(q, "tool"), "tool")
         on = ["shoulder singular" in name for name in a.names]

@@ -46,7 +46,10 @@ def test_a_whole_body_is_exact_to_rounding_for_pinocchio():
 
     def poses(q: np.ndarray) -> list[np.ndarray]:
         theirs = np.empty(model.nq)
-        theirs[:3], theirs[3:6], theirs[6], theirs[order] = q[:3], q[4:7], q[3], q[7:]
+        theirs[:3] = q[:3]
+        theirs[3:6] = q[4:7]
+        theirs[6] = q[3]
+        theirs[order] = q[7:]
         pinocchio.framesForwardKinematics(model, data, theirs)
         return [data.oMf[model.getFrameId(f)].homogeneous.copy() for f in frames]
 
@@ -64,7 +67,8 @@ def test_rounding_costs_two_steps_at_most():
     s = two_arms()
     for q in s.random(7, 20):
         wanted = [tasks.Pose("left", s.fk(q, "left")), tasks.Position("right", s.fk(q, "right")[:3, 3])]
-        loose, tight = s.ik(wanted, tolerance=1e-6), s.ik(wanted, tolerance=1e-11)
+        loose = s.ik(wanted, tolerance=1e-6)
+        tight = s.ik(wanted, tolerance=1e-11)
         assert loose.success and tight.success and loose.starts <= tight.starts
         if loose.starts == tight.starts:
             assert loose.iterations <= tight.iterations + 2
@@ -77,7 +81,8 @@ def test_rounding_keeps_limits_one_sided_rows_and_levels():
     for q in s.random(rng, 8):
         at = rng.random(14) < 0.3
         q[7:][at] = np.where(rng.random(14) < 0.5, s.lower[6:], s.upper[6:])[at]
-        L, R = s.fk(q, "left"), s.fk(q, "right")
+        L = s.fk(q, "left")
+        R = s.fk(q, "right")
         wall = tasks.HalfSpace("right", R[:3, 3], [0.0, 0.0, 1.0], priority=1, name="wall")
         pose = tasks.Pose("left", L)
         answer = s.ik([pose, wall, tasks.Posture(s.random(rng), priority=2)])
@@ -124,7 +129,8 @@ def test_iterations_bound_the_work_of_one_frame(tolerance, name, starts, iterati
 @pytest.mark.parametrize("starts", [1, 4])
 def test_iterations_bound_the_work_of_tasks(starts, iterations, hunt):
     """The steps of each start, and four times as many those of each level that is then lowered."""
-    s, rng = kempe.load("panda"), hunt.rng()
+    s = kempe.load("panda")
+    rng = hunt.rng()
     for _ in range(hunt.cases(12)):
         X = s.fk(s.random(rng), HAND)
         wanted = [
@@ -154,17 +160,20 @@ def test_bad_budgets_are_refused(more):
 
 
 def test_a_limit_that_does_not_bite_changes_nothing():
-    s, arms = kempe.load("panda"), two_arms()
+    s = kempe.load("panda")
+    arms = two_arms()
     q = s.random(0, 100)
     X = s.fk(q, HAND)
-    free, limited = s.ik(X, HAND), s.ik(X, HAND, budget=kempe.Budget(time_limit=1e6))
+    free = s.ik(X, HAND)
+    limited = s.ik(X, HAND, budget=kempe.Budget(time_limit=1e6))
     same = free.starts <= multi_start.ROUND
     assert limited.success.all() and same.mean() > 0.9
     np.testing.assert_array_equal(limited.q[same], free.q[same])
     np.testing.assert_array_equal(s.ik(X, HAND, budget=kempe.Budget(time_limit=1e6, threads=3)).q, limited.q)
     L = arms.fk(arms.random(1, 5), "left")
     wanted = [tasks.Pose("left", L), tasks.Posture(arms.neutral)]
-    free, limited = arms.ik(wanted), arms.ik(wanted, budget=kempe.Budget(time_limit=1e6))
+    free = arms.ik(wanted)
+    limited = arms.ik(wanted, budget=kempe.Budget(time_limit=1e6))
     np.testing.assert_array_equal(limited.q, free.q)
     assert not limited.late.any() and list(limited.status) == list(free.status)
 
@@ -199,7 +208,8 @@ def test_a_batch_shares_the_time(looks):
 
 def test_what_is_lowered_is_said_to_be_cut_short(looks):
     s = kempe.load("panda")
-    X, posture = s.fk(s.random(2), HAND), tasks.Posture(s.random(1))
+    X = s.fk(s.random(2), HAND)
+    posture = tasks.Posture(s.random(1))
     whole = s.ik([tasks.Pose(HAND, X), posture])
     looks(whole.starts + 2)
     cut = s.ik([tasks.Pose(HAND, X), posture], budget=kempe.Budget(time_limit=1.0))
@@ -224,7 +234,8 @@ def stiff_arm() -> kempe.System:
 @pytest.mark.parametrize("task", ["pose", "position", "direction", "position_axis", "orientation"])
 def test_single_targets_stop_when_the_time_is_up(looks, task):
     """Rounds of starts, then what is nearest so far, with its errors: looked at before each round."""
-    s, axis = stiff_arm(), np.array([0.6, 0.0, 0.8])
+    s = stiff_arm()
+    axis = np.array([0.6, 0.0, 0.8])
     home = s.fk(s.neutral, "tip")
     X = spatial.pose(home[:3, :3] @ spatial.rot_x(2.5), 0.4 * home[:3, 3])
     pointed = task in ("direction", "position_axis")
@@ -234,7 +245,8 @@ def test_single_targets_stop_when_the_time_is_up(looks, task):
         assert (answer.code, answer.starts, answer.success) == (Status.OUT_OF_TIME, 32 * n, False)
         assert f"not reached within the time limit of 3 s, after {32 * n} of 1000 starts" in answer.status
         there = s.fk(answer.q, "tip")
-        far, turn = np.linalg.norm(there[:3, 3] - X[:3, 3]), spatial.log_so3(X[:3, :3].T @ there[:3, :3])
+        far = np.linalg.norm(there[:3, 3] - X[:3, 3])
+        turn = spatial.log_so3(X[:3, :3].T @ there[:3, :3])
         angle = np.linalg.norm(turn)
         if pointed:
             angle = np.arccos((there[:3, :3] @ axis) @ (X[:3, :3] @ axis))
@@ -334,7 +346,8 @@ def test_chains_that_are_singular_everywhere_take_no_numerical_search_at_each_va
             (-0.2, 0.0, 0.5, -h, "revolute"), (0.0, 0.0, 0.5, 0.0, "prismatic"),
             (-0.2, 0.0, 0.5, 0.0, "revolute")]  # fmt: skip
     for seed in (0, 4):
-        rng, most = np.random.default_rng(seed), 0
+        rng = np.random.default_rng(seed)
+        most = 0
         table = [{"a": a + 1e-7 * rng.normal(), "alpha": t + 1e-7 * rng.normal(), "d": d + 1e-7 * rng.normal(),
                   "theta": x, "type": kind} for a, t, d, x, kind in rows]  # fmt: skip
         s = kempe.from_dh(table).build()
@@ -409,7 +422,9 @@ def test_an_answer_with_functions_does_not_depend_on_how_fast_the_machine_is(low
     monkeypatch.setattr(effort, "GLIMPSE", 200)
     monkeypatch.setattr(effort, "SHARE", 100)
     for slow in (0.0, 0.01):
-        ticks, calls, s = itertools.count(), [0], two_arms()
+        ticks = itertools.count()
+        calls = [0]
+        s = two_arms()
         fake = SimpleNamespace(monotonic=lambda slow=slow, ticks=ticks: slow * next(ticks))
         for module in (arguments, clock, effort):
             monkeypatch.setattr(module, "time", fake)
@@ -440,7 +455,8 @@ def test_turns_that_a_function_tells_apart_are_limits_not_a_matter_of_starts():
 def test_sentences_about_large_systems_take_no_dense_decompositions(monkeypatch):
     """Freedoms that are left are counted up to a number of coordinates, for a sentence would take minutes beyond."""
     s = kempe.load("panda")
-    good, bad = s.fk(s.mid, HAND)[:3, 3], np.array([3.0, 0.0, 0.0])
+    good = s.fk(s.mid, HAND)[:3, 3]
+    bad = np.array([3.0, 0.0, 0.0])
     asked = [lambda p=p: s.ik([tasks.Position(HAND, p)]).status for p in (good, bad)]
     assert "4 freedoms left" in asked[0]()
     monkeypatch.setattr(explain_tasks, "MOST_COORDINATES", s.nv - 1)
@@ -452,7 +468,9 @@ def test_sentences_about_large_systems_take_no_dense_decompositions(monkeypatch)
 
 def test_targets_of_a_path_are_read_where_it_comes_to_them(looks, monkeypatch):
     """A path of many targets that ends early has not prepared them all."""
-    s, read, of = kempe.load("panda"), [], ik_tasks.Demands.of
+    s = kempe.load("panda")
+    read = []
+    of = ik_tasks.Demands.of
     X = s.fk(s.mid + np.linspace(0.0, 0.5, 900)[:, None], HAND)
     monkeypatch.setattr(ik_tasks.Demands, "of", lambda self, i: read.append(i) or of(self, i))
     looks(9)
@@ -462,8 +480,10 @@ def test_targets_of_a_path_are_read_where_it_comes_to_them(looks, monkeypatch):
 
 def test_the_clock_is_looked_at_between_large_systems_of_equations(monkeypatch):
     """The answers of many are those of each, and of large ones a few are solved at a time."""
-    rng, looks = np.random.default_rng(0), []
-    A, b = rng.normal(size=(9, 80, 90)), rng.normal(size=(9, 80))
+    rng = np.random.default_rng(0)
+    looks = []
+    A = rng.normal(size=(9, 80, 90))
+    b = rng.normal(size=(9, 80))
     whole = least_squares_of_many(A, b)
     monkeypatch.setattr(gauss_newton, "WORK", 2.0 * 80 * 90 * 80)
     with watched_by(lambda: looks.append(1)):
@@ -479,7 +499,8 @@ def test_the_clock_is_looked_at_between_large_systems_of_equations(monkeypatch):
 def kernel_calls(monkeypatch):
     """What kernels were called with, so far: (targets, starts) of searches, and targets of descents."""
     calls: list[tuple[str, int, int]] = []
-    search, nearest = multi_start.schedule, fallback.approach
+    search = multi_start.schedule
+    nearest = fallback.approach
 
     def reach(*args):
         calls.append(("search", len(args[4]), args[8]))
@@ -516,7 +537,8 @@ def test_a_time_limit_that_does_not_come_changes_nothing():
     """What is nearest to targets that lengths put out of reach is found on demand, with a limit, too."""
     s = kempe.load("puma560")
     X = far_away(s, "tool", 90)
-    plain, limited = s.ik(X, "tool"), s.ik(X, "tool", budget=kempe.Budget(time_limit=1000.0))
+    plain = s.ik(X, "tool")
+    limited = s.ik(X, "tool", budget=kempe.Budget(time_limit=1000.0))
     np.testing.assert_array_equal(limited.code, plain.code)
     solved = np.asarray(plain.success)
     np.testing.assert_array_equal(limited.q[solved], plain.q[solved])
@@ -529,7 +551,8 @@ def test_the_time_limit_of_a_batch_ends_it_at_the_next_look_at_the_clock(most, m
     """Whichever look it is: no kernel is called again, and each target says whether it was reached, or why not."""
     s = kempe.load("puma560")
     X = far_away(s, "tool", 1500)
-    looks, plain = [0], s.ik(X, "tool")
+    looks = [0]
+    plain = s.ik(X, "tool")
     np.isfinite(plain.q)
     kernel_calls.clear()
 
@@ -551,7 +574,8 @@ def test_the_time_limit_of_a_batch_ends_it_at_the_next_look_at_the_clock(most, m
 
 def test_the_work_of_a_thread_that_was_told_to_stop_ends_at_the_next_piece():
     s = kempe.load("puma560")
-    X, sign = far_away(s, "tool", 1500), threading.Event()
+    X = far_away(s, "tool", 1500)
+    sign = threading.Event()
     work = parallel.stopped_by(sign, lambda: s.ik(X, "tool", budget=kempe.Budget(threads=1)))
     assert np.isfinite(work().q).all()
     sign.set()

@@ -33,7 +33,8 @@ def there_and_back(s: kempe.System, chart: Chart) -> None:
     q = chart.q(u)
     assert q.success and np.abs(s.loops.closure_error(q.q)).max(initial=0.0) < 1e-9
     np.testing.assert_allclose(chart.u(q.q), u, atol=1e-12)
-    h, difference = 1e-6, s.configuration_space.difference
+    h = 1e-6
+    difference = s.configuration_space.difference
     numeric = np.stack([difference(chart.q(u - h * e, q.q).q, chart.q(u + h * e, q.q).q) / (2 * h)
                         for e in np.eye(chart.dim)], -1)  # fmt: skip
     np.testing.assert_allclose(chart.tangent(q.q), numeric, atol=1e-7 * (1 + np.abs(numeric).max()))
@@ -100,7 +101,10 @@ def test_preferred_coordinates_come_first_or_are_refused():
 
 def test_a_chart_fails_at_a_dead_point_and_another_takes_over():
     """A double rocker's crank cannot be set where coupler and rocker are in line: cosine law."""
-    a, b, c, d = 0.4, 0.15, 0.3, 0.5
+    a = 0.4
+    b = 0.15
+    c = 0.3
+    d = 0.5
     m = kempe.Mechanism("rocker", dim=2)
     for body in ("crank", "coupler", "rocker"):
         m.body(body)
@@ -166,7 +170,8 @@ def test_a_rotation_vector_is_that_of_the_closed_form():
     s = kempe.load("joint_spherical")
     chart = s.independent()
     w = np.array([0.4, -0.9, 0.7])
-    angle, k = np.linalg.norm(w), w / np.linalg.norm(w)
+    angle = np.linalg.norm(w)
+    k = w / np.linalg.norm(w)
     K = np.cross(np.eye(3), k)
     R = np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
     body = s.body_names[-1]
@@ -184,11 +189,13 @@ def test_a_rotation_vector_is_that_of_the_closed_form():
 def test_useful_coordinates_come_first(name, useful):
     """What is useful can be given alone; what is idle moves no body that does not spin."""
     s = kempe.load(name)
-    chart, report = s.independent(), s.mobility()
+    chart = s.independent()
+    report = s.mobility()
     assert chart.useful == useful and chart.independent == (*useful, *chart.idle) and len(chart.idle) == report.idle
     u = chart.u(chart.origin)
     u[: len(useful)] += 0.02
-    few, all_ = chart.q(u[: len(useful)]), chart.q(u)
+    few = chart.q(u[: len(useful)])
+    all_ = chart.q(u)
     spinning = {b for f in report.idle_freedoms for b in f.bodies}
     rest = [b for b in s.body_names[1:] if b not in spinning]
     assert few.success and all_.success

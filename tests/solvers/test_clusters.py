@@ -49,7 +49,8 @@ def images(system: System, rng: np.random.Generator, q: np.ndarray, period: np.n
 
 def one_by_one(clusters: Clusters, q: np.ndarray, tolerance: np.ndarray) -> list[int]:
     """The first of each cluster is compared with all that come later; cluster numbers in the order of their firsts."""
-    firsts, out = [], []
+    firsts = []
+    out = []
     for i in range(len(q)):
         apart = [float(clusters.distances(q[[i]], q[[k]])[0]) for k in firsts]
         near = [n for n, d in enumerate(apart) if d <= max(tolerance[i], tolerance[firsts[n]])]
@@ -60,7 +61,8 @@ def one_by_one(clusters: Clusters, q: np.ndarray, tolerance: np.ndarray) -> list
 
 
 def check(hunt: Hunt, name: str, cases: int) -> None:
-    rng, system = hunt.rng(), SYSTEMS[name]()
+    rng = hunt.rng()
+    system = SYSTEMS[name]()
     for _ in range(hunt.cases(cases)):
         frames = () if rng.random() < 0.6 else (system.body_names[-1],)
         clusters = Clusters(system, frames)
@@ -92,7 +94,8 @@ def test_many_configurations_are_sorted_as_one_by_one(name, hunt):
 @pytest.mark.parametrize("size", [1e-8, 1e-3, 1.0])
 def test_keys_differ_by_no_more_than_configurations(size, name, hunt):
     """Otherwise those that are one would not be compared."""
-    rng, system = hunt.rng(), SYSTEMS[name]()
+    rng = hunt.rng()
+    system = SYSTEMS[name]()
     metric = Clusters(system).metric
     q = system.random(rng, 2000)
     to = system.configuration_space.integrate(q, rng.uniform(-1, 1, (len(q), system.nv)) * size * metric.scale)

@@ -15,7 +15,8 @@ EYE = np.eye(4)
 def arm():
     """Two links in the plane whose tip is above the ground, on a rope of 1.5 from (0, 1.5), and left of x = 1.9."""
     m = Mechanism("arm", dim=2)
-    upper, lower = m.body("upper"), m.body("lower")
+    upper = m.body("upper")
+    lower = m.body("lower")
     m.revolute("A", m.ground, upper, limits=(-2.0, 2.0))
     m.revolute("B", upper, lower, at=(1, 0))
     m.frame("tip", lower, at=(1, 0))
@@ -28,8 +29,10 @@ def arm():
 
 def arm_beyond(q):
     """How far the arm at q (..., 2) violates what its mechanism holds, worked out by hand."""
-    a, b = q[..., 0], q[..., 0] + q[..., 1]
-    x, y = np.cos(a) + np.cos(b), np.sin(a) + np.sin(b)
+    a = q[..., 0]
+    b = q[..., 0] + q[..., 1]
+    x = np.cos(a) + np.cos(b)
+    y = np.sin(a) + np.sin(b)
     return np.maximum.reduce([-y, np.hypot(x, y - 1.5) - 1.5, x - 1.9, np.abs(a) - 2.0, 0.0 * x])
 
 
@@ -44,7 +47,8 @@ def ball(radius=0.1):
 
 
 def test_a_ball_below_the_ground_is_put_on_it(hunt):
-    system, rng = ball(), hunt.rng()
+    system = ball()
+    rng = hunt.rng()
     start = np.array([system.random(rng) for _ in range(hunt.cases(200))])
     start[:, :3] = rng.uniform(-1.0, 1.0, (len(start), 3))
     answer = system.assemble(start=start)
@@ -58,7 +62,8 @@ def test_a_ball_below_the_ground_is_put_on_it(hunt):
 
 def test_what_is_assembled_is_inside_and_nearest(hunt):
     """Oracle: all configurations of a fine grid."""
-    system, rng = arm(), hunt.rng()
+    system = arm()
+    rng = hunt.rng()
     grid = np.stack(np.meshgrid(np.linspace(-2, 2, 401), np.linspace(-np.pi, np.pi, 629), indexing="ij"), -1)
     grid = grid.reshape(-1, 2)[arm_beyond(grid.reshape(-1, 2)) <= 0.0]
     far = 0
@@ -84,7 +89,8 @@ def test_known_values_that_contradict_are_named():
 
 
 def test_known_values_are_kept(hunt):
-    system, rng = arm(), hunt.rng()
+    system = arm()
+    rng = hunt.rng()
     known = rng.uniform(-2.0, 2.0, hunt.cases(200))
     answer = system.assemble({"A": known})
     assert np.array_equal(answer.q[:, 0], known)
@@ -112,7 +118,8 @@ def above_line(height=0.25):
 
 def test_a_loop_closes_where_the_bound_lets_it(hunt):
     """Oracle: all modes of the same four-bar without the bound."""
-    free, bound = kempe.load("four_bar"), above_line()
+    free = kempe.load("four_bar")
+    bound = above_line()
     place = free.frame_names.index("coupler_point")
     assert place >= 0
     for a in hunt.rng().uniform(-np.pi, np.pi, hunt.cases(30)):
@@ -131,9 +138,11 @@ def test_a_loop_closes_where_the_bound_lets_it(hunt):
 
 def test_ik_holds_them(hunt):
     """Targets that some configuration of a grid reaches and holds; answers are judged by hand."""
-    system, rng = arm(), hunt.rng()
+    system = arm()
+    rng = hunt.rng()
     for p in rng.uniform([-2.0, -0.5], [2.0, 2.0], (hunt.cases(300), 2)):
-        answer, r = system.ik(p, "tip"), np.hypot(*p)
+        answer = system.ik(p, "tip")
+        r = np.hypot(*p)
         good = p[1] >= 0.0 and np.hypot(p[0], p[1] - 1.5) <= 1.5 and p[0] <= 1.9 and r <= 2.0
         if good:  # the angle of the first link, elbow up or down
             a = np.arctan2(p[1], p[0]) + np.array([1.0, -1.0]) * np.arccos(r / 2.0)
@@ -154,8 +163,10 @@ def puma(height):
 
 
 def test_ik_all_leaves_out_what_violates(hunt):
-    free, rng = kempe.load("puma560"), hunt.rng()
-    bound, left_out = puma(0.2), 0
+    free = kempe.load("puma560")
+    rng = hunt.rng()
+    bound = puma(0.2)
+    left_out = 0
     for _ in range(hunt.cases(200)):
         X = free.fk(free.random(rng), "tool")
         every = free.ik_all(X, "tool")
@@ -171,16 +182,20 @@ def test_ik_all_leaves_out_what_violates(hunt):
 
 
 def test_ik_all_of_a_batch_leaves_out_what_violates():
-    free, bound = kempe.load("puma560"), puma(0.2)
+    free = kempe.load("puma560")
+    bound = puma(0.2)
     X = free.fk(free.random(3, 20), "tool")
-    some, every = bound.ik_all(X, "tool"), free.ik_all(X, "tool")
+    some = bound.ik_all(X, "tool")
+    every = free.ik_all(X, "tool")
     poses = free.fk(np.where(every.mask[..., None], every.q, 0.0))
     holds = every.mask & (poses[:, :, 3, 2, 3] >= 0.25) & (X[:, None, 2, 3] >= 0.2)
     assert np.array_equal(some.mask, holds)
 
 
 def test_ik_of_a_robot_above_a_table(hunt):
-    free, bound, rng = kempe.load("puma560"), puma(0.2), hunt.rng()
+    free = kempe.load("puma560")
+    bound = puma(0.2)
+    rng = hunt.rng()
     for _ in range(hunt.cases(40)):
         X = free.fk(free.random(rng), "tool")
         every = free.ik_all(X, "tool")
@@ -227,7 +242,8 @@ def test_rank_and_freedoms_do_not_see_them():
 
 @pytest.mark.parametrize("keep_direction", [False, True])
 def test_steps_stay_inside(keep_direction, hunt):
-    system, rng = arm(), hunt.rng()
+    system = arm()
+    rng = hunt.rng()
     q = system.assemble(start=rng.uniform([-2.0, -3.0], [2.0, 3.0], (hunt.cases(150), 2))).q
     for x in q[arm_beyond(q) < 1e-12]:
         step = system.ik_step(x, np.append(rng.normal(size=2), np.zeros(4)), "tip", 0.05, keep_direction=keep_direction)
@@ -274,7 +290,8 @@ def with_law(kind, text, limits=(-np.inf, np.inf)):
 
 @pytest.mark.parametrize("kind", ["equation", "inequality"])
 def test_laws_tell_turns_apart(kind, hunt):
-    system, rng = with_law(kind, "1.2 - A + B/2"), hunt.rng()
+    system = with_law(kind, "1.2 - A + B/2")
+    rng = hunt.rng()
     q = system.assemble(start=rng.uniform(-20.0, 20.0, (hunt.cases(100), 2)))
     law = 1.2 - q.q[:, 0] + q.q[:, 1] / 2
     assert q.success.all()
@@ -334,7 +351,8 @@ def test_a_drive_is_held_at_a_contact():
 
 
 def test_a_loop_is_traced_between_contacts():
-    bound, free = above_line(), kempe.load("four_bar")
+    bound = above_line()
+    free = kempe.load("four_bar")
     path = bound.trace("A", {"A": 1.5})
     assert path.ends == ("the one-sided constraint 'line'",) * 2
     heights = free.fk(path.q, "coupler_point")[:, 1, 3]

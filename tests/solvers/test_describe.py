@@ -88,7 +88,8 @@ def chain(*joints, **options):
     return m.build()
 
 
-TURN, OVER = {}, {"rpy": (H, 0.0, 0.0)}
+TURN = {}
+OVER = {"rpy": (H, 0.0, 0.0)}
 
 
 @pytest.mark.parametrize(
@@ -165,7 +166,8 @@ def test_redundant_and_short_chains():
 
 def test_one_joint_and_two_joints():
     """A pose fixes one or two joints that do not move as one; a point in space two circles."""
-    one, two = chain(("revolute", {})), chain(("revolute", {}), ("revolute", {"at": (0.4, 0, 0)}))
+    one = chain(("revolute", {}))
+    two = chain(("revolute", {}), ("revolute", {"at": (0.4, 0, 0)}))
     assert [ik_plan(one, "tool", task).most for task in ("pose", "position")] == [1, 1]
     assert [ik_plan(two, "tool", task).most for task in ("pose", "position")] == [1, 2]
     assert ik_plan(one, "tool").relations == ("j1 is the only joint",)

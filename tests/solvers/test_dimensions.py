@@ -20,7 +20,9 @@ STEP = 1e-5
 def slot(dim: int) -> kempe.System:
     """A particle on a slide and on a bar, with a point kept on a line: constraints and particles have places, too."""
     m = kempe.Mechanism("slot", dim=dim)
-    bar, bead, block = m.body("bar"), m.particle("bead"), m.body("block")
+    bar = m.body("bar")
+    bead = m.particle("bead")
+    block = m.body("block")
     m.revolute("A", m.ground, bar, at=(0.1, 0.2, 0.0)[:dim])
     m.prismatic("S", m.ground, block, at=(0.0, 0.3, 0.0)[:dim], axis=(1.0, 0.5, 0.0)[:dim])
     m.translation("T", block, bead)
@@ -31,7 +33,8 @@ def slot(dim: int) -> kempe.System:
 @pytest.mark.parametrize("system", some([*LOOPS, slot(2), slot(3)], 8), ids=str)
 def test_derivatives_by_dimensions_are_those_by_differences(system, hunt):
     """Open loops included, at dimensions that are changed already, all lengths in the unit of the given mechanism."""
-    rng, system = hunt.rng(), kempe.load(system) if isinstance(system, str) else system
+    rng = hunt.rng()
+    system = kempe.load(system) if isinstance(system, str) else system
     shape = Dimensions(system)
     p = 0.01 * rng.normal(size=shape.size)
     layout = system.structure.layout
@@ -65,7 +68,8 @@ def test_derivatives_of_relations_are_those_by_differences(name, hunt):
     shape = Dimensions(kempe.load(name))
     relations = Relations(shape, 1e-3)
     p = 0.01 * hunt.rng().normal(size=shape.size)
-    values, found = relations.values(p), relations.derivative(p)
+    values = relations.values(p)
+    found = relations.derivative(p)
     assert len(values) == len(found) > 0
     wanted = [relations.values(p + STEP * e) - relations.values(p - STEP * e) for e in np.eye(shape.size)]
     assert np.abs(found - np.stack(wanted, axis=-1) / (2.0 * STEP)).max() < 1e-6

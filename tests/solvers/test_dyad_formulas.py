@@ -58,7 +58,9 @@ def sixbar(names):
                                    ("theta_c", "y_b", "c2_1", "alpha_2", "s2_1", "d_y_2", "theta_e")])  # fmt: skip
 def test_names_that_derivations_use_are_left_to_the_system(names):
     """A driver may be called as a step of a dyad: on each branch the loops close, by the printed function, too."""
-    system, values, space = sixbar(names), np.linspace(0.5, 1.5, 5), {}
+    system = sixbar(names)
+    values = np.linspace(0.5, 1.5, 5)
+    space = {}
     formulas = system.loops.closed_form([names[0]]).formulas()
     symbols = [str(s) for s in (*formulas.given, *formulas.signs, *(step.symbol for step in formulas.steps))]
     assert len(set(symbols)) == len(symbols)
@@ -92,7 +94,9 @@ def test_dyads_of_all_kinds(kinds):
     system = slides(kinds)
     plan = system.loops.closed_form(["O"])
     assert sorted(plan.dyads[0].kind) == sorted(kinds)
-    formulas, values, closed = plan.formulas(), np.linspace(-3, 3, 25)[:, None], 0
+    formulas = plan.formulas()
+    values = np.linspace(-3, 3, 25)[:, None]
+    closed = 0
     for branch in plan.branches():
         q, ok, _ = plan.solve(values, branch)
         assert same(system, formulas(values, branch)[ok], q[ok]).max(initial=0.0) < 1e-8

@@ -31,7 +31,9 @@ def plan_of(system, *known) -> Plan:
 
 def four_bar(a=1.0, b=3.0, c=2.5, d=3.5, **limits) -> kempe.System:
     m = Mechanism("four-bar", dim=2)
-    crank, coupler, rocker = m.body("crank"), m.body("coupler"), m.body("rocker")
+    crank = m.body("crank")
+    coupler = m.body("coupler")
+    rocker = m.body("rocker")
     m.revolute("A", m.ground, crank)
     m.revolute("B", crank, coupler, at=(a, 0))
     m.revolute("C", coupler, rocker, at=(b, 0), child_at=(c, 0), **limits)
@@ -41,7 +43,9 @@ def four_bar(a=1.0, b=3.0, c=2.5, d=3.5, **limits) -> kempe.System:
 
 def slider_crank(r=1.0, rod=3.0, offset=0.5) -> kempe.System:
     m = Mechanism("slider-crank", dim=2)
-    crank, link, piston = m.body("crank"), m.body("rod"), m.body("piston")
+    crank = m.body("crank")
+    link = m.body("rod")
+    piston = m.body("piston")
     m.revolute("A", m.ground, crank)
     m.revolute("B", crank, link, at=(r, 0))
     m.revolute("C", link, piston, at=(rod, 0))
@@ -76,7 +80,8 @@ def test_four_bar_as_sympy_solves_it():
         apart = [math.hypot(C[0] - ex, C[1] - ey) for ex, ey in exact]
         assert min(apart) < 1e-14
         ex, ey = exact[int(np.argmin(apart))]
-        B, D = np.array([0.6, 0.8]), np.array([3.5, 0.0])
+        B = np.array([0.6, 0.8])
+        D = np.array([3.5, 0.0])
         left = (D - B)[0] * (ey - B[1]) - (D - B)[1] * (ex - B[0])
         assert signs[0] == np.sign(left), "the sign is the side of C on the way from B to D"
         assert abs(row[0] - math.atan2(4, 3)) == 0.0
@@ -107,7 +112,8 @@ def test_five_bar_with_both_cranks_known():
     assert_closed(system, q)
     tips = system.fk(q, "b") @ [2, 0, 0, 1]
     for values, pair in zip([[2.0, 1.0], [1.5, 1.5]], tips, strict=True):
-        p, o = cmath.exp(1j * values[0]), 1.5 + cmath.exp(1j * values[1])
+        p = cmath.exp(1j * values[0])
+        o = 1.5 + cmath.exp(1j * values[1])
         half = (o - p) / 2
         by_hand = [p + half + 1j * side * half / abs(half) * math.sqrt(4 - abs(half) ** 2) for side in (1, -1)]
         assert {complex(*np.round(t[:2], 12)) for t in pair} == {complex(np.round(z, 12)) for z in by_hand}
@@ -162,7 +168,8 @@ def corner(base: float, start: float, end: float) -> complex:
 
 
 def jansen_by_hand(angle: float, signs) -> list[complex]:
-    M, K = 15 * cmath.exp(1j * angle), complex(-38, -7.8)
+    M = 15 * cmath.exp(1j * angle)
+    K = complex(-38, -7.8)
     B = meet(M, 50, K, 41.5, signs[0])
     D = meet(M, 61.9, K, 39.3, signs[1])
     E = K + (B - K) / 41.5 * corner(41.5, 40.1, 55.8)
@@ -296,7 +303,8 @@ def test_mirrored_and_scaled(scale, side, seed):
     """A mirror turns the signs of RRR dyads, a change of size does not."""
     chain = random_chain(seed, ("RRR",), variable=False)
     image = Chain(chain.rng)
-    image.poses, image.known = chain.poses, chain.known
+    image.poses = chain.poses
+    image.known = chain.known
     slides = {name for name, kind, *_ in chain.joints if kind == "prismatic"}
     for name, kind, a, b, where in chain.joints:
         new = {k: side * x for k, x in where.items() if k.endswith("angle")}
@@ -305,8 +313,10 @@ def test_mirrored_and_scaled(scale, side, seed):
             new["axis"] = (where["axis"][0], side * where["axis"][1])
         image.joints.append((name, kind, a, b, new))
         image.values[name] = chain.values[name] * (scale if name in slides else side)
-    plan, other = plan_of(chain.system(), *chain.known), plan_of(image.system(), *chain.known)
-    here, there = plan.system.q(chain.values), other.system.q(image.values)
+    plan = plan_of(chain.system(), *chain.known)
+    other = plan_of(image.system(), *chain.known)
+    here = plan.system.q(chain.values)
+    there = other.system.q(image.values)
     signs = plan.branch_of(here)
     assert np.array_equal(other.branch_of(there), side * signs)
     assert np.allclose(other.heights(there), side * scale * plan.heights(here), rtol=1e-9, atol=1e-12 * scale)
@@ -332,7 +342,8 @@ def test_signs_stay_along_a_motion(sign):
 
 def test_double_parallelogram_is_a_check():
     m = Mechanism("double parallelogram", dim=2)
-    cranks, coupler = [m.body(f"crank{i}") for i in (1, 2, 3)], m.body("coupler")
+    cranks = [m.body(f"crank{i}") for i in (1, 2, 3)]
+    coupler = m.body("coupler")
     for i, crank in enumerate(cranks):
         m.revolute(f"A{i + 1}", m.ground, crank, at=(0.7 * i, 0))
         m.revolute(f"B{i + 1}", crank, coupler, at=(0.4, 0), child_at=(0.7 * i, 0))
@@ -412,7 +423,9 @@ def test_link_without_length():
 def test_parallel_slides_are_undetermined():
     """Elliptic trammel with both slots in one direction, one of which can be turned."""
     m = Mechanism("slots", dim=2)
-    slot, a, b = m.body("slot"), m.body("a"), m.body("b")
+    slot = m.body("slot")
+    a = m.body("a")
+    b = m.body("b")
     m.revolute("T", m.ground, slot)
     m.prismatic("S", m.ground, a, axis=(1, 0))
     m.prismatic("U", slot, b, axis=(1, 0))
@@ -429,13 +442,15 @@ def test_parallel_slides_are_undetermined():
 def test_a_distance_is_a_rod():
     """The four-bar without its coupler, whose ends keep their distance: crank and rocker stand as in the four-bar."""
     m = Mechanism("rod", dim=2)
-    crank, rocker = m.body("crank"), m.body("rocker")
+    crank = m.body("crank")
+    rocker = m.body("rocker")
     m.revolute("A", m.ground, crank)
     m.revolute("D", m.ground, rocker, at=(3.5, 0))
     m.parameter("l", 3.0)
     m.distance("rod", crank, rocker, at=(1, 0), child_at=(2.5, 0), length="l")
     system = m.build()
-    plan, whole = plan_of(system, "A"), plan_of(four_bar(1.0, 3.0, 2.5, 3.5), "A")
+    plan = plan_of(system, "A")
+    whole = plan_of(four_bar(1.0, 3.0, 2.5, 3.5), "A")
     angles = np.linspace(-3, 3, 41)[:, None]
     assert "rod (rocker) lies to the left of the way from D to rod (crank)" in plan.describe()
     for sign, same in ("+-", "-+"):  # the four-bar's sign is for the way from B to D
@@ -452,7 +467,8 @@ def test_a_distance_is_a_rod():
 def test_a_point_on_a_line_is_a_block(sign, turned):
     """The slider-crank without its piston, whose rod ends on the line; or the line is on the rod (a swinging block)."""
     m = Mechanism("line", dim=2)
-    crank, rod = m.body("crank"), m.body("rod")
+    crank = m.body("crank")
+    rod = m.body("rod")
     m.revolute("A", m.ground, crank)
     m.revolute("B", crank, rod, at=(1, 0))
     if turned:
@@ -523,7 +539,9 @@ def test_a_follower_that_contradicts_is_open():
 
 def test_a_relation_of_several_gives_the_last():
     m = Mechanism("sum", dim=2)
-    a, b, c = m.body("a"), m.body("b"), m.body("c")
+    a = m.body("a")
+    b = m.body("b")
+    c = m.body("c")
     m.revolute("A", m.ground, a)
     m.revolute("B", a, b, at=(1, 0))
     m.revolute("C", b, c, at=(1, 0))
@@ -649,7 +667,9 @@ def test_many_loops_are_planned_without_recursion():
     m = Mechanism("row", dim=2)
     before = m.ground
     for i in range(300):
-        crank, bar, rocker = m.body(f"a{i}"), m.body(f"b{i}"), m.body(f"c{i}")
+        crank = m.body(f"a{i}")
+        bar = m.body(f"b{i}")
+        rocker = m.body(f"c{i}")
         m.revolute(f"A{i}", before, crank, at=(0, 0) if i == 0 else (1.0, 0))
         m.revolute(f"B{i}", crank, bar, at=(1, 0))
         m.revolute(f"C{i}", bar, rocker, at=(1.5, 0), child_at=(1, 0))

@@ -13,7 +13,8 @@ from kempe import Mechanism, System
 def scissor(n: int, dim: int = 2) -> System:
     """n cells of two bars, pinned in the middle; at neutral all bars lie on each other."""
     m = Mechanism("scissor", dim=dim)
-    x, half = (1.0, 0.0, 0.0)[:dim], (0.5, 0.0, 0.0)[:dim]
+    x = (1.0, 0.0, 0.0)[:dim]
+    half = (0.5, 0.0, 0.0)[:dim]
     a, b = ([m.body(f"{x}{i}") for i in range(n)] for x in "ab")
     m.revolute("A", m.ground, a[0])
     m.prismatic("S", m.ground, m.body("slider"), axis=x)
@@ -89,7 +90,8 @@ def test_three_hinges_in_gimbal_lock_keep_their_freedom():
 
 def test_hunt_folded_cells(hunt):
     """A warning where pins of a cell coincide and more than one freedom is open, and none elsewhere."""
-    rng, seen = hunt.rng(), set()
+    rng = hunt.rng()
+    seen = set()
     for _ in range(hunt.cases(50)):
         n = int(rng.integers(2, 9))
         system = scissor(n)
@@ -140,7 +142,8 @@ def test_the_open_loop_is_named_however_little_it_is_open(beyond):
 
 def test_a_violated_rod_and_a_violated_relation_are_named():
     m = Mechanism("rod", dim=2)
-    crank, block = m.body("crank"), m.body("block")
+    crank = m.body("crank")
+    block = m.body("block")
     m.revolute("A", m.ground, crank)
     m.prismatic("S", m.ground, block, axis=(1, 0), limits=(5, 6))
     m.distance("rod", crank, block, length=2.0, at=(1, 0))

@@ -93,7 +93,9 @@ def collinear(lengths, signs):
 
 def lines(hunt, count: int) -> tuple[int, int]:
     """Straight and folded arms, against the definiteness of the second derivative; the tip at the edge or within."""
-    rng, isolated, crossed = hunt.rng(), 0, 0
+    rng = hunt.rng()
+    isolated = 0
+    crossed = 0
     for _ in range(hunt.cases(count)):
         n = int(rng.integers(2, 6))
         lengths = rng.uniform(0.2, 1.0, n)
@@ -140,7 +142,8 @@ def test_freedoms_of_many_arms_in_a_line(hunt):
 def arm(axes, lengths, pin=None) -> kempe.System:
     """Revolute joints about unit axes, each link along x; the last link is pinned to a point of the ground, or free."""
     m = Mechanism("arm")
-    last, at = m.ground, (0.0, 0.0, 0.0)
+    last = m.ground
+    at = (0.0, 0.0, 0.0)
     for i, (axis, length) in enumerate(zip(axes, lengths, strict=True)):
         body = m.body(f"b{i}")
         turn = {"x": (0.0, math.pi / 2, 0.0), "y": (-math.pi / 2, 0.0, 0.0), "z": (0.0, 0.0, 0.0)}[axis]
@@ -148,7 +151,8 @@ def arm(axes, lengths, pin=None) -> kempe.System:
         turned = m.body(f"t{i}")
         m.revolute(f"q{i + 1}", last, turned, at=at, rpy=turn)
         m.fixed(f"w{i + 1}", turned, body, rpy=back)
-        last, at = body, (length, 0.0, 0.0)
+        last = body
+        at = (length, 0.0, 0.0)
     if pin is None:
         m.frame("tip", last, at=at)
     else:
@@ -169,7 +173,8 @@ def arm(axes, lengths, pin=None) -> kempe.System:
 def test_freedoms_are_those_of_the_mechanism_with_the_tip_pinned(axes, q, finite):
     """The tasks of an arm and the loop of the mechanism: rank and local dimension, found by Taylor series there."""
     lengths = (0.5, 0.4, 0.7, 0.3, 0.35)[: len(axes)]
-    s, q = arm(axes, lengths), np.array(q)
+    s = arm(axes, lengths)
+    q = np.array(q)
     p = s.fk(q, "tip")[:3, 3]
     answer = s.ik(tasks.Position("tip", p), start=q)
     closed = arm(axes, lengths, p)
@@ -237,7 +242,8 @@ def check_walk(s: kempe.System, q, task, jacobian, steps: int, hidden) -> bool |
 @pytest.mark.parametrize("steps", [110, 150, 172, 176, 200, 360])
 def test_a_closed_curve_is_recognised_from_both_sides(steps):
     """349 configurations: with 174 steps each way the two ends meet, with fewer they do not."""
-    lengths, q = np.array([1.0, 0.8, 0.6]), np.array([0.4, 1.9, 1.2])
+    lengths = np.array([1.0, 0.8, 0.6])
+    q = np.array([0.4, 1.9, 1.2])
     s = planar_arm(*lengths)
     m = s.inverse.self_motion(q, "tip", task="position", budget=kempe.Budget(points=steps))
     assert m.closed == (steps > 174)
@@ -250,13 +256,17 @@ def minors(s: kempe.System, rows: int):
 
 
 def walks(hunt, count: int) -> tuple[int, int]:
-    rng, closed, run = hunt.rng(), 0, 0
+    rng = hunt.rng()
+    closed = 0
+    run = 0
     for _ in range(hunt.cases(count)):
         if rng.random() < 0.6:
             lengths = rng.uniform(0.3, 1.0, 3)
-            s, rows = planar_arm(*lengths), 2
+            s = planar_arm(*lengths)
+            rows = 2
         else:
-            s, rows = spatial_arm(rng, 4), 3
+            s = spatial_arm(rng, 4)
+            rows = 3
         q = rng.uniform(-3.0, 3.0, s.nq)
         p = s.fk(q, "tip")[:3, 3]
         if np.linalg.svd(s.jacobian(q, "tip")[:rows], compute_uv=False)[-1] < 0.05:
@@ -264,7 +274,8 @@ def walks(hunt, count: int) -> tuple[int, int]:
         steps = int(rng.choice([60, 100, 200]))
         found = check_walk(s, q, tasks.Position("tip", p[: 2 if rows == 2 else 3]), minors(s, rows), steps,
                            lambda x, s=s, p=p: np.abs(s.fk(x, "tip")[:, :3, 3] - p).max())  # fmt: skip
-        closed, run = closed + bool(found), run + 1
+        closed = closed + bool(found)
+        run = run + 1
     return closed, run
 
 
@@ -305,7 +316,8 @@ def test_a_frame_is_held_at_what_the_task_names(task):
     X = s.fk(q, "tool")
     m = s.inverse.self_motion(q, "tool", task=task, direction=np.ones(7), budget=kempe.Budget(points=10))
     Y = s.fk(m.q, "tool")
-    place, turned = np.abs(Y[:, :3, 3] - X[:3, 3]).max(), np.abs(Y[:, :3, :3] - X[:3, :3]).max()
+    place = np.abs(Y[:, :3, 3] - X[:3, 3]).max()
+    turned = np.abs(Y[:, :3, :3] - X[:3, :3]).max()
     pointed = np.abs(Y[:, :3, 2] - X[:3, 2]).max()
     assert (place < 1e-8) == ("position" in task) and (turned < 1e-8) == (task == "orientation")
     assert (pointed < 1e-8) == (task != "position")
@@ -321,7 +333,9 @@ def with_others(n: int, joints: int, loop: bool) -> kempe.System:
     m = kempe.Mechanism("arm and others", dim=2)
     body = m.ground
     if loop:
-        crank, coupler, rocker = m.body("crank"), m.body("coupler"), m.body("rocker")
+        crank = m.body("crank")
+        coupler = m.body("coupler")
+        rocker = m.body("rocker")
         m.revolute("A", m.ground, crank)
         m.revolute("B", crank, coupler, at=(0.5, 0))
         m.revolute("C", coupler, rocker, at=(0.9, 0), child_at=(0.7, 0))
@@ -344,7 +358,8 @@ def with_others(n: int, joints: int, loop: bool) -> kempe.System:
 @pytest.mark.parametrize("loop", [False, True])
 def test_freedoms_of_joints_that_do_not_move_the_frame_are_no_redundancy(loop, others):
     """An arm counts as it does without fingers and without the arm beside it: m, n, rank, and its curve."""
-    alone, system = with_others(3, 0, loop), with_others(3, others, loop)
+    alone = with_others(3, 0, loop)
+    system = with_others(3, others, loop)
     q0 = alone.assemble({"A": 0.9}).q if loop else np.zeros(3)
     q0[alone.structure.velocity_names.index("q0") :] = 0.3, 0.5, -0.4
     q = system.q(alone.q_dict(q0))
@@ -356,7 +371,8 @@ def test_freedoms_of_joints_that_do_not_move_the_frame_are_no_redundancy(loop, o
         assert [(a.m, a.n, a.rank, a.redundancy) for a in answers][1:] == [
             (answers[0].m, 3 + loop, answers[0].m, 3 + loop - answers[0].m)
         ]
-        basis, names = answers[1].self_motion, system.structure.velocity_names
+        basis = answers[1].self_motion
+        names = system.structure.velocity_names
         assert basis.shape == (system.nv, 3 + loop - answers[1].m)
         assert not basis[[names.index(f"o{k}") for k in range(others)]].any()
         by_tasks = system.ik([tasks.Pose("tip", alone.fk(q0, "tip"))], start=q)

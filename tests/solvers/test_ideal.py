@@ -46,7 +46,9 @@ def of(name: str, digits: int, hunt) -> tuple[System, System, np.ndarray]:
 def moves_like(system: System, given: System, digits: int, tolerance: float | str | None) -> None:
     """One freedom, closed, traced round, velocities right: by all verbs."""
     more: dict[str, Any] = {} if tolerance is None else {"tolerance": tolerance}
-    off, driver, other = 10.0**-digits, system.coordinate_names[0], system.coordinate_names[1]
+    off = 10.0**-digits
+    driver = system.coordinate_names[0]
+    other = system.coordinate_names[1]
     m: Any = given.mobility(**more)
     assert m.dof == 1 and m.closed and not m.certain and "within" in m.sentence and m.within.tolerance < 3.0 * off
     start = system.q("closed")[0] if "closed" in system.structure.posture_names else system.assemble().q[0]
@@ -63,7 +65,8 @@ def moves_like(system: System, given: System, digits: int, tolerance: float | st
     assert given.drive({driver: start + np.linspace(0.0, 0.2, 5)}, **more).success
     assert given.independent(answer.q, **more).dim == 1 and given.classify(answer.q, **more).position_dof == 1
     found = given.loops.jacobian(answer.q, [driver], [other], **more)
-    near, h = system.assemble({driver: start + 0.1}, start=answer.q).q, 1e-5
+    near = system.assemble({driver: start + 0.1}, start=answer.q).q
+    h = 1e-5
     a, b = (system.assemble({driver: near[0] + s * h}, start=near).q[1] for s in (-1.0, 1.0))
     assert found and abs(found.matrix[0, 0] - (b - a) / (2.0 * h)) < 1e3 * off + 1e-8
     gain = given.loops.mechanical_advantage(answer.q, driver, other, **more)
@@ -105,7 +108,8 @@ def test_mechanisms_that_are_off_by_more_than_rounding_are_locked(name, hunt):
 
 def random_loop(rng: np.random.Generator) -> System:
     """Hinges anywhere in a loop that is closed at zero angles."""
-    m, n = Mechanism("loop"), int(rng.integers(3, 7))
+    m = Mechanism("loop")
+    n = int(rng.integers(3, 7))
     bodies = [m.ground, *(m.body(f"b{i}") for i in range(n - 1))]
     for i in range(n):
         place = {"at": rng.uniform(-0.5, 0.5, 3), "axis": rng.normal(size=3)}
@@ -134,7 +138,8 @@ def spatial_four_bar(angle: float) -> System:
 
 
 def test_an_angle_near_a_right_one_is_made_one():
-    given, right = spatial_four_bar(1.5708), spatial_four_bar(math.pi / 2)
+    given = spatial_four_bar(1.5708)
+    right = spatial_four_bar(math.pi / 2)
     found: Any = given.idealised()
     assert "1.5708" in found.changes[0].old and found.changes[0].new == "roll pi/2" and len(found.changes) == 1
     assert found.tolerance == pytest.approx(1.5708 - math.pi / 2) and found.freedoms == 1
@@ -170,9 +175,12 @@ def test_all_verbs_agree_where_lengths_are_off_by_rounding(off):
 def all_agree(given: System, dof: int = 1) -> None:
     """Every verb says that it closes with so many freedoms, and `ik` reaches what `fk` gives."""
     home = given.assemble()
-    q, driver, frame = home.q, given.coordinate_names[0], given.body_names[-1]
+    q = home.q
+    driver = given.coordinate_names[0]
+    frame = given.body_names[-1]
     at = q[0]
-    report, path = given.mobility(q), given.trace(driver, start=q)
+    report = given.mobility(q)
+    path = given.trace(driver, start=q)
     assert home and report.closed and report.dof == dof and given.classify(q).position_dof == dof
     assert path.success and path.closed and len(path) > ENOUGH, path.status
     assert given.drive({driver: at + np.linspace(0.0, 0.1, 4)}, start=q).success
@@ -204,14 +212,16 @@ def test_all_verbs_agree_about_rounded_mechanisms(name, hunt):
 @pytest.mark.parametrize("name", NAMES)
 def test_hunt_all_verbs_agree_about_mechanisms_rounded_or_perturbed(name, hunt):
     """At 3 to 14 decimals with the frames of bodies anywhere, and off by 1e-16 to 1e-3."""
-    rng, system = hunt.rng(), exact(name)
+    rng = hunt.rng()
+    system = exact(name)
     for k in range(hunt.cases(76)):
         if k % 2:
             off = 10.0 ** rng.uniform(-16.0, -3.0)
             given = perturbed(system, 0.3 * off, rng)
         else:
             digits = int(rng.integers(3, 15))
-            given, off = rounded(system, digits, rng), 10.0**-digits
+            given = rounded(system, digits, rng)
+            off = 10.0**-digits
         all_agree(tolerates(given, "measured") if off > 1e-7 else given)
 
 
@@ -219,7 +229,8 @@ def test_hunt_all_verbs_agree_about_mechanisms_rounded_or_perturbed(name, hunt):
 @pytest.mark.parametrize("family", FAMILIES)
 def test_hunt_families_of_the_literature_move_when_rounded(family, hunt):
     """With random dimensions, at 3 to 6 decimals, and the frames of bodies anywhere."""
-    rng, count = hunt.rng(), 0
+    rng = hunt.rng()
+    count = 0
     for _ in range(hunt.cases(50)):
         system, freedoms = FAMILIES[family](rng)
         if system is None:
@@ -240,7 +251,8 @@ def test_a_platform_whose_rounded_legs_nearly_close_at_single_places_moves():
 
     The conditions on its dimensions have a nearly double root.
     """
-    rng, T = np.random.default_rng([0, 3]), np.eye(4)
+    rng = np.random.default_rng([0, 3])
+    T = np.eye(4)
     T[:3, :3] = rot_z(rng.uniform(-3, 3)) @ rot_y(rng.uniform(-1, 1)) @ rot_x(rng.uniform(-3, 3))
     T[:3, 3] = rng.uniform(-0.5, 0.5, 3)
     given = rounded(kempe.load("delta_uu"), 3, rng, ground=T)
@@ -261,7 +273,8 @@ def test_a_mechanism_that_closes_exactly_only_where_it_is_flat_moves(seed, digit
 @pytest.mark.parametrize(("seed", "digits"), [(1, 5), (5, 5), (15, 3)])
 def test_a_mechanism_drawn_flat_moves_when_rounded(seed, digits):
     """Motions cross at home, where the given numbers close, or nearly, so that it seems to be rigid."""
-    m, rng = exact("double_parallelogram").mechanism, np.random.default_rng([1, seed, 7])
+    m = exact("double_parallelogram").mechanism
+    rng = np.random.default_rng([1, seed, 7])
     m.postures = {}
     assert int(rng.integers(3, 7)) == digits
     given = rounded(m.build(), digits, rng)
@@ -270,7 +283,8 @@ def test_a_mechanism_drawn_flat_moves_when_rounded(seed, digits):
 
 
 def test_hunt_mechanisms_drawn_flat_move_when_rounded(hunt):
-    rng, m = hunt.rng(), exact("double_parallelogram").mechanism
+    rng = hunt.rng()
+    m = exact("double_parallelogram").mechanism
     m.postures = {}
     for _ in range(hunt.cases(20)):
         digits = int(rng.integers(3, 7))
@@ -281,7 +295,8 @@ def test_hunt_mechanisms_drawn_flat_move_when_rounded(hunt):
 @pytest.mark.parametrize("off", [1e-13, 1e-12])
 def test_what_assemble_calls_closed_is_traced_and_driven_where_no_ideal_is_searched(off, hunt):
     """Of more coordinates than the search takes, off by more than rounding and less than `assemble` tolerates."""
-    rng, joints = hunt.rng(), []
+    rng = hunt.rng()
+    joints = []
     for i, p in enumerate(rng.uniform(-1.0, 1.0, (31, 2))):
         joints += [("", f"crank{i}", p, None), (f"crank{i}", "coupler", p + [0.25, 0.31], None)]
     given = perturbed(in_place("cranks", joints, 2), off, rng)
@@ -407,7 +422,8 @@ UNDECIDED = {
 @pytest.mark.parametrize("verb", UNDECIDED)
 def test_no_verb_answers_before_it_is_decided_which_mechanism_is_closed(verb, hunt, monkeypatch):
     """One search for each system decides for all verbs: none of them answers for the given numbers in its place."""
-    given, searched = rounded(exact("bennett"), 6, hunt.rng()), []
+    given = rounded(exact("bennett"), 6, hunt.rng())
+    searched = []
 
     def search(system: kempe.System, *_: Any, **__: Any) -> None:
         searched.append(system)

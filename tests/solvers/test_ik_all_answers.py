@@ -24,7 +24,8 @@ ARMS = arms.arms()
 
 def shuffled(answer, rng):
     """The answer (B, T, K) with the rows of each target in random order, and angles in random turns."""
-    rows, lines = answer._rows.copy(), answer.plan.lines
+    rows = answer._rows.copy()
+    lines = answer.plan.lines
     turns = np.where(lines.kinds == TURN, 2.0 * math.pi / np.abs(lines.multiplier), 0.0)
     rows[..., : len(lines)] += turns * rng.integers(-2, 3, (*rows.shape[:2], len(lines)))
     for x in rows:
@@ -45,8 +46,11 @@ def modulo_turns(answer):
 @pytest.mark.parametrize("hidden", [False, True])
 def test_rows_continue_along_trajectories(name, hidden):
     """Branches stay apart; however rows are mixed, each comes back to its place, after a gap, too."""
-    system, rng, t = ARMS[name].system, np.random.default_rng(3), np.linspace(0.0, 1.0, 12)[:, None]
-    begin, way = ARMS[name].random(5, 2), 0.2 * rng.uniform(-1.0, 1.0, (2, 1, system.nq))
+    system = ARMS[name].system
+    rng = np.random.default_rng(3)
+    t = np.linspace(0.0, 1.0, 12)[:, None]
+    begin = ARMS[name].random(5, 2)
+    way = 0.2 * rng.uniform(-1.0, 1.0, (2, 1, system.nq))
     begin[:, 4] = 0.8
     answer = system.ik_all(system.fk(begin[:, None] + t * way, "tool"), "tool")
     assert (answer.mask == answer.mask[:, :1]).all() and answer.mask[:, 0].sum() > 6
@@ -55,7 +59,8 @@ def test_rows_continue_along_trajectories(name, hidden):
         first._rows[3:7, 1, -1] = first._rows[14:20, 0, -1] = -1.0
         first = answer._with(first._rows, None)
     found = shuffled(first, rng).along()
-    a, b = modulo_turns(first), modulo_turns(found)
+    a = modulo_turns(first)
+    b = modulo_turns(found)
     for x, y in zip(a, b, strict=True):
         order = [int(np.abs(y[0] - row).max(axis=1).argmin()) for row in x[0]]
         np.testing.assert_allclose(y[:, order], x, atol=1e-9)
@@ -74,7 +79,8 @@ def test_no_targets_along_a_trajectory(lead):
 
 def test_rows_of_one_trajectory_do_not_depend_on_another():
     """A batch (2, T) is two trajectories: the second begins anew."""
-    system, t = kempe.load("ur5"), np.linspace(0.0, 1.0, 6)[:, None]
+    system = kempe.load("ur5")
+    t = np.linspace(0.0, 1.0, 6)[:, None]
     q = np.array([[0.2, -1.0, 1.2, 0.3, 0.8, 0.1], [-0.9, -0.6, -1.0, 0.9, -1.1, 0.4]])[:, None] + 0.1 * t
     both = shuffled(system.ik_all(system.fk(q, "tool"), "tool"), np.random.default_rng(0))
     for i in (0, 1):
@@ -92,7 +98,8 @@ def test_derivatives_for_an_axis_of_the_tool(task, axis):
     """Against answers for targets moved and turned a little; a turn about the direction itself changes nothing."""
     arm = ARMS["wrist3" if task == "direction" else "random5_axis"]
     system = arm.system.mechanism.lock({"j3": 0.3}).build() if task == "direction" else arm.system
-    q, step = 0.4 + 0.1 * np.arange(system.nq), 1e-6
+    q = 0.4 + 0.1 * np.arange(system.nq)
+    step = 1e-6
     X = system.fk(q, "tool")
 
     def solved(Y):
@@ -170,14 +177,16 @@ def test_many_starts_find_what_closed_forms_find(name):
     near, locked = (np.ascontiguousarray(x[:, truth.plan.lines.q_index]) for x in (start, q))
     targets = truth.question.targets.copy()
     targets[1, 0, 0] = math.nan
-    question, plan = replace(truth.question, targets=targets), replace(truth.plan, method="search")
+    question = replace(truth.question, targets=targets)
+    plan = replace(truth.plan, method="search")
     rows, counts = solve_held(question, plan, near, locked, None)
     n = len(plan.lines)
     assert counts[1, 0] == -1 and (rows[1, :, n + 1] < 0.0).all() and (counts[:, 1] == 1).all()
     expected = ask(arm, X, q, start=start)
     for i in (0, 2):
         used = rows[i, :, n + 1] >= 0.0
-        found, wanted = np.tile(q[i], (used.sum(), 1)), expected.q[i][expected.mask[i]]
+        found = np.tile(q[i], (used.sum(), 1))
+        wanted = expected.q[i][expected.mask[i]]
         found[:, plan.lines.q_index] = rows[i, used, :n]
         theta = arm.model.theta(wanted)
         assert counts[i, 0] == len(found) == len(wanted) and same_sets(arm, theta, arm.model.theta(found))
@@ -197,7 +206,8 @@ def two_arms(joints: int) -> kempe.System:
     for side, limits in (("a", (-3.0, 3.0)), ("b", (0.5, 2.0))):
         body = m.ground
         for k in range(joints):
-            child, axis = m.body(f"{side}{k}"), np.eye(3)[(2, 1, 0)[k % 3] if joints == 7 else (2, 1, 1)[k]]
+            child = m.body(f"{side}{k}")
+            axis = np.eye(3)[(2, 1, 0)[k % 3] if joints == 7 else (2, 1, 1)[k]]
             at = (0.4 if k and joints == 3 or k % 2 else 0.0, 0.0, 0.1)
             m.revolute(f"{side} q{k}", body, child, at=at, axis=axis, limits=limits)
             body = child
@@ -234,7 +244,8 @@ def test_solutions_inside_the_limits_are_so_for_joints_outside_the_chain(with_st
 def test_the_best_of_a_sweep_is_inside_the_limits_of_joints_outside_the_chain(with_start):
     system = two_arms(7)
     q = np.concatenate([[0.3, 0.5, -0.4, 0.8, 0.3, 0.4, 0.2], np.ones(7)])
-    X, start = system.fk(q, "a tip"), np.concatenate([q[:7], np.zeros(7)]) if with_start else None
+    X = system.fk(q, "a tip")
+    start = np.concatenate([q[:7], np.zeros(7)]) if with_start else None
     sweep = system.inverse.sweep(X, "a tip", "a q2", n=8, start=start)
     assert_inside(system, sweep.q[sweep.inside])
     best = sweep.best()

@@ -282,7 +282,8 @@ def test_near_chooses_the_turn():
 def test_positions_as_points_and_as_poses(name):
     arm, _, X = posed(name, 13, 4)
     dim = arm.system.dim
-    by_pose, by_point = ask(arm, X), arm.system.ik_all(X[:, :dim, 3], arm.frame)
+    by_pose = ask(arm, X)
+    by_point = arm.system.ik_all(X[:, :dim, 3], arm.frame)
     for a, b in zip(rows(by_pose), rows(by_point), strict=True):
         assert same_sets(arm, arm.model.theta(a), arm.model.theta(b), 1e-9)
 
@@ -296,7 +297,8 @@ def test_the_pose_matters_only_where_the_task_reads_it():
     x = so101.random(15, 1)[0]
     X = so101.model.fk(x)
     turned = X.copy()
-    c, s = math.cos(0.7), math.sin(0.7)
+    c = math.cos(0.7)
+    s = math.sin(0.7)
     turned[:3, :3] = X[:3, :3] @ [[1, 0, 0], [0, c, -s], [0, s, c]]  # about the tool's x, its axis
     assert same_sets(so101, ask(so101, X).q, ask(so101, turned).q)
 
@@ -368,7 +370,8 @@ def test_a_straight_wrist_has_a_family(name):
 )
 def test_random_singular_targets(name):
     """Two solutions that meet are one with two roots; a curve of solutions is a family."""
-    arm, rng = ARMS[name], np.random.default_rng(21)
+    arm = ARMS[name]
+    rng = np.random.default_rng(21)
     for _ in range(6):
         theta, _ = oracle.singular_configuration(arm.model, rng, arm.task)
         X = arm.model.pose(theta)
@@ -408,7 +411,8 @@ def test_derivatives_of_branches(name):
     """Against answers for targets moved a little along and about each axis."""
     arm = ARMS[name]
     x = arm.random(arms.SEED, 40)[arms.COUNTS[name][0][0]]
-    X, step = arm.model.fk(x), 1e-6
+    X = arm.model.fk(x)
+    step = 1e-6
     answer = ask(arm, X, x)
     assert answer.derivative.shape == (len(answer), arm.system.nv, 6)
     columns = {"pose": range(6), "position": range(3), "orientation": range(3, 6)}[arm.task]
@@ -456,7 +460,8 @@ def test_what_is_out_of_reach_has_no_answer(name):
 def test_a_pose_that_too_few_joints_cannot_have(name):
     """A reachable pose, tilted: five joints reach a set of measure zero."""
     arm, q, X = posed(name, 19, 10)
-    c, s = math.cos(0.4), math.sin(0.4)
+    c = math.cos(0.4)
+    s = math.sin(0.4)
     tilt = np.array([[1, 0, 0], [0, c, -s], [0, s, c]]) @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
     X[:, :3, :3] = X[:, :3, :3] @ tilt
     expected = [oracle.isolated(arm.model, x, batch=100, rounds=2) for x in X[:2]]

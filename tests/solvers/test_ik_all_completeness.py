@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from hunts import some
 
-PI, H = np.pi, np.pi / 2
+PI = np.pi
+H = np.pi / 2
 
 HC20 = [(0, -H, 0.38, 0), (0.82, PI, 0, -H), (0, -H, 0, 0), (0, H, -0.88, 0), (0, -H, -0.2, 0), (0, PI, -0.15, 0)]
 
@@ -97,13 +98,15 @@ def moved(arm: arms.Arm, rng: np.random.Generator, q: np.ndarray) -> tuple[int, 
 
     And where the first and the last joint are moved, the same solutions moved with them.
     """
-    model, d = arm.model, np.zeros(q.shape)
+    model = arm.model
+    d = np.zeros(q.shape)
     d[:, [0, -1]] = rng.uniform(-2, 2, (len(q), 2))
     answers = [arm.system.ik_all(model.fk(x), arm.frame) for x in (q, q + d)]
     if answers[0].plan.method == "search" or answers[0].plan.locked:
         return 0, 0
     scale = np.where(model.kinds == oracle.SLIDE, model.size, 1.0)
-    shift, angles = model.theta(q + d) - model.theta(q), []
+    shift = model.theta(q + d) - model.theta(q)
+    angles = []
     for i, answer in enumerate(answers):
         angles.append(model.theta(np.where(answer.mask[..., None], answer.q, 0.0)) - i * shift[:, None])
         lost = (gaps(arm, answer, q + i * d) > 1e-6) & (regularity(model, model.theta(q + i * d), scale) > 1e-4)
@@ -133,7 +136,8 @@ def regularity(model: oracle.Model, theta: np.ndarray, scale: np.ndarray) -> np.
 def poses(arm: arms.Arm, rng: np.random.Generator, count: int) -> np.ndarray:
     """Structured configurations (count, nq); half of them on lines, right angles but for one joint and the ends."""
     q = continuation.structured_poses(arm, rng, count)
-    half, n = count // 2, q.shape[1]
+    half = count // 2
+    n = q.shape[1]
     line = PI * rng.choice([0, 0.25, 0.5, 0.5, -0.5, -0.5, 1.0, -0.25], (half, n))
     line[np.arange(half), rng.integers(1, n - 1, half)] = rng.uniform(-PI, PI, half)
     line[:, [0, -1]] = rng.uniform(-3, 3, (half, 2))
@@ -170,7 +174,8 @@ def test_no_solution_is_missed_where_the_answer_is_complete(name, hunt):
 
 def test_no_solution_is_missed_with_structured_arms(hunt):
     """Arms with right angles, equal lengths, zeros and slides, or nearly so."""
-    rng, poses = hunt.rng(), 0
+    rng = hunt.rng()
+    poses = 0
     for i in range(hunt.cases(10)):
         poses += judged(continuation.structured_arm(rng, i), rng, 20)[0]
     assert poses > 0
@@ -189,7 +194,8 @@ def test_answers_for_ordinary_poses_are_complete(name):
 @pytest.mark.parametrize("name", ["hc20", "xarm6", "hc10", "crx10ia", "piper"])
 def test_complete_answers_are_what_thousands_of_starts_find(name, hunt):
     """All solutions of a few structured poses, by Newton's method from anywhere."""
-    arm, rng = arm_of(name), hunt.rng()
+    arm = arm_of(name)
+    rng = hunt.rng()
     X = arm.model.fk(continuation.structured_poses(arm, rng, hunt.cases(2)))
     answer = arm.system.ik_all(X, arm.frame)
     for i in np.flatnonzero(answer.complete):
@@ -200,7 +206,8 @@ def test_complete_answers_are_what_thousands_of_starts_find(name, hunt):
 
 def test_moved_targets_have_the_same_solutions(hunt):
     """Robots and structured arms, a few of the poses of the long hunt."""
-    rng, count = hunt.rng(), 0
+    rng = hunt.rng()
+    count = 0
     for name in ("hc20", *NAMED):
         arm = arm_of(name)
         count += moved(arm, rng, poses(arm, rng, hunt.cases(40)))[0]
@@ -214,7 +221,10 @@ def test_moved_targets_have_the_same_solutions(hunt):
 @pytest.mark.parametrize("part", range(5))
 def test_long_hunt_for_missed_solutions(part, hunt):
     """10^5 structured poses in all: of the robots by turns, and of as many structured arms."""
-    rng, names, i, total = hunt.rng(), ["hc20", *NAMED], part, np.zeros(2, dtype=int)
+    rng = hunt.rng()
+    names = ["hc20", *NAMED]
+    i = part
+    total = np.zeros(2, dtype=int)
     try:
         while total[0] < hunt.cases(20_000):
             arm = arm_of(names[i % len(names)])

@@ -75,7 +75,8 @@ def test_held_joints_choose():
     """One leg held at each of its two angles leaves the others' 2^2."""
     robot = kempe.load("three_rrr")
     q = robot.q("closed")
-    X, first = robot.fk(q, "tool"), robot.coordinate_names[0]
+    X = robot.fk(q, "tool")
+    first = robot.coordinate_names[0]
     found = robot.ik_all(X, "tool")
     _, at = np.unique(np.round(found.q[:, 0], 6), return_index=True)
     values = found.q[at, 0]
@@ -107,8 +108,10 @@ def by_triangles(p, base=0.14, upper=0.135, lower=0.147) -> np.ndarray:
     """Angles (k, 3) of the palletizer at a place p (3,): two triangles, each in front of the base and behind it."""
     out = []
     for side in (1.0, -1.0):
-        r, z = side * np.hypot(p[0], p[1]), p[2] - base
-        far, to = np.hypot(r, z), np.arctan2(r, z)
+        r = side * np.hypot(p[0], p[1])
+        z = p[2] - base
+        far = np.hypot(r, z)
+        to = np.arctan2(r, z)
         cosine = (upper**2 + far**2 - lower**2) / (2.0 * upper * far)
         for sign in (1.0, -1.0) if abs(cosine) < 1.0 else ():
             second = to + sign * np.arccos(cosine)
@@ -119,10 +122,12 @@ def by_triangles(p, base=0.14, upper=0.135, lower=0.147) -> np.ndarray:
 
 def test_solutions_of_an_arm_whose_joints_follow_others(hunt):
     """As many as its triangles, the same ones, and an answer that does not say they are all."""
-    robot, rng = palletizer(), hunt.rng()
+    robot = palletizer()
+    rng = hunt.rng()
     for _ in range(hunt.cases(16)):
         p = robot.fk(robot.random(rng), "hand")[:3, 3]
-        found, known = robot.ik_all(p, "hand"), by_triangles(p)
+        found = robot.ik_all(p, "hand")
+        known = by_triangles(p)
         assert found and len(found) == len(known) and not found.complete
         off = np.abs(np.angle(np.exp(1j * (found.q[:, None] - known)))).max(axis=-1)
         assert (off.min(axis=0) < 1e-6).all() and (off.min(axis=1) < 1e-6).all()

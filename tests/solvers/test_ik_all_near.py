@@ -12,7 +12,8 @@ from ik_all_checks import assert_found_near_singular
 
 import kempe
 
-PI, H = np.pi, np.pi / 2
+PI = np.pi
+H = np.pi / 2
 
 
 @pytest.mark.slow
@@ -27,7 +28,8 @@ def test_next_to_self_motions_what_is_missed_is_said(name, seed, number):
 @pytest.mark.slow
 def test_near_singularities_of_structured_arms(hunt):
     """Arms with right angles, equal lengths, zeros and slides."""
-    rng, count = hunt.rng(), hunt.cases(6)
+    rng = hunt.rng()
+    count = hunt.cases(6)
     for i in range(count):
         arm = continuation.structured_arm(rng, i)
         plan = arm.system.ik_all(arm.model.fk(arm.random(0, 1)), arm.frame).plan
@@ -83,7 +85,8 @@ def test_structured_arms_of_few_joints(kinds, task, hunt):
         assert not false_of(arm, task, rng, 20), f"{rows}"
 
 
-WRIST, SHOULDER = [(0, H, 0), (0, -H, 0), (0, 0, 0.1)], [(0, H, 0.4), (0.3, 0, 0), (0.1, H, 0)]
+WRIST = [(0, H, 0), (0, -H, 0), (0, 0, 0.1)]
+SHOULDER = [(0, H, 0.4), (0.3, 0, 0), (0.1, H, 0)]
 """Rows (a, alpha, d) of three axes through a point, and of an axis across two that are parallel."""
 
 STRUCTURES = {  # rows (a, alpha, d), kinds, tasks
@@ -110,7 +113,8 @@ STRUCTURES = {  # rows (a, alpha, d), kinds, tasks
 def nearly_structured(name: str, rng: np.random.Generator) -> tuple[arms.Arm, str, list[tuple]]:
     """An arm of which some numbers, or all, are off by 1e-12 to 1e-6, a task, and its rows."""
     table, kinds, tasks = STRUCTURES[name]
-    size, part = 10.0 ** rng.uniform(-12, -6), rng.choice([0.1, 0.3, 1.0])
+    size = 10.0 ** rng.uniform(-12, -6)
+    part = rng.choice([0.1, 0.3, 1.0])
     rows: list[tuple] = []
     for row, kind in zip(table, kinds, strict=True):
         off = size * rng.standard_normal(3) * (rng.random(3) < part)
@@ -142,7 +146,8 @@ def test_nearly_structured_arms_lose_no_solution_often(name, hunt):
 def test_three_joints_off_by_rounding_of_their_table():
     """A shoulder whose axes meet, and two parallel ones, but for nanometres: one in nine solutions was missing."""
     for seed in range(2):
-        rng, rows = np.random.default_rng(seed), STRUCTURES["meeting"][0]
+        rng = np.random.default_rng(seed)
+        rows = STRUCTURES["meeting"][0]
         off = 3e-9 * rng.standard_normal((3, 3))
         table = [(*(x + e for x, e in zip(row, o, strict=True)), 0.0) for row, o in zip(rows, off, strict=True)]
         arm = arms.table("rounded", table, "nearly structured", 16)
@@ -169,7 +174,8 @@ def false_of(arm: arms.Arm, task: str, rng: np.random.Generator, count: int = 0,
     if q is None:
         shape = (count, arm.system.nq)
         q = 0.25 * PI * rng.integers(-4, 5, shape) + np.where(rng.random(shape) < 0.4, rng.uniform(-1, 1, shape), 0.0)
-    shape, X = q.shape, m.fk(q)
+    shape = q.shape
+    X = m.fk(q)
     answer = arm.system.ik_all(X, arm.frame, task=task)
     if answer.plan.locked or answer.plan.method == "search":
         return []
@@ -178,7 +184,8 @@ def false_of(arm: arms.Arm, task: str, rng: np.random.Generator, count: int = 0,
     at = np.append(np.arange(len(q)), np.nonzero(near.mask)[0])
     starts = np.concatenate([m.theta(q), m.theta(near.q[near.mask])])
     known = answer.complete[at]
-    at, starts = at[known], starts[known]
+    at = at[known]
+    starts = starts[known]
     theta, done = oracle.newton(m, X[at], starts, task)
     regular = done & (m.condition(theta, task) >= 1e-4) if len(at) else done
     false = []
@@ -192,9 +199,11 @@ def false_of(arm: arms.Arm, task: str, rng: np.random.Generator, count: int = 0,
 def lined_up(rng, kinds, size):
     """A chain of joints (`R` turns, `P` slides) along the axes of the ground; lengths are zero or a part of `size`."""
     m = kempe.Mechanism("lined up")
-    below, axes = m.ground, np.eye(3)
+    below = m.ground
+    axes = np.eye(3)
     for i, kind in enumerate(kinds):
-        body, at = m.body(f"b{i}"), size * rng.choice([0.0, 0.0, 0.5, 1.0], 3)
+        body = m.body(f"b{i}")
+        at = size * rng.choice([0.0, 0.0, 0.5, 1.0], 3)
         add = m.revolute if kind == "R" else m.prismatic
         add(f"j{i}", below, body, at=at, axis=axes[rng.integers(3)] * rng.choice([-1.0, 1.0]))
         below = body
@@ -205,10 +214,12 @@ def lined_up(rng, kinds, size):
 @pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
 def test_a_slide_along_the_axis_of_a_turn_loses_no_solution(hunt, size):
     """The target's orientation is any, not that of the chain: plans must not rest on what holds for the latter only."""
-    rng, regular = hunt.rng(), 0
+    rng = hunt.rng()
+    regular = 0
     for i in range(hunt.cases(60)):
         kinds = ("RP", "PR", "RRP", "RPR", "PRP", "RPP")[i % 6]
-        arm, turns = lined_up(rng, kinds, size), np.array([k == "R" for k in kinds])
+        arm = lined_up(rng, kinds, size)
+        turns = np.array([k == "R" for k in kinds])
         unit = np.where(turns, 1.0, size)
         q = rng.uniform(-2.0, 2.0, (8, len(kinds))) * unit
         scaled = arm.jacobian(q, "tip")[:, :3] * unit / size

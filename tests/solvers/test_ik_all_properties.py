@@ -133,7 +133,8 @@ def test_near_and_limits_only_sort(seed, name):
     arm = arms.arms()[name]
     rng = np.random.default_rng(seed)
     X = arm.model.fk(arm.random(rng, 1)[0])
-    plain, near = ask(arm, X), ask(arm, X, start=rng.uniform(-6, 6, arm.system.nq))
+    plain = ask(arm, X)
+    near = ask(arm, X, start=rng.uniform(-6, 6, arm.system.nq))
     assert same_sets(arm, arm.model.theta(plain.q), arm.model.theta(near.q), 1e-9)
     assert sorted(plain.inside) == sorted(near.inside)
     assert near.inside.tolist() == sorted(near.inside.tolist(), reverse=True)

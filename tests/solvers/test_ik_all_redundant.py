@@ -14,7 +14,8 @@ import kempe
 from kempe.solvers.analytic.ik_all import ik_all
 from kempe.solvers.analytic.redundant.redundancy import ik_sweep
 
-PI, H = math.pi, math.pi / 2
+PI = math.pi
+H = math.pi / 2
 
 FILES = {
     "xarm7": ("xarm_description/urdf/xarm7.urdf", "link7"),
@@ -55,7 +56,8 @@ def pinocchio_poses(name: str, system: kempe.System, q: np.ndarray) -> np.ndarra
     pin = pytest.importorskip("pinocchio")
     path, frame = FILES[name]
     model = pin.buildModelFromUrdf(str(urdf_files()[path]))
-    data, number = model.createData(), model.getFrameId(frame)
+    data = model.createData()
+    number = model.getFrameId(frame)
     own = {n: i for i, n in enumerate(system.coordinate_names)}
     out = np.empty((len(q), 4, 4))
     for k, x in enumerate(q):
@@ -136,15 +138,21 @@ def random_chain(rng: np.random.Generator, kind: str) -> tuple[kempe.System, lis
         letters = "".join(rng.permutation(list("RRRRRP" + "RP"[rng.integers(2)])))
     letters = letters or "R" * int(kind[-2])
     m = kempe.Mechanism("chain", dim=2 if planar else 3)
-    last, steps = m.ground, []
+    last = m.ground
+    steps = []
     for i, letter in enumerate(letters):
-        body, middle, half = m.body(f"b{i}"), rng.uniform(-1, 1), rng.uniform(0.3, PI)
+        body = m.body(f"b{i}")
+        middle = rng.uniform(-1, 1)
+        half = rng.uniform(0.3, PI)
         limits = (middle - half, middle + half) if letter == "R" else (-0.4, 0.5)
-        at, rpy = tuple(rng.uniform(-0.4, 0.4, 3)), tuple(rng.uniform(-PI, PI, 3))
+        at = tuple(rng.uniform(-0.4, 0.4, 3))
+        rpy = tuple(rng.uniform(-PI, PI, 3))
         if planar or kind.startswith("SCARA"):
-            at, rpy = (rng.uniform(0.1, 0.5) * (i > 0), 0.0, 0.0), (0.0, 0.0, 0.0)
+            at = (rng.uniform(0.1, 0.5) * (i > 0), 0.0, 0.0)
+            rpy = (0.0, 0.0, 0.0)
         elif kind.startswith("structured"):
-            at, rpy = tuple(rng.choice([0.0, 0.0, 0.3, -0.2], 3)), tuple(rng.choice([0.0, H, -H, PI / 4], 3))
+            at = tuple(rng.choice([0.0, 0.0, 0.3, -0.2], 3))
+            rpy = tuple(rng.choice([0.0, H, -H, PI / 4], 3))
         turned = {} if planar else {"rpy": rpy}
         m.joint(f"j{i}", "revolute" if letter == "R" else "prismatic", last, body, at=at[: m.dim],
                 limits=None if letter == "R" and rng.random() < 0.15 else limits, **turned)  # fmt: skip
@@ -163,7 +171,8 @@ def product(steps: list, q: np.ndarray) -> np.ndarray:
         T = T @ X
         if letter:
             E = np.broadcast_to(np.eye(4), T.shape).copy()
-            c, s = np.cos(q[..., i]), np.sin(q[..., i])
+            c = np.cos(q[..., i])
+            s = np.sin(q[..., i])
             if letter == "R":
                 E[..., 0, 0], E[..., 0, 1], E[..., 1, 0], E[..., 1, 1] = c, -s, s, c
             else:
@@ -259,7 +268,8 @@ def test_no_is_evidence_or_a_proof(hunt):
     system, frame = robot("panda")
     proven = 0
     for q in system.random(hunt.rng(), hunt.cases(6)):
-        far, near = system.fk(q, frame), system.fk(q, frame)[:3, 3]
+        far = system.fk(q, frame)
+        near = system.fk(q, frame)[:3, 3]
         for scale in np.linspace(1.0, 4.0, 101):
             far[:3, 3] = scale * near
             answer = system.ik_all(far, frame)
@@ -319,8 +329,10 @@ def test_a_sweep_holds_the_others_where_there_is_a_solution():
 @pytest.mark.parametrize("name", ["panda", "iiwa14", "gen3", "ur5"])
 def test_values_of_their_own_give_the_same_bits_in_batches(name, hunt):
     """Held by name at arrays, held near configurations, and held elsewhere by choice: as each target alone."""
-    rng, robot = hunt.rng(), kempe.load(name)
-    frame, joint = list(robot.structure.frames)[-1], robot.coordinate_names[-1]
+    rng = hunt.rng()
+    robot = kempe.load(name)
+    frame = list(robot.structure.frames)[-1]
+    joint = robot.coordinate_names[-1]
     q = robot.random(rng, hunt.cases(30))
     X = robot.fk(q, frame)
     ways = [lambda k: {}, lambda k: {"start": q[k]}, lambda k: {"fixed": {joint: q[k][..., -1]}}]
@@ -336,14 +348,17 @@ def test_values_of_their_own_give_the_same_bits_in_batches(name, hunt):
 @pytest.mark.parametrize("name", ["panda", "iiwa14", "gen3"])
 def test_what_is_held_beyond_its_limits_is_outside(name, hunt):
     """Also where the value less a turn is inside; alone, in a batch, and with values of their own."""
-    rng, robot = hunt.rng(), kempe.load(name)
+    rng = hunt.rng()
+    robot = kempe.load(name)
     frame = list(robot.structure.frames)[-1]
     at = max(i for i in range(robot.nq) if np.isfinite(robot.upper[i]))
-    joint, X = robot.coordinate_names[at], robot.fk(robot.random(rng, hunt.cases(20)), frame)
+    joint = robot.coordinate_names[at]
+    X = robot.fk(robot.random(rng, hunt.cases(20)), frame)
     first = robot.lower[at] + 0.1
 
     def is_reported(answer):
-        q, inside = answer.q.reshape(-1, robot.nq), answer.inside.reshape(-1)
+        q = answer.q.reshape(-1, robot.nq)
+        inside = answer.inside.reshape(-1)
         truth = ((q >= robot.lower - 1e-9) & (q <= robot.upper + 1e-9)).all(axis=1)
         return np.array_equal(inside, truth)
 

@@ -57,7 +57,8 @@ def stretched(signs: list[float], links: list[float], turns: int = 1, rpy=(0.0, 
     for i in range(turns + len(links)):
         new = m.body(f"b{i}")
         m.revolute(f"j{i}", body, new, at=(0.0, 0.0, at), axis=(0, 1, 0) if i >= turns else (0, 0, 1))
-        body, at = new, signs[i - turns] * links[i - turns] if i >= turns else 0.0
+        body = new
+        at = signs[i - turns] * links[i - turns] if i >= turns else 0.0
     m.frame("e", body, at=(0.0, 0.0, at))
     return m.build()
 
@@ -74,7 +75,8 @@ def test_freedoms_of_stretched_arms(hunt):
     """Random arms with the target on axis 1, stretched or with the elbow folded back: only turns about it are free."""
     rng = hunt.rng()
     for _ in range(hunt.cases(8)):
-        turns, k = int(rng.integers(1, 3)), int(rng.integers(1, 4))
+        turns = int(rng.integers(1, 3))
+        k = int(rng.integers(1, 4))
         signs = [1.0] * k if k != 2 else [1.0, float(rng.choice([-1.0, 1.0]))]
         links = rng.uniform(0.1, 1.0, k)
         if k == 2:
@@ -160,7 +162,8 @@ def shoulder_singular(q5: float) -> np.ndarray:
 
     grid = np.linspace(-3.0, 3.0, 100)
     k = next(k for k in range(99) if off(grid[k]) * off(grid[k + 1]) < 0.0)
-    low, high = grid[k], grid[k + 1]
+    low = grid[k]
+    high = grid[k + 1]
     for _ in range(60):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if off(low) * off(middle) > 0.0 else (low, middle)
@@ -170,7 +173,8 @@ def shoulder_singular(q5: float) -> np.ndarray:
 @pytest.mark.slow
 def test_shoulder_on_its_axis():
     """Wrist centre on axis 1: the arm turns about it, and the wrist keeps the orientation."""
-    s, q = system("anthropomorphic6"), shoulder_singular(0.5)
+    s = system("anthropomorphic6")
+    q = shoulder_singular(0.5)
     a, X, families, rows = solved("anthropomorphic6", q)
     assert len(families) == 4 and set(rows.tolist()) == {0, 1, 2, 3}
     for f in families:
@@ -218,7 +222,8 @@ def test_four_parallel_axes(q3):
     """UR5 with q5 = 0: axes 2, 3, 4 and 6 are parallel and move as a four-bar linkage. All its motions are found."""
     q = np.array([0.1, -0.7, q3, 0.4, 0.0, 0.6])
     a, X, families, rows = solved("ur5", q)
-    s, model = a.system, arms.arms()["ur5"].model
+    s = a.system
+    model = arms.arms()["ur5"].model
     assert families and (rows[a.multiplicity == 0] >= 0).all() and (rows[a.multiplicity > 0] == -1).all()
     for f in families:
         assert f.closed and f.joints == ("shoulder_lift", "elbow", "wrist_1", "wrist_3")
@@ -241,7 +246,8 @@ def test_several_configurations_of_a_curve():
     q = np.array([0.1, -0.7, 0.9, 0.4, 0.0, 0.6])
     a, X, families, _ = solved("ur5", q)
     f = next(f for f in families if f.distance(q) < 1e-9)
-    low, high = f.q[:, 2].min(), f.q[:, 2].max()
+    low = f.q[:, 2].min()
+    high = f.q[:, 2].max()
     two = f.at(elbow=0.5 * (low + high))
     assert two.shape == (2, 6) and reaches(a.system, two, X) < 1e-10 and apart(two[0], two[1]) > 0.1
     assert np.all(two[:, 2] == 0.5 * (low + high))
@@ -276,7 +282,8 @@ def test_target_on_the_first_axis():
 def test_slides():
     """Two slides along one line: only their sum counts, without end."""
     m = kempe.Mechanism("slides")
-    a, b = m.body("a"), m.body("b")
+    a = m.body("a")
+    b = m.body("b")
     m.prismatic("x", m.ground, a, axis=(1, 0, 0))
     m.prismatic("y", a, b, axis=(-1, 0, 0))
     m.frame("tip", b)
@@ -380,8 +387,10 @@ def test_a_family_within_the_tolerance_says_so():
 @pytest.mark.parametrize("target", [(1.2, 0.3), (0.0, 2.0), (-0.02, 0.05), (0.0, 0.0)])
 def test_two_links_out_of_reach(target):
     """The closest of a two-link arm: stretched towards the target, or folded."""
-    l1, l2 = 0.5, 0.4
-    s, d = planar_arm(l1, l2), math.hypot(*target)
+    l1 = 0.5
+    l2 = 0.4
+    s = planar_arm(l1, l2)
+    d = math.hypot(*target)
     a = s.ik_all(target, "tip")
     q, position, angle = nearest(a, 0)
     wanted = max(d - l1 - l2, l1 - l2 - d)
@@ -482,7 +491,8 @@ def leg(lengths, knee):
     """A leg: three axes of a hip that meet, a knee, two axes of an ankle that meet."""
     m = kempe.Mechanism("leg")
     below = m.ground
-    axes, heights = [(0, 0, 1), (1, 0, 0), (0, 1, 0), (0, 1, 0), (0, 1, 0), (1, 0, 0)], [0, 0, 0, *lengths, 0]
+    axes = [(0, 0, 1), (1, 0, 0), (0, 1, 0), (0, 1, 0), (0, 1, 0), (1, 0, 0)]
+    heights = [0, 0, 0, *lengths, 0]
     for i, (axis, height) in enumerate(zip(axes, heights, strict=True)):
         body = m.body(f"b{i}")
         limits = knee if i == 3 else (-2.5, 2.5)
@@ -515,14 +525,16 @@ def test_a_slide_at_its_limit_is_inside_it_whatever_the_size_of_the_arm(size, hu
         m = kempe.Mechanism()
         body = m.ground
         for k, kind in enumerate(rng.permutation(["revolute"] * 4 + ["prismatic"] * 2).tolist()):
-            at, axis = tuple(size * rng.uniform(-1.0, 1.0, 3)), tuple(rng.normal(size=3))
+            at = tuple(size * rng.uniform(-1.0, 1.0, 3))
+            axis = tuple(rng.normal(size=3))
             limits = (-2.0, 2.0) if kind == "revolute" else (-0.3 * size, 0.4 * size)
             child = m.body(f"b{k}")
             getattr(m, kind)(f"q{k}", body, child, at=at, axis=axis, limits=limits)
             body = child
         m.frame("tip", body, at=tuple(size * rng.uniform(-1.0, 1.0, 3)))
         system = m.build()
-        q, slides = system.random(rng), system.upper != 2.0
+        q = system.random(rng)
+        slides = system.upper != 2.0
         q[slides] = [rng.choice([system.lower[i], system.upper[i]]) for i in np.flatnonzero(slides)]
         answer = system.ik_all(system.fk(q, "tip"), "tip", limits=True)
         assert len(answer), answer.status

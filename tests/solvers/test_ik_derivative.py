@@ -8,7 +8,8 @@ import pytest
 from kempe import System, spatial
 from kempe.errors import InputError
 
-HAND, H = "panda_link7", 1e-5
+HAND = "panda_link7"
+H = 1e-5
 
 
 def moved(X: np.ndarray, twist: np.ndarray) -> np.ndarray:
@@ -54,9 +55,12 @@ def test_a_joint_at_its_limit_stays(panda):
     checked = 0
     for joint in (0, 2, 4):
         q = 0.5 * panda.mid + 0.3
-        q[1], q[3], q[5] = 0.4, -1.6, 1.9
+        q[1] = 0.4
+        q[3] = -1.6
+        q[5] = 1.9
         q[joint] = panda.upper[joint]
-        X, J = panda.fk(q, HAND), panda.jacobian(q, HAND)
+        X = panda.fk(q, HAND)
+        J = panda.jacobian(q, HAND)
         answer = panda.ik(X, HAND, q)
         assert answer.q[joint] == panda.upper[joint]
         D = answer.derivative
@@ -81,7 +85,8 @@ def test_a_joint_that_is_needed_leaves_its_limit(six):
 
 @pytest.mark.parametrize("task", ["position", "orientation", "position_axis", "direction"])
 def test_tasks_that_ask_for_less(panda, task):
-    q, axis = 0.9 * panda.mid + 0.1, [0.3, -0.5, 0.8]
+    q = 0.9 * panda.mid + 0.1
+    axis = [0.3, -0.5, 0.8]
     X = panda.fk(q, HAND)
     options = {"task": (task, axis)}
     D = panda.ik(X, HAND, q, **options).derivative

@@ -136,7 +136,8 @@ def test_columns_do_not_weaken_the_proof(height, out):
 
 
 def test_wrong_input_blames_what_is_wrong():
-    flat, robot = planar_arm(1.0, 0.7, limits=[(-3.0, 3.0)] * 2), kempe.load("puma560")
+    flat = planar_arm(1.0, 0.7, limits=[(-3.0, 3.0)] * 2)
+    robot = kempe.load("puma560")
     X = robot.fk(robot.random(0), "tool")
     with pytest.raises(InputError, match="direction of the target must be finite and not zero"):
         flat.ik([0.0, 0.0], "tip", task=("direction", (1, 0, 0)))

@@ -70,7 +70,8 @@ def robot_of(name):
 
 
 def inside(robot, q):
-    at_q, at_v = robot.structure.layout.vector_q, robot.structure.layout.vector_v
+    at_q = robot.structure.layout.vector_q
+    at_v = robot.structure.layout.vector_v
     return bool((q[..., at_q] >= robot.lower[at_v]).all() and (q[..., at_q] <= robot.upper[at_v]).all())
 
 
@@ -169,18 +170,21 @@ def test_plain_calls_are_answered_as_careful_ones():
     robot, frame = robot_of("panda")
     X = robot.fk(robot.random(0, 30), frame)
     many = robot.ik(X[:1], frame)
-    first, again = robot.ik(X[0], frame), robot.ik(X[0], frame)
+    first = robot.ik(X[0], frame)
+    again = robot.ik(X[0], frame)
     assert (frame, None, 2) in robot._queries
     assert np.array_equal(first.q, many.q[0]) and np.array_equal(again.q, first.q) and again.success is True
     for X_, q in zip(X, robot.random(1, 30), strict=True):
-        short, careful = robot.ik(X_, frame, start=q), robot.ik(X_.tolist(), frame, start=list(q))
+        short = robot.ik(X_, frame, start=q)
+        careful = robot.ik(X_.tolist(), frame, start=list(q))
         assert np.array_equal(short.q, careful.q) and short.starts == careful.starts
         assert (short.iterations, short.residual) == (careful.iterations, careful.residual)
         assert short.status == careful.status and str(short) == str(careful)
     back = pickle.loads(pickle.dumps(again))
     assert back.status == again.status and back.task.frame == frame
     outside = np.full(robot.nq, 50.0)
-    a, b = robot.ik(X[0], frame, start=outside), robot.ik(X[0].tolist(), frame, start=outside.tolist())
+    a = robot.ik(X[0], frame, start=outside)
+    b = robot.ik(X[0].tolist(), frame, start=outside.tolist())
     assert np.array_equal(a.q, b.q) and inside(robot, a.q)
 
 
@@ -274,7 +278,8 @@ def test_the_width_of_the_vectors_does_not_decide(tmp_path):
     pytest.importorskip("numba")
     narrow = {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "+avx2,+fma", "KEMPE_KERNELS": "jit"}
     subprocess.run([sys.executable, "-c", SCRIPT, str(path)], check=True, env={**os.environ, **narrow})
-    four, (robot, frame) = np.load(path), robot_of("panda")
+    four = np.load(path)
+    (robot, frame) = robot_of("panda")
     own = robot.ik(robot.fk(robot.random(1, 300), frame), frame)
     assert four["lanes"] == 4 and four["success"].all() and own.success.all()
     same = own.starts == four["starts"]
@@ -301,8 +306,10 @@ def at_limits(robot, frame, q, rng):
     rows = robot.structure.table.path(frame)
     v = np.array(sorted({int(robot.structure.table.iv[k]) for k in rows}))
     at = np.array([int(robot.structure.table.iq[next(k for k in rows if robot.structure.table.iv[k] == i)]) for i in v])
-    low, high = robot.lower[v], robot.upper[v]
-    low, high = np.where(np.isfinite(low), low, -np.pi), np.where(np.isfinite(high), high, np.pi)
+    low = robot.lower[v]
+    high = robot.upper[v]
+    low = np.where(np.isfinite(low), low, -np.pi)
+    high = np.where(np.isfinite(high), high, np.pi)
     chosen = np.argsort(rng.random((len(q), len(v))), axis=1) < len(v) // 2
     q = q.copy()
     q[:, at] = np.where(chosen, np.where(rng.random(chosen.shape) < 0.5, low, high), q[:, at])
@@ -313,13 +320,15 @@ def pinocchio(path, frame):
     """A function from configurations of ours to poses (N, 4, 4), by Pinocchio alone."""
     pin = pytest.importorskip("pinocchio")
     model = pin.buildModelFromUrdf(str(path))
-    data, number = model.createData(), model.getFrameId(frame)
+    data = model.createData()
+    number = model.getFrameId(frame)
 
     def poses(robot, q):
         index = {n: i for i, n in enumerate(robot.coordinate_names)}
         joints = [(index[model.names[j]], model.joints[j].idx_q, model.joints[j].nq)
                   for j in range(1, model.njoints) if model.names[j] in index]  # fmt: skip
-        out, x = np.empty((len(q), 4, 4)), pin.neutral(model)
+        out = np.empty((len(q), 4, 4))
+        x = pin.neutral(model)
         for row, configuration in enumerate(q):
             for i, at, size in joints:
                 value = configuration[i]
@@ -340,10 +349,12 @@ def test_battery(name):
             pytest.skip("example-robot-data is not installed")
         file, frame = ARMS[name]
         path = next(DATA[0].rglob(file))
-        robot, poses = kempe.load(str(path)), pinocchio(path, frame)
+        robot = kempe.load(str(path))
+        poses = pinocchio(path, frame)
     else:
         robot = OURS[name]()
-        frame, poses = robot.frame_names[-1], lambda robot, q: robot.fk(q, robot.frame_names[-1])
+        frame = robot.frame_names[-1]
+        poses = lambda robot, q: robot.fk(q, robot.frame_names[-1])
     axis = (1.0, 2.0, -0.5) if name == "so101" else None
     options = {"task": ("position_axis", axis)} if axis else {}
     q = robot.random(1, BATTERY)

@@ -28,7 +28,8 @@ def test_a_straight_line_with_a_turn_is_followed_on_target():
     path = next((p for n, p in urdf_files().items() if n.endswith("ur5_robot.urdf")), None)
     if path is None:
         pytest.skip("example-robot-data is not installed")
-    robot, model = kempe.load(path), pin.buildModelFromUrdf(str(path))
+    robot = kempe.load(path)
+    model = pin.buildModelFromUrdf(str(path))
     start = np.array([0.3, -1.2, 1.5, -0.9, -1.4, 0.2])
     X = robot.fk(start, "tool0")
     s = np.linspace(0.0, 1.0, 41)[:, None]
@@ -36,7 +37,8 @@ def test_a_straight_line_with_a_turn_is_followed_on_target():
     p = robot.ik_path(targets, "tool0", start)
     assert p and p.success.all() and p.jumps == () and len(p) == 41
     np.testing.assert_allclose(p.q[0], start, atol=1e-9)
-    data, number = model.createData(), model.getFrameId("tool0")
+    data = model.createData()
+    number = model.getFrameId("tool0")
     for q, target in zip(p.q, targets, strict=True):
         pin.framesForwardKinematics(model, data, q)
         np.testing.assert_allclose(data.oMf[number].homogeneous, target, atol=1e-9)
@@ -58,7 +60,8 @@ def test_free_joints_turn_on_and_on():
 @pytest.mark.parametrize("limit", [2.5, 2.0 * math.pi])
 def test_a_circle_that_leaves_the_range_of_a_joint_jumps_where_it_does(limit):
     """a = angle - elbow / 2 meets its limit at a known target; the other elbow goes on from there."""
-    beta, angles = elbow(1.2), np.linspace(0.0, 3.0 * math.pi, 200)
+    beta = elbow(1.2)
+    angles = np.linspace(0.0, 3.0 * math.pi, 200)
     last = int(np.flatnonzero(angles - beta / 2 <= limit)[-1])
     s = planar_arm(1.0, 1.0, limits=[(-limit, limit), (-3.0, 3.0)])
     p = s.ik_path(circle(1.2, angles), "tip", [-beta / 2, beta])
@@ -119,7 +122,8 @@ def test_a_limited_elbow_cannot_pass_to_the_other_side():
 
 def test_branches_choose_the_start_that_gets_farthest():
     """With the elbow at the other side, a = angle + elbow / 2 meets its limit earlier."""
-    beta, angles = elbow(1.2), np.linspace(0.0, 2.5, 60)
+    beta = elbow(1.2)
+    angles = np.linspace(0.0, 2.5, 60)
     s = planar_arm(1.0, 1.0, limits=[(-2.0, 2.0), (-3.0, 3.0)])
     seed = [beta / 2, -beta]
     alone = s.ik_path(circle(1.2, angles), "tip", seed)
@@ -168,10 +172,12 @@ def test_bad_input_is_refused_and_no_start_is_said():
 @pytest.mark.parametrize(("name", "frame"), [("iiwa14", "tool"), ("panda", "panda_hand_tcp"), ("gen3", "tool")])
 def test_lines_of_joints_of_redundant_arms_are_followed(name, frame, every):
     """Targets of a straight line of joints inside the limits: a continuous answer exists, and no status denies it."""
-    system, followed = kempe.load(name), 0
+    system = kempe.load(name)
+    followed = 0
     for k in range(0, 30, every):
         rng = np.random.default_rng(k)
-        a, e = np.array(system.random(rng)), np.array(system.random(rng))
+        a = np.array(system.random(rng))
+        e = np.array(system.random(rng))
         X = system.fk(a + (e - a) * np.linspace(0, 1, 81)[:, None], frame)
         p = system.ik_path(X, frame, a)
         followed += bool(p)
@@ -179,7 +185,8 @@ def test_lines_of_joints_of_redundant_arms_are_followed(name, frame, every):
             assert (p.q >= system.lower - 1e-9).all() and (p.q <= system.upper + 1e-9).all()
             assert np.abs(system.fk(p.q, frame) - X).max() < 1e-8
             big = int(np.argmax(np.abs(np.diff(p.q, axis=0)).max(axis=1)))
-            A, B = X[big], X[big + 1]
+            A = X[big]
+            B = X[big + 1]
             s = np.linspace(0, 1, 129)[:, None]
             turn = spatial.exp_so3(s * spatial.log_so3(A[:3, :3].T @ B[:3, :3]))
             fine = system.ik_path(spatial.pose(A[:3, :3] @ turn, A[:3, 3] + s * (B - A)[:3, 3]), frame, p.q[big])

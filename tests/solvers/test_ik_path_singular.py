@@ -24,8 +24,10 @@ def tip(system: System) -> str:
 
 def line(system: System, rng: np.random.Generator, count: int, middle: float = 0.0) -> np.ndarray:
     """A straight line (count, 6) of joints inside the limits, the fifth through the middle of a wrist."""
-    a, b = system.random(rng), system.random(rng)
-    a[4], b[4] = middle - 0.8, middle + 0.8
+    a = system.random(rng)
+    b = system.random(rng)
+    a[4] = middle - 0.8
+    b[4] = middle + 0.8
     part = min(1.0, 0.4 * (count - 1) / float(np.abs(b - a).max()))  # steps that are no jumps
     middle_q = 0.5 * (a + b)
     return middle_q + part * (np.linspace(a, b, count) - middle_q)
@@ -33,11 +35,14 @@ def line(system: System, rng: np.random.Generator, count: int, middle: float = 0
 
 @pytest.mark.slow
 def test_a_puma_is_followed_through_its_wrist_singularity():
-    s, followed = kempe.load("puma560"), 0
+    s = kempe.load("puma560")
+    followed = 0
     for k in range(40):
         rng = np.random.default_rng(k)
-        a, b = s.random(rng), s.random(rng)
-        a[4], b[4] = -0.8, 0.8
+        a = s.random(rng)
+        b = s.random(rng)
+        a[4] = -0.8
+        b[4] = 0.8
         Q = np.linspace(a, b, 81)
         p = s.ik_path(s.fk(Q, "tool"), "tool", a)
         followed += bool(p) and bool(np.abs(p.q - Q).max() < 1e-3)
@@ -47,7 +52,8 @@ def test_a_puma_is_followed_through_its_wrist_singularity():
 @pytest.mark.parametrize("count", [11, 41, pytest.param(321, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", ["ur5", "stanford", "irb6640", "crx10ia"])
 def test_wrists_go_through_at_any_sampling(robots, name, count):
-    s, rng = robots[name], np.random.default_rng(7)
+    s = robots[name]
+    rng = np.random.default_rng(7)
     for _ in range(10):
         Q = line(s, rng, count)
         p = s.ik_path(s.fk(Q, tip(s)), tip(s), Q[0])
@@ -55,7 +61,8 @@ def test_wrists_go_through_at_any_sampling(robots, name, count):
 
 
 def test_uneven_samples_and_targets_that_stay_are_followed():
-    s, rng = kempe.load("puma560"), np.random.default_rng(3)
+    s = kempe.load("puma560")
+    rng = np.random.default_rng(3)
     for _ in range(5):
         Q = line(s, rng, 61)
         keep = np.sort(rng.choice(61, 45, replace=False))
@@ -67,7 +74,8 @@ def test_uneven_samples_and_targets_that_stay_are_followed():
 @pytest.mark.parametrize("name", ["puma560", "ur5", "irb6640"])
 def test_rounded_targets_are_followed_within_a_tolerance(robots, name):
     """Rounded by 0.05 mm, a target at a singularity asks for a turn of the wrist that the next one takes back."""
-    s, rng = robots[name], np.random.default_rng(5)
+    s = robots[name]
+    rng = np.random.default_rng(5)
     for _ in range(8):
         Q = line(s, rng, 41)
         X = s.fk(Q, tip(s))
@@ -80,16 +88,21 @@ def test_rounded_targets_are_followed_within_a_tolerance(robots, name):
 
 def followed_or_ended(robots, hunt, cases: int) -> None:
     """Half the motions stay inside the limits and are followed; half leave one, and the path ends where they do."""
-    rng, ends = hunt.rng(), 0
+    rng = hunt.rng()
+    ends = 0
     for _ in range(cases):
         s = robots[str(rng.choice(ARMS))]
-        frame, count = tip(s), int(rng.choice([15, 30, 60, 120]))
-        a, b = s.random(rng), s.random(rng)
+        frame = tip(s)
+        count = int(rng.choice([15, 30, 60, 120]))
+        a = s.random(rng)
+        b = s.random(rng)
         Q = np.linspace(a, a + (b - a) * min(1.0, 0.2 * count / np.abs(b - a).max()), count)
         leaves = rng.random() < 0.5
-        k, j = count, int(rng.integers(6))
+        k = count
+        j = int(rng.integers(6))
         if leaves:
-            at, speed = rng.uniform(0.2, 0.8), 0.15 * count * rng.uniform(0.2, 1.0)
+            at = rng.uniform(0.2, 0.8)
+            speed = 0.15 * count * rng.uniform(0.2, 1.0)
             if not speed * at <= s.upper[j] - s.lower[j] < np.inf:
                 continue
             Q[:, j] = s.upper[j] + speed * (np.linspace(0.0, 1.0, count) - at)
@@ -138,11 +151,13 @@ def two_arms() -> System:
 @pytest.mark.slow
 @pytest.mark.parametrize("branches", [False, True])
 def test_a_new_start_leaves_the_other_arm_alone(branches):
-    s, jumps = two_arms(), 0
+    s = two_arms()
+    jumps = 0
     other = [i for i, n in enumerate(s.coordinate_names) if n.startswith("l_")]
     for seed in range(3 if branches else 10):
         rng = np.random.default_rng(seed)
-        q, goal = s.random(rng), s.fk(s.random(rng), "r_hand")
+        q = s.random(rng)
+        goal = s.fk(s.random(rng), "r_hand")
         targets = np.tile(s.fk(q, "r_hand"), (12, 1, 1))
         targets[:, :3, 3] += np.linspace(0.0, 1.0, 12)[:, None] * (goal[:3, 3] - targets[0, :3, 3])
         p = s.ik_path(targets, "r_hand", q, restart=True, branches=branches)
@@ -152,11 +167,13 @@ def test_a_new_start_leaves_the_other_arm_alone(branches):
 
 
 def test_new_starts_for_tasks_leave_the_other_arm_alone():
-    s, more = two_arms(), 0
+    s = two_arms()
+    more = 0
     other = [i for i, n in enumerate(s.coordinate_names) if n.startswith("l_")]
     for seed in range(60):
         rng = np.random.default_rng(seed)
-        q, X = s.random(rng), s.fk(s.random(rng), "r_hand")
+        q = s.random(rng)
+        X = s.fk(s.random(rng), "r_hand")
         answer = s.ik([tasks.Pose("r_hand", X)], start=q)
         more += answer.starts > 1
         np.testing.assert_array_equal(answer.q[other], q[other])
@@ -175,7 +192,8 @@ def test_loops_beside_the_task_stay_as_they_are():
         m.revolute(f"{side}D", m.ground, f"{side}c", at=(x + 0.9, 0), limits=(-3.0, 3.0))
         m.frame(f"{side}tip", f"{side}b", at=(0.5, 0.4))
     s = m.build()
-    other, more = [i for i, n in enumerate(s.coordinate_names) if n.startswith("n")], 0
+    other = [i for i, n in enumerate(s.coordinate_names) if n.startswith("n")]
+    more = 0
     for k in range(30):
         start = s.assemble({"pA": -2.0 + 0.1 * k, "nA": 0.7})
         there = s.assemble({"pA": 1.5 - 0.13 * k, "nA": -0.4})

@@ -45,8 +45,12 @@ def product(rows, q: np.ndarray) -> np.ndarray:
     """Poses (..., 4, 4) of the tip by the matrices of Denavit and Hartenberg."""
     T = np.eye(4)
     for i, (a, alpha, d, theta) in enumerate(rows):
-        c, s, ca, sa = np.cos(q[..., i] + theta), np.sin(q[..., i] + theta), math.cos(alpha), math.sin(alpha)
-        z, one = np.zeros_like(c), np.ones_like(c)
+        c = np.cos(q[..., i] + theta)
+        s = np.sin(q[..., i] + theta)
+        ca = math.cos(alpha)
+        sa = math.sin(alpha)
+        z = np.zeros_like(c)
+        one = np.ones_like(c)
         link = [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [z, z + sa, z + ca, z + d], [z, z, z, one]]
         T = T @ np.moveaxis(np.array(link), (0, 1), (-2, -1))
     return T
@@ -62,9 +66,11 @@ def off(rows, q: np.ndarray, targets: np.ndarray) -> np.ndarray:
 
 def assert_solved_or_said(name, row, column, power, number, rng):
     rows = scaled(name, row, column, 10.0**power)
-    system, q = arm(rows), rng.uniform(-3.0, 3.0, (number, len(rows)))
+    system = arm(rows)
+    q = rng.uniform(-3.0, 3.0, (number, len(rows)))
     targets = product(rows, q)
-    some, every = system.ik(targets, "tool"), system.ik_all(targets, "tool")
+    some = system.ik(targets, "tool")
+    every = system.ik_all(targets, "tool")
     assert len(every.spare) == len(rows) - 6
     assert (off(rows, some.q, targets)[some.success] < 1.1).all()
     reached = off(rows, np.where(every.mask[..., None], every.q, 0.0), targets[:, None])
@@ -122,7 +128,8 @@ def test_units(unit):
     """The same arm in other units: as many solutions, with the same angles."""
     rows = [(a * unit, alpha, d * unit, theta) for a, alpha, d, theta in TABLES["puma560"]]
     q = np.random.default_rng(5).uniform(-3.0, 3.0, (20, 6))
-    own, usual = arm(rows), arm(TABLES["puma560"])
+    own = arm(rows)
+    usual = arm(TABLES["puma560"])
     a = own.ik_all(product(rows, q), "tool", tolerance=1e-9 * max(unit, 1e-2))
     b = usual.ik_all(product(TABLES["puma560"], q), "tool")
     np.testing.assert_array_equal(a.mask, b.mask)

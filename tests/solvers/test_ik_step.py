@@ -18,7 +18,8 @@ DT = 0.01
 
 
 def box(system: System, q: np.ndarray, speed: float) -> tuple[np.ndarray, np.ndarray]:
-    low, high = np.maximum(-speed, (system.lower - q) / DT), np.minimum(speed, (system.upper - q) / DT)
+    low = np.maximum(-speed, (system.lower - q) / DT)
+    high = np.minimum(speed, (system.upper - q) / DT)
     return low, high
 
 
@@ -26,7 +27,8 @@ def test_bounded_least_squares_is_that_of_scipy():
     rng = np.random.default_rng(0)
     for _ in range(200):
         m, n = rng.integers(1, 9, 2)
-        A, b = np.concatenate([rng.normal(size=(m, n)), 1e-3 * np.eye(n)]), rng.normal(size=m + n)
+        A = np.concatenate([rng.normal(size=(m, n)), 1e-3 * np.eye(n)])
+        b = rng.normal(size=m + n)
         low = rng.normal(size=n) - 0.3
         high = low + rng.uniform(0.0, 1.0, n) * (rng.random(n) < 0.9)
         x = bounded(A, b, low, high, np.linalg.lstsq(A, b, rcond=None)[0])
@@ -45,9 +47,12 @@ def test_the_twist_is_had_to_first_order(panda):
     regular = q[np.linalg.svd(panda.jacobian(q, HAND), compute_uv=False)[:, -1] >= 0.06]
     assert len(regular) > 20
     for q in regular:
-        q, twist, h = np.clip(q, panda.lower + 0.1, panda.upper - 0.1), rng.normal(size=6) * 0.1, 1e-6
+        q = np.clip(q, panda.lower + 0.1, panda.upper - 0.1)
+        twist = rng.normal(size=6) * 0.1
+        h = 1e-6
         s = panda.ik_step(q, twist, HAND, h)
-        X, Y = panda.fk(q, HAND), panda.fk(s.q, HAND)
+        X = panda.fk(q, HAND)
+        Y = panda.fk(s.q, HAND)
         moved = np.concatenate([Y[:3, 3] - X[:3, 3], spatial.log_so3(Y[:3, :3] @ X[:3, :3].T)]) / h
         np.testing.assert_allclose(moved, twist, atol=1e-5)
         np.testing.assert_allclose(s.velocity, np.linalg.pinv(panda.jacobian(q, HAND)) @ twist, atol=1e-9)
@@ -57,16 +62,21 @@ def test_the_twist_is_had_to_first_order(panda):
 
 def test_limits_are_those_of_a_bounded_least_squares_problem(six):
     """The nearest velocities within limits, in the metric of the equations and of a little of the velocities."""
-    rng, met, dt = np.random.default_rng(2), 0, 1e-4
+    rng = np.random.default_rng(2)
+    met = 0
+    dt = 1e-4
     shift = SHIFT * Servo(six, HAND).near
     for q in six.random(rng, 200):
         q = np.where(rng.random(6) < 0.3, np.where(rng.random(6) < 0.5, six.lower, six.upper), q)
-        J, twist = six.jacobian(q, HAND), rng.normal(size=6) * 0.5
+        J = six.jacobian(q, HAND)
+        twist = rng.normal(size=6) * 0.5
         if np.linalg.svd(J, compute_uv=False)[-1] < 0.06:
             continue
         s = six.ik_step(q, twist, HAND, dt, velocity_limits=0.8)
-        low, high = np.maximum(-0.8, (six.lower - q) / dt), np.minimum(0.8, (six.upper - q) / dt)
-        A, b = np.concatenate([J, shift * np.eye(6)]), np.append(twist, shift * np.linalg.solve(J, twist))
+        low = np.maximum(-0.8, (six.lower - q) / dt)
+        high = np.minimum(0.8, (six.upper - q) / dt)
+        A = np.concatenate([J, shift * np.eye(6)])
+        b = np.append(twist, shift * np.linalg.solve(J, twist))
         oracle = lsq_linear(A, b, (low, high), tol=1e-15, method="bvls")
         np.testing.assert_allclose(s.velocity, oracle.x, atol=1e-6)
         np.testing.assert_allclose(s.twist, J @ s.velocity, atol=1e-12)
@@ -79,9 +89,11 @@ def test_limits_are_those_of_a_bounded_least_squares_problem(six):
 
 @pytest.mark.slow
 def test_other_joints_take_over_where_the_arm_is_redundant(panda):
-    rng, met = np.random.default_rng(3), 0
+    rng = np.random.default_rng(3)
+    met = 0
     for q in 0.5 * (panda.random(rng, 120) + panda.mid):
-        J, twist = panda.jacobian(q, HAND), rng.normal(size=6) * 0.3
+        J = panda.jacobian(q, HAND)
+        twist = rng.normal(size=6) * 0.3
         values = np.linalg.svd(J, compute_uv=False)
         fast = 0.9 * np.abs(np.linalg.pinv(J) @ twist).max()
         low, high = box(panda, q, fast)
@@ -89,7 +101,8 @@ def test_other_joints_take_over_where_the_arm_is_redundant(panda):
         if values[-1] < 0.06:
             continue
         s = panda.ik_step(q, twist, HAND, DT, velocity_limits=fast)
-        missed, size = np.linalg.norm(s.twist - twist), np.linalg.norm(twist)
+        missed = np.linalg.norm(s.twist - twist)
+        size = np.linalg.norm(twist)
         assert missed < np.linalg.norm(J @ oracle.x - twist) + 0.06 * size
         met += missed < 0.05 * size
     assert met > 5, met  # a shorter twist would miss a tenth
@@ -97,9 +110,11 @@ def test_other_joints_take_over_where_the_arm_is_redundant(panda):
 
 def test_the_direction_is_kept_and_the_part_of_it_the_largest(panda):
     """The largest part is that of a linear program."""
-    rng, met = np.random.default_rng(4), 0
+    rng = np.random.default_rng(4)
+    met = 0
     for q in panda.random(rng, 40):
-        J, twist = panda.jacobian(q, HAND), rng.normal(size=6)
+        J = panda.jacobian(q, HAND)
+        twist = rng.normal(size=6)
         if np.linalg.svd(J, compute_uv=False)[-1] < 0.06:
             continue
         s = panda.ik_step(q, twist, HAND, DT, velocity_limits=0.7, keep_direction=True)

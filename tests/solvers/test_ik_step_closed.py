@@ -61,7 +61,8 @@ def test_loops_stay_closed_over_many_steps(system, frame, known, axes, weights, 
     X = system.fk(q, frame)
     for i in range(1, steps + 1):
         wanted = circle(X, radius, i / steps, axes)
-        before, s = q, system.ik_step(q, wanted, frame, DT, weights=weights)
+        before = q
+        s = system.ik_step(q, wanted, frame, DT, weights=weights)
         q = s.q
         np.testing.assert_allclose(system.fk(q, frame)[:3, 3], wanted[:3, 3], atol=5e-7)
         if i % 50 == 0:
@@ -73,13 +74,19 @@ def test_loops_stay_closed_over_many_steps(system, frame, known, axes, weights, 
 
 
 def test_the_part_of_a_direction_is_that_of_a_linear_program():
-    s, rng, met = leg(), np.random.default_rng(0), 0
+    s = leg()
+    rng = np.random.default_rng(0)
+    met = 0
     for _ in range(15):
         q = s.assemble({"motor": rng.uniform(-0.5, 1.2), "rail": rng.uniform(-0.2, 0.2)}).q
-        J, C = s.jacobian(q, "toe")[:2], evaluate(s, q)[1]
-        twist, fast = rng.normal(size=2), 0.5
-        low, high = np.full(s.nv, -fast), np.full(s.nv, fast)
-        low, high = np.maximum(low, (s.lower - q) / DT), np.minimum(high, (s.upper - q) / DT)
+        J = s.jacobian(q, "toe")[:2]
+        C = evaluate(s, q)[1]
+        twist = rng.normal(size=2)
+        fast = 0.5
+        low = np.full(s.nv, -fast)
+        high = np.full(s.nv, fast)
+        low = np.maximum(low, (s.lower - q) / DT)
+        high = np.minimum(high, (s.upper - q) / DT)
         best = linprog(
             np.append(np.zeros(s.nv), -1.0), A_eq=np.vstack([np.column_stack([J, -twist]),
             np.column_stack([C, np.zeros(len(C))])]), b_eq=np.zeros(2 + len(C)),
@@ -94,14 +101,19 @@ def test_the_part_of_a_direction_is_that_of_a_linear_program():
 
 
 def test_limits_of_speed_and_position_are_those_of_a_general_optimiser():
-    s, rng, met = leg(0.8), np.random.default_rng(1), 0
+    s = leg(0.8)
+    rng = np.random.default_rng(1)
+    met = 0
     assert s.structure.velocity_limits[s.structure.velocity_names.index("motor")] == 0.8
     for _ in range(12):
         q = s.assemble({"motor": rng.uniform(-0.5, 1.2), "rail": rng.choice([-0.3, 0.0, 0.3])}).q
-        wish, speed = rng.normal(size=2), np.minimum(s.structure.velocity_limits, 3.0)
+        wish = rng.normal(size=2)
+        speed = np.minimum(s.structure.velocity_limits, 3.0)
         got = s.ik_step(q, [*wish, 0, 0, 0, 0], "toe", DT, velocity_limits=speed, weights=PLANE, damping=0.0)
-        J, C = s.jacobian(q, "toe")[:2], evaluate(s, q)[1]
-        low, high = np.maximum(-speed, (s.lower - q) / DT), np.minimum(speed, (s.upper - q) / DT)
+        J = s.jacobian(q, "toe")[:2]
+        C = evaluate(s, q)[1]
+        low = np.maximum(-speed, (s.lower - q) / DT)
+        high = np.minimum(speed, (s.upper - q) / DT)
         best = minimize(
             lambda v, J=J, wish=wish: np.sum((J @ v - wish) ** 2), np.zeros(s.nv), method="SLSQP",
             jac=lambda v, J=J, wish=wish: 2 * J.T @ (J @ v - wish), bounds=[*zip(low, high, strict=True)],
@@ -122,7 +134,8 @@ def test_a_path_against_a_limit_stays_inside_and_closed():
     goal = s.fk(q, "toe")
     goal[0, 3] += 2.0
     for _ in range(150):
-        before, q = q, s.ik_step(q, goal, "toe", DT, weights=PLANE, velocity_limits=2.0).q
+        before = q
+        q = s.ik_step(q, goal, "toe", DT, weights=PLANE, velocity_limits=2.0).q
         assert np.all(q >= s.lower) and np.all(q <= s.upper)
         assert np.abs(residual(s, q)).max() < 1e-11
         assert np.abs(q - before).max() <= 2.0 * DT * (1 + 1e-9)
@@ -155,22 +168,26 @@ def test_a_pose_as_a_task_is_the_step_to_that_pose():
     q = s.assemble().q
     X = s.fk(q, "platform")
     X[:3, 3] += [0.001, 0.002, -0.001]
-    one, two = s.ik_step(q, X, "platform", DT), s.ik_step(q, tasks.Pose("platform", X), dt=DT)
+    one = s.ik_step(q, X, "platform", DT)
+    two = s.ik_step(q, tasks.Pose("platform", X), dt=DT)
     np.testing.assert_allclose(one.velocity, two.velocity, atol=1e-7)
     assert two.fraction == pytest.approx(1.0) and two.twist.shape == (6,)
 
 
 def test_levels_are_strict_and_those_of_pseudoinverses():
     """The velocities are those of successive null spaces (Siciliano and Slotine, 1991)."""
-    panda, hand = kempe.load("panda"), "panda_link7"
+    panda = kempe.load("panda")
+    hand = "panda_link7"
     q = panda.mid + 0.2
     p = panda.fk(q, hand)[:3, 3] + [2e-5, -1e-5, 1e-5]
     z = panda.fk(q, "panda_link4")[2, 3] + 1e-5
-    first, second = tasks.Position(hand, p), tasks.OnPlane("panda_link4", [0, 0, z], [0, 0, 1], priority=1)
+    first = tasks.Position(hand, p)
+    second = tasks.OnPlane("panda_link4", [0, 0, z], [0, 0, 1], priority=1)
     rest = q + 3e-5 * np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0, 1.0])
     third = tasks.Posture(rest, priority=2)
     got = panda.ik_step(q, [first, second, third], dt=DT, velocity_limits=math.inf)
-    v, N = np.zeros(7), np.eye(7)
+    v = np.zeros(7)
+    N = np.eye(7)
     for J, rate in ((panda.jacobian(q, hand)[:3], (p - panda.fk(q, hand)[:3, 3]) / DT),
                     (panda.jacobian(q, "panda_link4")[2:3], np.array([1e-5 / DT])),
                     (np.eye(7), (rest - q) / DT)):  # fmt: skip

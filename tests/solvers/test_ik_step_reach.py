@@ -67,7 +67,9 @@ def outside(system: System, q: np.ndarray, frame: str, by: float) -> np.ndarray:
 @pytest.mark.parametrize("by", [pytest.param(x, marks=pytest.mark.slow) if x != 0.1 else x for x in (0.01, 0.1, 1.0)])
 @pytest.mark.parametrize("name", list(TIPS))
 def test_out_of_reach_it_settles_at_the_nearest_pose(name, by, damping):
-    s, frame, q = kempe.load(name), TIPS[name], np.array(STARTS[name])
+    s = kempe.load(name)
+    frame = TIPS[name]
+    q = np.array(STARTS[name])
     X = outside(s, q, frame, by)
     Q = motion(s, q, X, frame, damping=damping, time=4.0 if by == 1.0 else 3.0)
     assert turns_back(Q, 0.01) == 0 and not np.diff(Q[-100:], axis=0).any()
@@ -82,7 +84,9 @@ def test_out_of_reach_it_settles_at_the_nearest_pose(name, by, damping):
 @pytest.mark.parametrize("options", [{}, {"damping": 0.0}, {"velocity_limits": 1.0}, {"keep_direction": True}])
 @pytest.mark.parametrize("name", ["panda", "ur5"])
 def test_a_thousand_cycles_a_second_settle_too(name, options):
-    s, frame, q = kempe.load(name), TIPS[name], np.array(STARTS[name])
+    s = kempe.load(name)
+    frame = TIPS[name]
+    q = np.array(STARTS[name])
     X = outside(s, q, frame, 0.3)
     Q = motion(s, q, X, frame, 0.001, 5.0 if "velocity_limits" in options else 3.0, **options)
     assert turns_back(Q, 0.001) == 0
@@ -106,11 +110,13 @@ def rests_nearest(s: System, frame: str, X: np.ndarray, q: np.ndarray) -> bool:
 
 def settles_at_a_minimum(s: System, rng: np.random.Generator) -> bool:
     """One case of the hunt: whether the motion has come to rest."""
-    frame, q = tip(s), s.random(rng)
+    frame = tip(s)
+    q = s.random(rng)
     if rng.random() < 0.3:
         q = np.where(rng.random(s.nq) < 0.4, np.where(rng.random(s.nq) < 0.5, s.lower, s.upper), q)
         q = np.where(np.isfinite(q), q, 0.0)
-    X, far = s.fk(s.random(rng), frame), 10.0 ** rng.uniform(-2.0, 0.0)
+    X = s.fk(s.random(rng), frame)
+    far = 10.0 ** rng.uniform(-2.0, 0.0)
     way = rng.normal(size=3) * ([1.0, 1.0, 0.0] if s.dim == 2 else 1.0)
     reach = min((b.largest for b in chain_of(s, frame).bounds), default=1.0)
     X[:3, 3] = way / np.linalg.norm(way) * (reach + far) if rng.random() < 0.7 else X[:3, 3] + far * way
@@ -128,7 +134,8 @@ def settles_at_a_minimum(s: System, rng: np.random.Generator) -> bool:
         e = w * np.concatenate([scale * (X[:3, 3] - Y[:3, 3]), spatial.log_so3(X[:3, :3] @ Y[:3, :3].T)])
         return float(e @ e)
 
-    low, high = np.minimum(s.lower, Q[-1]), np.maximum(s.upper, Q[-1])
+    low = np.minimum(s.lower, Q[-1])
+    high = np.maximum(s.upper, Q[-1])
     found = minimize(missed, Q[-1], method="L-BFGS-B", bounds=list(zip(low, high, strict=True)))
     assert found.fun > missed(Q[-1]) * (1.0 - 1e-4) - 1e-6, (s.name, kind, damping)
     return True
@@ -136,20 +143,24 @@ def settles_at_a_minimum(s: System, rng: np.random.Generator) -> bool:
 
 def test_it_settles_at_a_minimum_of_the_error(robots, hunt):
     """Every resting place is a local minimum inside the limits, by scipy, and no velocity turns back there."""
-    rng, cases = hunt.rng(), hunt.cases(5)
+    rng = hunt.rng()
+    cases = hunt.cases(5)
     assert sum(settles_at_a_minimum(robots[str(rng.choice(HUNTED))], rng) for _ in range(cases)) > 0.5 * cases - 1
 
 
 @pytest.mark.slow
 def test_it_settles_at_a_minimum_of_the_error_often(robots, hunt):
-    rng, cases = hunt.rng(), hunt.cases(80)
+    rng = hunt.rng()
+    cases = hunt.cases(80)
     assert sum(settles_at_a_minimum(robots[str(rng.choice(HUNTED))], rng) for _ in range(cases)) > 0.5 * cases - 1
 
 
 @pytest.mark.parametrize("name", some(list(TIPS), 3))
 def test_a_straight_way_leads_to_the_border_and_then_to_the_nearest_pose(name):
     """Pushed out of reach, the hand stays on its line to 1.5 % of the way until the arm is stretched, then slides."""
-    s, frame, q = kempe.load(name), TIPS[name], np.array(STARTS[name])
+    s = kempe.load(name)
+    frame = TIPS[name]
+    q = np.array(STARTS[name])
     X = s.fk(q, frame)
     X[:3, 3] += [0.3, 0.9, 0.3]
     Q = motion(s, q, X, frame, keep_direction=True, time=8.0)
@@ -184,10 +195,15 @@ def test_singular_starts_are_left(target):
 
 @pytest.mark.slow
 def test_a_target_that_goes_out_of_reach_and_comes_back_is_tracked():
-    s, frame, q = kempe.load("panda"), TIPS["panda"], np.array(STARTS["panda"])
-    X, worst, fastest = s.fk(q, frame), 0.0, 0.0
+    s = kempe.load("panda")
+    frame = TIPS["panda"]
+    q = np.array(STARTS["panda"])
+    X = s.fk(q, frame)
+    worst = 0.0
+    fastest = 0.0
     for k in range(1500):
-        goal, before = X.copy(), q
+        goal = X.copy()
+        before = q
         goal[0, 3] += 0.6 * math.sin(2.0 * math.pi * k / 1000.0) ** 2
         q = s.ik_step(q, goal, frame, 0.01).q
         fastest = max(fastest, float(np.abs(q - before).max()) / 0.01)
@@ -214,7 +230,8 @@ def turns_at_speed(Q: np.ndarray, dt: float, speed: float) -> int:
 
 def start_of(s: System, rng: np.random.Generator) -> np.ndarray:
     """A posture, mostly singular, the middle, joints at their limits, or a random configuration."""
-    kind, named = rng.choice(["posture", "mid", "limits", "random"]), s.structure.posture_names
+    kind = rng.choice(["posture", "mid", "limits", "random"])
+    named = s.structure.posture_names
     q = s.random(rng)
     if kind == "posture":
         q = s.q(str(rng.choice(named))) if named and rng.random() < 0.7 else s.neutral
@@ -249,7 +266,9 @@ def asked(kind: str, s: System, frame: str, q: np.ndarray, rng: np.random.Genera
 
 
 def turns_of_a_case(s: System, rng: np.random.Generator, kinds=KINDS, cycles: int = 120) -> tuple[int, tuple]:
-    frame, kind, dt = tip(s), str(rng.choice(kinds)), float(rng.choice([0.0005, 0.001, 0.004, 0.01]))
+    frame = tip(s)
+    kind = str(rng.choice(kinds))
+    dt = float(rng.choice([0.0005, 0.001, 0.004, 0.01]))
     q = start_of(s, rng)
     wanted, of = asked(kind, s, frame, q, rng)
     options = {"keep_direction": bool(rng.random() < 0.5)} if of else {}
@@ -260,7 +279,8 @@ def turns_of_a_case(s: System, rng: np.random.Generator, kinds=KINDS, cycles: in
 
 def test_no_joint_turns_back_at_once(hunt):
     """Twists, poses and tasks, a direction kept or not, from singular, stretched and limited starts."""
-    rng, bad = hunt.rng(), []
+    rng = hunt.rng()
+    bad = []
     for _ in range(hunt.cases(24)):
         count, case = turns_of_a_case(kempe.load(str(rng.choice(TWELVE))), rng, KINDS[:5])
         bad += [(count, case)] if count else []
@@ -273,7 +293,9 @@ def test_no_joint_turns_back_at_once(hunt):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TWELVE)
 def test_no_joint_turns_back_at_once_often(name, hunt):
-    rng, s, bad = hunt.rng(), kempe.load(name), []
+    rng = hunt.rng()
+    s = kempe.load(name)
+    bad = []
     for k in range(hunt.cases(84)):
         count, case = turns_of_a_case(s, rng, KINDS if k % 6 == 0 else KINDS[:5])
         bad += [(count, case)] if count else []
@@ -293,9 +315,12 @@ def test_no_joint_turns_back_at_once_often(name, hunt):
 )
 def test_a_kept_direction_slows_down_and_stops(name, q, twist):
     """The hand goes along the line, never back, to a singular posture: there no pose ahead is reached to 2 cm."""
-    s, frame, dt = kempe.load(name), TIPS[name], 0.01
+    s = kempe.load(name)
+    frame = TIPS[name]
+    dt = 0.01
     Q = motion(s, q, [*twist, 0, 0, 0], frame, dt, 6.0, velocity_limits=1.0, keep_direction=True)
-    X, way = s.fk(Q, frame), np.array(twist) / np.linalg.norm(twist)
+    X = s.fk(Q, frame)
+    way = np.array(twist) / np.linalg.norm(twist)
     along = (X[:, :3, 3] - X[0, :3, 3]) @ way
     beside = np.linalg.norm(X[:, :3, 3] - X[0, :3, 3] - along[:, None] * way, axis=1)
     assert np.diff(along).min() > -1e-9 and beside.max() < 0.02 * along[-1] + 2e-3
@@ -309,7 +334,8 @@ def test_a_kept_direction_slows_down_and_stops(name, q, twist):
 def test_the_hand_travels_from_singular_postures(name):
     s = kempe.load(name)
     q = np.clip(s.q("up") if name == "ur5" else s.mid, s.lower, s.upper)
-    frame, way = tip(s), np.eye(3)[0]
+    frame = tip(s)
+    way = np.eye(3)[0]
     goes = motion(s, q, [0.1, 0, 0, 0, 0, 0], frame, 0.01, 1.0, velocity_limits=1.0)
     kept = motion(s, q, [0.1, 0, 0, 0, 0, 0], frame, 0.01, 1.0, velocity_limits=1.0, keep_direction=True)
     X = s.fk(np.array([goes[-1], kept[-1], q]), frame)[:, :3, 3]
@@ -321,7 +347,8 @@ def test_the_hand_travels_from_singular_postures(name):
 @pytest.mark.parametrize("k", some(range(5), 2), ids=["hard", "soft", "levels", "soft pair", "look at"])
 def test_saddle_points_are_left_towards_tasks(k):
     """A straight arm, its target inside on the same ray; an axis that points away from what it is to look at."""
-    s, q = arm(), np.array([0.2, 0.0])
+    s = arm()
+    q = np.array([0.2, 0.0])
     P = s.fk(q, "tip")[:3, 3] * 0.8
     wanted = [
         [tasks.Position("tip", P)],
@@ -387,7 +414,8 @@ def test_under_loops_it_settles_too(name, frame, by, weights):
 def demands_of(name: str, s: System, frame: str, q: np.ndarray) -> list[list]:
     """Tasks that cannot all be held, or that leave a posture behind."""
     X = s.fk(q, frame)
-    far, p = X.copy(), X[:3, 3]
+    far = X.copy()
+    p = X[:3, 3]
     far[0, 3] += 1.5
     return [
         [tasks.Pose(frame, far)],
@@ -404,7 +432,9 @@ def demands_of(name: str, s: System, frame: str, q: np.ndarray) -> list[list]:
 @pytest.mark.parametrize("k", some(range(6), 3), ids=["pose", "posture far", "posture", "conflict", "soft", "wall"])
 @pytest.mark.parametrize("name", ["panda", pytest.param("iiwa14", marks=pytest.mark.slow)])
 def test_tasks_that_cannot_be_held_settle(name, k):
-    s, frame, q = kempe.load(name), TIPS[name], np.array(STARTS[name])
+    s = kempe.load(name)
+    frame = TIPS[name]
+    q = np.array(STARTS[name])
     Q = motion(s, q, demands_of(name, s, frame, q)[k], None, 0.01, 2.0)
     v = np.diff(Q, axis=0)[-100:] / 0.01
     v[np.abs(v) < 1e-12] = 0.0  # rounding
@@ -413,7 +443,9 @@ def test_tasks_that_cannot_be_held_settle(name, k):
 
 @pytest.mark.slow
 def test_one_task_settles_where_the_step_of_a_frame_does():
-    s, frame, q = kempe.load("panda"), TIPS["panda"], np.array(STARTS["panda"])
+    s = kempe.load("panda")
+    frame = TIPS["panda"]
+    q = np.array(STARTS["panda"])
     X = s.fk(q, frame)
     X[0, 3] += 0.6
     one = motion(s, q, X, frame, weights=[1, 1, 1, 0, 0, 0])
@@ -425,10 +457,13 @@ def test_one_task_settles_where_the_step_of_a_frame_does():
 
 def straight_way_of_a_case(s: System, rng: np.random.Generator) -> tuple:
     """A straight way towards a pose that is near, far, turned, beyond limits or out of reach, until the arm rests."""
-    frame, kind, dt = tip(s), str(rng.choice(["pose", "far", "turned", "away"])), float(rng.choice([0.004, 0.01]))
+    frame = tip(s)
+    kind = str(rng.choice(["pose", "far", "turned", "away"]))
+    dt = float(rng.choice([0.004, 0.01]))
     q = start_of(s, rng)
     if kind == "away":
-        X, way = s.fk(s.random(rng), frame), rng.normal(size=3)
+        X = s.fk(s.random(rng), frame)
+        way = rng.normal(size=3)
         X[:3, 3] += 10.0 ** rng.uniform(-2.0, 0.3) * way / np.linalg.norm(way)
     else:
         X = asked(kind, s, frame, q, rng)[0]
@@ -451,6 +486,7 @@ def test_straight_ways_end_at_the_nearest_pose(hunt):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TWELVE)
 def test_straight_ways_end_at_the_nearest_pose_often(name, hunt):
-    rng, s = hunt.rng(), kempe.load(name)
+    rng = hunt.rng()
+    s = kempe.load(name)
     for _ in range(hunt.cases(40)):
         straight_way_of_a_case(s, rng)

@@ -20,7 +20,8 @@ from kempe.status import Status
 
 def two_link(l1=1.0, l2=0.7, limits=None):
     arm = Mechanism("two-link", dim=2)
-    upper, lower = arm.body("upper"), arm.body("lower")
+    upper = arm.body("upper")
+    lower = arm.body("lower")
     arm.revolute("q1", arm.ground, upper)
     arm.revolute("q2", upper, lower, at=(l1, 0), limits=limits)
     arm.frame("tip", lower, at=(l2, 0))
@@ -38,7 +39,9 @@ def spatial_arm(n=6, seed=1, limits=None):
     last = arm.ground
     for i in range(n):
         body = arm.body(f"b{i}")
-        at, rpy, axis = rng.uniform(-0.4, 0.4, 3), rng.uniform(-2, 2, 3), rng.normal(size=3)
+        at = rng.uniform(-0.4, 0.4, 3)
+        rpy = rng.uniform(-2, 2, 3)
+        axis = rng.normal(size=3)
         if i % 3 == 2:
             arm.prismatic(f"j{i}", last, body, at=at, rpy=rpy, axis=axis, limits=(-0.3, 0.3))
         else:
@@ -134,7 +137,8 @@ def test_nothing_is_proven_against_what_can_be_reached(name):
 @pytest.mark.parametrize("below", [0.01, 0.03, 0.1, 0.24])
 def test_a_pose_may_be_proven_out_of_reach_by_its_last_axis(below):
     """Shoulder and wrist centre of the iiwa are never farther apart than 0.42 m + 0.4 m."""
-    robot, radius = kempe.load("iiwa14"), 0.82
+    robot = kempe.load("iiwa14")
+    radius = 0.82
     frame = robot.frame_names[-1]
     bound = min(b.largest for b in chain_of(robot, frame).bounds)
     assert bound == pytest.approx(radius, abs=1e-12)
@@ -211,7 +215,8 @@ def test_a_bad_row_leaves_the_others_alone():
     X = robot.fk(robot.random(0, 4), "tool")
     good = robot.ik(X, "tool")
     spoilt = X.copy()
-    spoilt[1, 0, 3], spoilt[2, :3, :3] = np.nan, 2.0 * np.eye(3)
+    spoilt[1, 0, 3] = np.nan
+    spoilt[2, :3, :3] = 2.0 * np.eye(3)
     s = robot.ik(spoilt, "tool")
     assert s.code.tolist() == [Status.SOLVED, Status.BAD_INPUT, Status.BAD_INPUT, Status.SOLVED]
     assert np.isnan(s.q[1:3]).all() and np.array_equal(s.q[[0, 3]], good.q[[0, 3]])
@@ -279,7 +284,8 @@ def test_mimic_and_locked_joints_inside_the_chain():
 
 def test_quaternion_chain():
     m = Mechanism("ball and arm")
-    a, b = m.body("a"), m.body("b")
+    a = m.body("a")
+    b = m.body("b")
     m.spherical("shoulder", m.ground, a)
     m.revolute("elbow", a, b, at=(0.4, 0, 0), axis=(0, 1, 0), limits=(0.0, 2.5))
     m.frame("hand", b, at=(0.3, 0, 0))
@@ -452,7 +458,8 @@ def test_names_stand_for_starts_and_targets():
 @pytest.mark.parametrize(("name", "frame"), [("puma560", "tool"), ("panda", "panda_hand_tcp"), ("two_link", "e")])
 def test_a_history_leads_from_the_start_to_the_answer(name, frame):
     robot = kempe.load(name)
-    q0, X = robot.random(1), robot.fk(robot.random(2), frame)
+    q0 = robot.random(1)
+    X = robot.fk(robot.random(2), frame)
     target = X if robot.dim == 3 else X[:2, 3]
     s = robot.ik(target, frame, start=q0, history=True)
     history = s.history

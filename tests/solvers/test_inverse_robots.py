@@ -27,7 +27,8 @@ def tips(robot):
 
 def pinocchio_poses(model, robot, q, frame):
     """Poses (N, 4, 4) by Pinocchio of configurations of ours."""
-    data, number = model.createData(), model.getFrameId(frame)
+    data = model.createData()
+    number = model.getFrameId(frame)
     out = np.empty((len(q), 4, 4))
     x = pin.neutral(model)
     index = {n: i for i, n in enumerate(robot.coordinate_names)}
@@ -59,7 +60,8 @@ def test_every_reachable_target_is_found(name):
         q = robot.random(1, TARGETS)
         X = pinocchio_poses(model, robot, q, frame)
         s = robot.ik(X, frame)
-        at_q, at_v = robot.structure.layout.vector_q, robot.structure.layout.vector_v
+        at_q = robot.structure.layout.vector_q
+        at_v = robot.structure.layout.vector_v
         assert s.success.all(), f"{frame}: {s}"
         assert (s.q[:, at_q] >= robot.lower[at_v]).all() and (s.q[:, at_q] <= robot.upper[at_v]).all()
         Y = pinocchio_poses(model, robot, s.q, frame)

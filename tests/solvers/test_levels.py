@@ -13,7 +13,8 @@ from kempe.solvers.tasks.reached import Reached
 
 HAND = "panda_hand_tcp"
 NAMES = ("panda", "ur5", "xarm6", "iiwa14")
-CLOSE, LITTLE = 1e-5, 2e-6
+CLOSE = 1e-5
+LITTLE = 2e-6
 """By which part of what a level misses, and by how much, it may differ with and without the levels behind it."""
 KINDS = ("Pose", "Position", "Orientation", "Pointing", "OnPlane", "OnLine", "HalfSpace", "Posture")
 
@@ -26,12 +27,15 @@ def solve(s: System, wanted: list[tasks.Task], start=None, **budget) -> Reached:
 
 def arm(rng: np.random.Generator) -> System:
     """Four to seven joints that turn, some within more than a turn, or slide, on the ground or on a flying body."""
-    m, before = Mechanism("arm"), "ground"
+    m = Mechanism("arm")
+    before = "ground"
     if rng.random() < 0.2:
         m.free("base", m.ground, m.body("torso"))
         before = "torso"
     for k in range(int(rng.integers(4, 8))):
-        at, rpy, body = rng.normal(0.0, 0.3, 3), rng.normal(0.0, 1.5, 3), m.body(f"b{k}")
+        at = rng.normal(0.0, 0.3, 3)
+        rpy = rng.normal(0.0, 1.5, 3)
+        body = m.body(f"b{k}")
         if rng.random() < 0.15:
             m.prismatic(f"j{k}", before, body, at=at, rpy=rpy, limits=(-0.3, 0.3))
         else:
@@ -44,7 +48,8 @@ def arm(rng: np.random.Generator) -> System:
 
 def task(s: System, rng: np.random.Generator, q: np.ndarray, level: int, soft: bool) -> tasks.Task:
     """A task that q holds, of any kind."""
-    frames, kind = s.frame_names, KINDS[rng.integers(len(KINDS))]
+    frames = s.frame_names
+    kind = KINDS[rng.integers(len(KINDS))]
     frame = frames[int(rng.integers(len(frames) // 2, len(frames)))]
     X = s.fk(q, frame)
     goal = {"Pose": (X,), "Position": (X[:3, 3],), "Orientation": (X[:3, :3],), "Pointing": (X[:3, 2],)}
@@ -73,7 +78,8 @@ def compare(s: System, wanted: list[tasks.Task], seed: np.ndarray | None) -> Non
         after = solve(s, wanted[: n + 1], start=seed, starts=60)
         assert after.success or not before.success or wanted[n].weight is None
         for each in wanted[:n]:
-            least, now = missed(s, before, each), missed(s, after, each)
+            least = missed(s, before, each)
+            now = missed(s, after, each)
             assert now <= least * (1.0 + CLOSE) + LITTLE / after.problem.packed.loops.length, (n, each, least, now)
             if now < least * (1.0 - CLOSE) - LITTLE or (each.weight is None and least > 1e-5):
                 break
@@ -83,7 +89,8 @@ def compare(s: System, wanted: list[tasks.Task], seed: np.ndarray | None) -> Non
 def hunted(rng: np.random.Generator, mixed: bool) -> None:
     """One case: two to four levels, most of the later ones out of reach of what the earlier ones hold."""
     s = arm(rng) if rng.random() < 0.5 else kempe.load(NAMES[rng.integers(len(NAMES))])
-    q, count = s.random(rng), int(rng.integers(2, 5))
+    q = s.random(rng)
+    count = int(rng.integers(2, 5))
     goals = [q if k == 0 or rng.random() < 0.4 else s.random(rng) for k in range(count)]
     soft = [bool(rng.random() < 0.6) if mixed else k > 0 for k in range(count)]
     wanted = [task(s, rng, goals[k], k, soft[k]) for k in range(count)]
@@ -94,9 +101,12 @@ def hunted(rng: np.random.Generator, mixed: bool) -> None:
 def test_a_posture_costs_neither_the_place_nor_the_direction(seed):
     """The direction cannot be met in this place: its least leaves next to no freedom, and its rows depend on the
     others."""
-    s, rng = kempe.load("panda"), np.random.default_rng(seed)
-    q, other = s.random(rng), s.random(rng)
-    X, Y = s.fk(q, HAND), s.fk(other, HAND)
+    s = kempe.load("panda")
+    rng = np.random.default_rng(seed)
+    q = s.random(rng)
+    other = s.random(rng)
+    X = s.fk(q, HAND)
+    Y = s.fk(other, HAND)
     place = tasks.Position(HAND, X[:3, 3], name="place")
     direction = tasks.Pointing(HAND, Y[:3, 2], weight=1.0, priority=1, name="direction")
     without = solve(s, [place, direction], start=q)
@@ -123,9 +133,11 @@ def test_no_level_is_disturbed_by_those_behind_it_in_many_cases(mixed, hunt):
 def test_a_turn_is_taken_for_an_earlier_level_whatever_a_later_one_wants():
     """The second posture wants what the first leaves, nothing: the first turns back by a whole turn all the same."""
     s = kempe.load("ur5")
-    frame, q = s.frame_names[-1], 0.3 * s.random(0)
+    frame = s.frame_names[-1]
+    q = 0.3 * s.random(0)
     turned = q - 2.0 * math.pi * np.sign(q)
-    first, second = tasks.Posture(q, priority=1, name="first"), tasks.Posture(turned, priority=2, name="second")
+    first = tasks.Posture(q, priority=1, name="first")
+    second = tasks.Posture(turned, priority=2, name="second")
     answer = solve(s, [tasks.Pose(frame, s.fk(q, frame)), first, second], start=turned)
     np.testing.assert_allclose(answer.q, q, atol=1e-6)
 
@@ -133,8 +145,10 @@ def test_a_turn_is_taken_for_an_earlier_level_whatever_a_later_one_wants():
 @pytest.mark.parametrize("frame", ["link4", "link5", "link6"])
 def test_a_second_posture_turns_no_angle_of_the_first(frame):
     """The last joint may turn on by a whole turn, which only the second posture would like."""
-    s, q = kempe.load("ur5"), np.array([1.32, 1.216, -0.596, -3.087, 2.055, 5.329])
-    first, second = [-0.866, 6.073, -6.014, -4.11, -0.392, -1.941], [3.882, 4.747, 3.194, -3.533, 4.034, -2.122]
+    s = kempe.load("ur5")
+    q = np.array([1.32, 1.216, -0.596, -3.087, 2.055, 5.329])
+    first = [-0.866, 6.073, -6.014, -4.11, -0.392, -1.941]
+    second = [3.882, 4.747, 3.194, -3.533, 4.034, -2.122]
     place = tasks.Pose(frame, s.fk(q, frame), weight=2.5, name="place")
     wanted = [tasks.Posture(x, weight=1.0, priority=k, name=f"posture {k}") for k, x in ((1, first), (2, second))]
     compare(s, [place, *wanted], q)
@@ -142,9 +156,13 @@ def test_a_second_posture_turns_no_angle_of_the_first(frame):
 
 def test_rows_of_a_batch_are_single_calls_whatever_the_threads():
     """A soft place out of reach before a hard direction: each row is also looked at without the direction."""
-    s, rng, n = kempe.load("ur5"), np.random.default_rng(3), 40
+    s = kempe.load("ur5")
+    rng = np.random.default_rng(3)
+    n = 40
     frame = s.frame_names[-1]
-    X, Y, seed = 1.3 * s.fk(s.random(rng, n), frame), s.fk(s.random(rng, n), frame), s.random(rng, n)
+    X = 1.3 * s.fk(s.random(rng, n), frame)
+    Y = s.fk(s.random(rng, n), frame)
+    seed = s.random(rng, n)
 
     def wanted(i) -> list[tasks.Task]:
         place = tasks.Position(frame, X[i, :3, 3], weight=1.0, name="place")
@@ -158,7 +176,9 @@ def test_rows_of_a_batch_are_single_calls_whatever_the_threads():
 
 def lexicographic(levels: list[tuple[np.ndarray, np.ndarray]], n: int) -> tuple[np.ndarray, list[float]]:
     """x (n,) and the least |A x - b| of each level that keeps the levels before at theirs, by dense null spaces."""
-    x, free, out = np.zeros(n), np.eye(n), []
+    x = np.zeros(n)
+    free = np.eye(n)
+    out = []
     for A, b in levels:
         U, sizes, Vt = np.linalg.svd(A @ free, full_matrices=True)
         rank = int((sizes > 1e-9).sum())
@@ -170,27 +190,36 @@ def lexicographic(levels: list[tuple[np.ndarray, np.ndarray]], n: int) -> tuple[
 
 def test_levels_of_a_gantry_are_those_of_linear_algebra(hunt):
     """Slides only: each height over a plane is linear in q, so that levels have a closed form."""
-    rng, compared, cases = hunt.rng(), 0, hunt.cases(60)
+    rng = hunt.rng()
+    compared = 0
+    cases = hunt.cases(60)
     for _ in range(cases):
         count = int(rng.integers(2, 6))
-        m, before, axes = kempe.Mechanism("gantry"), "ground", rng.normal(size=(count, 3))
+        m = kempe.Mechanism("gantry")
+        before = "ground"
+        axes = rng.normal(size=(count, 3))
         axes /= np.linalg.norm(axes, axis=1, keepdims=True)
         for k in range(count):
             link = m.body(f"b{k}")
             m.prismatic(f"s{k}", before, link, axis=axes[k])
             before = f"b{k}"
-        s, wanted, levels = m.build(), [], []
+        s = m.build()
+        wanted = []
+        levels = []
         for priority in range(int(rng.integers(2, 5))):
             rows = int(rng.integers(1, 4))
-            A, b = np.zeros((rows, count)), rng.normal(size=rows)
+            A = np.zeros((rows, count))
+            b = rng.normal(size=rows)
             for i in range(rows):
-                body, n = int(rng.integers(count)), rng.normal(size=3)
+                body = int(rng.integers(count))
+                n = rng.normal(size=3)
                 n /= np.linalg.norm(n)
                 A[i, : body + 1] = axes[: body + 1] @ n
                 wanted.append(tasks.OnPlane(f"b{body}", b[i] * n, n, weight=1.0, priority=priority + 1,
                                             name=f"{priority}.{i}"))  # fmt: skip
             levels.append((A, b))
-        answer, (x, leasts) = solve(s, wanted), lexicographic(levels, count)
+        answer = solve(s, wanted)
+        (x, leasts) = lexicographic(levels, count)
         if np.abs(x).max() > 20.0:  # some rows nearly depend on others: which rank they have is a matter of digits
             continue
         compared += 1

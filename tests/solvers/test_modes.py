@@ -94,7 +94,9 @@ def test_peaucellier_moves_where_its_rhombus_is_folded():
 def test_a_double_root_is_one_with_multiplicity_two():
     """Slider-crank with equal links and no offset, crank upright: both roots at the pivot."""
     m = Mechanism("tangent", dim=2)
-    crank, rod, piston = m.body("crank"), m.body("rod"), m.body("piston")
+    crank = m.body("crank")
+    rod = m.body("rod")
+    piston = m.body("piston")
     m.revolute("A", m.ground, crank)
     m.revolute("B", crank, rod, at=(1, 0))
     m.revolute("C", rod, piston, at=(1, 0))
@@ -107,7 +109,9 @@ def test_a_double_root_is_one_with_multiplicity_two():
 
 def test_none_closes():
     m = Mechanism("open", dim=2)
-    a, b, c = m.body("a"), m.body("b"), m.body("c")
+    a = m.body("a")
+    b = m.body("b")
+    c = m.body("c")
     m.revolute("A", m.ground, a)
     m.revolute("B", a, b, at=(1, 0))
     m.revolute("C", b, c, at=(1, 0), child_at=(0.5, 0))
@@ -121,7 +125,8 @@ def test_limits_drop_or_flag():
     system = kempe.load("four_bar")
     m = system.mechanism
     m.joints["C"].limits[""] = (0.0, 3.0)
-    limited, known = m.build(), inputs(system, "A")
+    limited = m.build()
+    known = inputs(system, "A")
     modes = assembly_modes(limited, known)
     assert len(modes) == 1 and modes.outside == 1 and modes.branches == ("+",)
     assert "1 is outside the limits" in modes.status
@@ -230,7 +235,8 @@ def test_hunt_a_root_at_the_square_root_of_rounding_is_kept(hunt):
 def integer_chain(rng: np.random.Generator) -> System:
     """Dyads on points of a small lattice, so that points coincide, lie on lines and have the same distances."""
     digits, scale = (0, 2.0) if rng.random() < 0.6 else (1, 1.5)
-    there, joints = ["ground", "crank"], []
+    there = ["ground", "crank"]
+    joints = []
 
     def joint(name: str, parent: str, child: str, slides: bool) -> None:
         place = tuple(np.round(rng.uniform(-scale, scale, 2), digits).tolist())
@@ -240,7 +246,8 @@ def integer_chain(rng: np.random.Generator) -> System:
     joint("A", "ground", "crank", False)
     for k in range(int(rng.integers(1, 4))):
         kind = str(rng.choice(DYADS)) if rng.random() < 0.4 else "RRR"
-        one, two = f"u{k}", f"v{k}"
+        one = f"u{k}"
+        two = f"v{k}"
         ends = [str(rng.choice(there)), one, two, str(rng.choice(there))]
         for letter, parent, child, slides in zip("abc", ends, ends[1:], [x == "P" for x in kind], strict=False):
             joint(f"{letter}{k}", parent, child, slides)
@@ -263,7 +270,8 @@ def check_integer_chain(system: System, starts: np.random.Generator) -> int:
 
 
 def test_hunt_what_is_complete_has_the_configuration_by_which_it_was_drawn(hunt):
-    rng, complete = hunt.rng(), 0
+    rng = hunt.rng()
+    complete = 0
     for _ in range(cases := hunt.cases(160)):
         complete += check_integer_chain(integer_chain(rng), rng)
     assert complete > cases / 3
@@ -271,7 +279,8 @@ def test_hunt_what_is_complete_has_the_configuration_by_which_it_was_drawn(hunt)
 
 @pytest.mark.slow
 def test_long_hunt_for_what_is_complete_and_is_not(hunt):
-    rng, complete = hunt.rng(), 0
+    rng = hunt.rng()
+    complete = 0
     for _ in range(cases := hunt.cases(1000)):
         complete += check_integer_chain(integer_chain(rng), rng)
     assert complete > cases / 3
@@ -306,7 +315,8 @@ def three_rpr(base, platform) -> System:
     m = Mechanism("3-RPR", dim=2)
     body = m.body("platform")
     for i, (a, b) in enumerate(zip(base, platform, strict=True), 1):
-        cylinder, rod = m.body(f"cylinder{i}"), m.body(f"rod{i}")
+        cylinder = m.body(f"cylinder{i}")
+        rod = m.body(f"rod{i}")
         m.revolute(f"A{i}", m.ground, cylinder, at=a)
         m.prismatic(f"S{i}", cylinder, rod, axis=(1, 0))
         m.revolute(f"B{i}", rod, body, child_at=b)
@@ -326,7 +336,8 @@ def platform_angles(base, platform, lengths) -> np.ndarray:
     rows = [2 * (w[i] - w[0]) for i in (1, 2)]
     right = [lengths[i] ** 2 - lengths[0] ** 2 - (w[i] ** 2).sum(0) + (w[0] ** 2).sum(0) for i in (1, 2)]
     det = rows[0][0] * rows[1][1] - rows[0][1] * rows[1][0]
-    x, y = right[0] * rows[1][1] - right[1] * rows[0][1], rows[0][0] * right[1] - rows[1][0] * right[0]
+    x = right[0] * rows[1][1] - right[1] * rows[0][1]
+    y = rows[0][0] * right[1] - rows[1][0] * right[0]
     f = (x + w[0][0] * det) ** 2 + (y + w[0][1] * det) ** 2 - (lengths[0] * det) ** 2
     c = np.fft.fftshift(np.fft.fft(f) / n)
     c = c[np.abs(c) > 1e-11 * np.abs(c).max()]
@@ -394,7 +405,8 @@ def test_what_moves_is_not_called_finite():
 def test_shaky_is_not_called_moving():
     """Rank says that one freedom is left in the straight three-bar chain; it cannot be followed."""
     m = Mechanism("shaky", dim=2)
-    a, b = m.body("a"), m.body("b")
+    a = m.body("a")
+    b = m.body("b")
     m.revolute("A", m.ground, a)
     m.revolute("B", a, b, at=(1, 0))
     m.revolute("C", b, m.ground, at=(1, 0), child_at=(2, 0))
@@ -494,7 +506,8 @@ def test_a_search_among_thousands_of_modes_ends():
     before = m.body("r0")
     m.revolute("A0", m.ground, before)
     for k in range(1, 21):
-        coupler, rocker = m.body(f"c{k}"), m.body(f"r{k}")
+        coupler = m.body(f"c{k}")
+        rocker = m.body(f"r{k}")
         m.revolute(f"B{k}", before, coupler, at=(0, 0.5))
         m.revolute(f"C{k}", coupler, rocker, at=(1, 0), child_at=(0, 0.5))
         m.revolute(f"A{k}", m.ground, rocker, at=(k, 0))
@@ -512,7 +525,9 @@ def test_a_system_without_coordinates_has_one_mode():
 def test_modes_at_a_time(t):
     """Crank 0.1, rod 0.3, driven by A = 2 t: the slide is at 0.1 cos(2 t) +- sqrt(0.09 - 0.01 sin^2(2 t))."""
     m = kempe.Mechanism("crank", dim=2)
-    crank, rod, slide = m.body("crank"), m.body("rod"), m.body("slide")
+    crank = m.body("crank")
+    rod = m.body("rod")
+    slide = m.body("slide")
     m.revolute("A", m.ground, crank)
     m.revolute("B", crank, rod, at=(0.1, 0))
     m.revolute("C", rod, slide, at=(0.3, 0))

@@ -39,7 +39,9 @@ def check_framework(f: Framework, rng: np.random.Generator, starts: int) -> None
 def rssr_system(r: Rssr, end: str = "spherical") -> System:
     """The linkage, with one of its balls as a joint or as three hinges."""
     m = Mechanism("RSSR")
-    crank, rod, rocker = m.body("crank"), m.body("rod"), m.body("rocker")
+    crank = m.body("crank")
+    rod = m.body("rod")
+    rocker = m.body("rocker")
     m.revolute("A", m.ground, crank)
     if end == "spherical":
         m.spherical("B", crank, rod, at=(r.crank, 0, 0))
@@ -49,7 +51,8 @@ def rssr_system(r: Rssr, end: str = "spherical") -> System:
         m.revolute("B3", "link2", rod, axis=(0, 0, 1))
     m.spherical("C", rod, rocker, at=(r.rod, 0, 0), child_at=(r.rocker, 0, 0))
     K = np.eye(4)
-    K[:3, :3], K[:3, 3] = r.frame(), r.place
+    K[:3, :3] = r.frame()
+    K[:3, 3] = r.place
     m.joint("D", "revolute", m.ground, rocker, at=placement_of_pose(K))
     return m.build()
 
@@ -116,7 +119,8 @@ def test_a_known_spin_is_none():
 
 def test_a_search_that_ends_early_has_all_mirror_images():
     """Starts that are at an end are no reason to leave out what is known for nothing."""
-    rng, seen = np.random.default_rng(8), set()
+    rng = np.random.default_rng(8)
+    seen = set()
     for _ in range(20):
         f = k33(rng)
         system = f.system()
@@ -206,7 +210,8 @@ def test_without_limits_starts_are_drawn_all_over_and_inside_them_nothing_is_mis
     known = {name: q[name] for name in ("mL", "mR")}
     every = free.assembly_modes(known)
     bounded = two_rods({"rx": (-0.5, 0.5), "ry": (-0.8, 0.8)})
-    whole, inside = bounded.assembly_modes(known, limits=False), bounded.assembly_modes(known)
+    whole = bounded.assembly_modes(known, limits=False)
+    inside = bounded.assembly_modes(known)
     assert len(every) >= 4 and len(whole) == len(every) and "drawn inside" not in whole.status
     assert len(inside) == int(whole.inside.sum()) == 1
     assert "missing" not in inside.status and "starts were drawn inside the limits only" in inside.status
@@ -239,7 +244,9 @@ def test_the_bound_is_the_exact_one_for_nothing_new(n):
 
 def test_the_bound_holds_as_often_as_it_says():
     """Draws from known shares: what is missed exceeds the bound in about 5 % of cases at most."""
-    rng, wrong, cases = np.random.default_rng(0), 0, 2000
+    rng = np.random.default_rng(0)
+    wrong = 0
+    cases = 2000
     for _ in range(cases):
         shares = rng.dirichlet(np.full(12, 0.4))
         hits = np.bincount(rng.choice(12, size=100, p=shares), minlength=12)
@@ -309,7 +316,8 @@ def test_angles_that_wind_up_make_no_modes(factors):
         place = placement_of_pose(exp_se3(rng.uniform(-2, 2, 6)))
         m.revolute(f"J{i}", bodies[i], bodies[i + 1], at=place, child_at=place)
     m.couple("J5", {"J1": factors[0], "J2": factors[1]})
-    system, counts = m.build(), set()
+    system = m.build()
+    counts = set()
     for seed in range(3):
         found = system.assembly_modes({"J3": 0.0}, budget=kempe.Budget(rng=seed))
         poses = system.fk(found.q)

@@ -17,7 +17,8 @@ from kempe.spatial import exp_so3
 def poses_of(base: np.ndarray, top: np.ndarray, lengths: np.ndarray, rng: np.random.Generator, n: int) -> np.ndarray:
     """Poses (k, 3, 4), each once, that hold points (m, 3) of a platform at distances from others: n random starts."""
     size = float(np.abs(base).max() + lengths.max())
-    R, p = exp_so3(rng.normal(size=(n, 3)) * 2.0), rng.uniform(-size, size, (n, 3))
+    R = exp_so3(rng.normal(size=(n, 3)) * 2.0)
+    p = rng.uniform(-size, size, (n, 3))
     for _ in range(80):
         arms = np.einsum("nij,mj->nmi", R, top)
         d = arms + p[:, None] - base
@@ -27,7 +28,8 @@ def poses_of(base: np.ndarray, top: np.ndarray, lengths: np.ndarray, rng: np.ran
         damped = J @ JT + (1e-6 * np.abs(error).max(axis=1))[:, None, None] * np.eye(len(top))
         step = -(JT @ np.linalg.solve(damped, error[..., None]))[..., 0]
         step *= np.minimum(1.0, 0.7 * size / np.maximum(np.linalg.norm(step, axis=1), 1e-300))[:, None]
-        p, R = p + step[:, :3], exp_so3(step[:, 3:]) @ R
+        p = p + step[:, :3]
+        R = exp_so3(step[:, 3:]) @ R
     good = np.abs(error).max(axis=1) < 1e-11 * size**2
     found: list[np.ndarray] = []
     for X in np.concatenate([R, p[..., None]], axis=2)[good]:
@@ -38,14 +40,17 @@ def poses_of(base: np.ndarray, top: np.ndarray, lengths: np.ndarray, rng: np.ran
 
 def rods(system: System, q: np.ndarray, platform: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Ends (m, 3) of rods on what stands still and on the platform (in its axes), and their lengths, at q (nq,)."""
-    m, still, top = system.mechanism, {}, {}
+    m = system.mechanism
+    still = {}
+    top = {}
     for joint in m.joints.values():
         X = joint.X_PF.evaluate(m.parameters)
         if joint.parent == platform:
             top[joint.name[1:]] = X[:3, 3]
         elif joint.name[0] in "BU":
             still[joint.name[1:]] = (system.fk(q, joint.parent) @ X)[:3, 3]
-    names, X = sorted(top), system.fk(q, platform)
+    names = sorted(top)
+    X = system.fk(q, platform)
     base, ends = (np.array([points[n] for n in names]) for points in (still, top))
     return base, ends, np.linalg.norm(base - ends @ X[:3, :3].T - X[:3, 3], axis=1)
 
@@ -76,7 +81,8 @@ def assert_all_found(system: System, known: dict[str, float], q: np.ndarray, cou
 def test_dietmaiers_platform_on_balls_has_forty_poses():
     """Dietmaier, 1998: 40, not 40 times infinitely many, as its legs spin."""
     shipped = kempe.load("stewart_dietmaier")
-    q, system = shipped.q("closed"), on_balls("stewart_dietmaier").build()
+    q = shipped.q("closed")
+    system = on_balls("stewart_dietmaier").build()
     known = {n: v for n, v in shipped.q_dict(q).items() if n.startswith("leg")}
     at = system.assemble(known).q
     assert_all_found(system, known, at, 40)
@@ -85,7 +91,8 @@ def test_dietmaiers_platform_on_balls_has_forty_poses():
 @pytest.mark.slow
 def test_a_delta_robot_on_balls_has_twelve_poses_for_its_arms():
     """Six distances: of the 12 two are translations, those of the same robot on universal joints."""
-    system, other = kempe.load("delta_ss"), kempe.load("delta_uu")
+    system = kempe.load("delta_ss")
+    other = kempe.load("delta_uu")
     q = system.q("closed")
     known = {n: system.q_dict(q)[n] for n in ("A1", "A2", "A3")}
     assert_all_found(system, known, q, 12)
@@ -97,7 +104,8 @@ def test_a_delta_robot_on_balls_has_twelve_poses_for_its_arms():
 
 
 def _hunt_platforms(hunt, cases: int) -> None:
-    system, rng = kempe.load("stewart_sps"), hunt.rng()
+    system = kempe.load("stewart_sps")
+    rng = hunt.rng()
     for _ in range(hunt.cases(cases)):
         known = {f"leg{i}": float(x) for i, x in enumerate(rng.uniform(0.35, 0.5, 6), 1)}
         start = system.assemble(known)

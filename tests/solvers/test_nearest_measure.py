@@ -22,7 +22,8 @@ def off(system, q, frame, X) -> float:
 
 def descent(system, q, frame, X) -> float:
     """The least miss that SciPy finds from here, within the limits."""
-    low, high = np.maximum(system.lower, -7.0), np.minimum(system.upper, 7.0)
+    low = np.maximum(system.lower, -7.0)
+    high = np.minimum(system.upper, 7.0)
     found = minimize(lambda x: off(system, x, frame, X), np.clip(q, low, high), method="L-BFGS-B",
                      bounds=list(zip(low, high, strict=True)), options={"ftol": 1e-15, "gtol": 1e-9})  # fmt: skip
     return float(found.fun)
@@ -43,7 +44,8 @@ def beyond(system, frame, seed):
 )  # fmt: skip
 def test_a_frame_and_a_task_miss_a_pose_by_the_same_measure(name, seed):
     """Neither can be brought nearer by SciPy, and random starts of SciPy end no nearer than the frame does."""
-    system, frame = kempe.load(name), FRAMES[name]
+    system = kempe.load(name)
+    frame = FRAMES[name]
     X = beyond(system, frame, seed)
     one = system.ik(X, frame, system.mid, task="pose")
     other = system.ik(kempe.tasks.Pose(frame, X), start=system.mid)
@@ -58,7 +60,8 @@ def test_a_frame_and_a_task_miss_a_pose_by_the_same_measure(name, seed):
 
 def test_rows_of_a_batch_are_nearest_by_this_measure():
     """What is searched for when `q` is read is what a single call finds."""
-    system, frame = kempe.load("ur5"), FRAMES["ur5"]
+    system = kempe.load("ur5")
+    frame = FRAMES["ur5"]
     X = np.array([beyond(system, frame, seed) for seed in range(1, 4)])
     batch = system.ik(X, frame, system.mid)
     for i in range(3):

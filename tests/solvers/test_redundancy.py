@@ -17,7 +17,8 @@ from kempe.solvers.analytic.redundant.arm_angle import arm_angle, three_turns, t
 from kempe.solvers.analytic.redundant.intervals import arcs, joined, union
 from kempe.solvers.analytic.redundant.redundancy import ik_sweep
 
-H, PI = math.pi / 2, math.pi
+H = math.pi / 2
+PI = math.pi
 LIMITS = np.radians([170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 175.0])
 ALPHA = (-H, H, H, -H, -H, H, 0.0)
 D = (0.36, 0.0, 0.42, 0.0, 0.4, 0.0, 0.126)
@@ -34,7 +35,8 @@ def iiwa_at(T, psi: float) -> np.ndarray:
 
     The elbow is placed on its circle; then each joint follows from the directions of the two links.
     """
-    S, W = np.array([0.0, 0.0, D[0]]), T[:3, 3] - D[6] * T[:3, 2]
+    S = np.array([0.0, 0.0, D[0]])
+    W = T[:3, 3] - D[6] * T[:3, 2]
     length = np.linalg.norm(W - S)
     v = (W - S) / length
     r = np.array([0.0, 0.0, 1.0]) - v[2] * v
@@ -44,7 +46,8 @@ def iiwa_at(T, psi: float) -> np.ndarray:
         return np.zeros((0, 7))
     side = math.cos(psi) * r + math.sin(psi) * np.cross(v, r)
     E = S + D[2] * (cosine * v + math.sqrt(1 - cosine**2) * side)
-    upper, lower = (E - S) / D[2], (W - E) / D[4]
+    upper = (E - S) / D[2]
+    lower = (W - E) / D[4]
     out = []
     for a in (1, -1):
         q2 = a * math.acos(np.clip(upper[2], -1, 1))
@@ -52,12 +55,14 @@ def iiwa_at(T, psi: float) -> np.ndarray:
         A = spatial.rot_z(q1)[:3, :3] @ spatial.rot_y(q2)[:3, :3]
         x, y, z = A.T @ lower
         for b in (1, -1):
-            q4, q3 = b * math.acos(np.clip(z, -1, 1)), math.atan2(-b * y, -b * x)
+            q4 = b * math.acos(np.clip(z, -1, 1))
+            q3 = math.atan2(-b * y, -b * x)
             B = A @ spatial.rot_z(q3)[:3, :3] @ spatial.rot_y(-q4)[:3, :3]
             R = B.T @ T[:3, :3]
             for c in (1, -1):
                 q6 = c * math.acos(np.clip(R[2, 2], -1, 1))
-                q5, q7 = math.atan2(c * R[1, 2], c * R[0, 2]), math.atan2(c * R[2, 1], -c * R[2, 0])
+                q5 = math.atan2(c * R[1, 2], c * R[0, 2])
+                q7 = math.atan2(c * R[2, 1], -c * R[2, 0])
                 out.append([q1, q2, q3, q4, q5, q6, q7])
     return np.array(out)
 
@@ -89,7 +94,8 @@ def deviation(system, frame, q, target) -> float:
 
 
 def test_the_test_model_is_the_iiwa():
-    system, rng = iiwa(), np.random.default_rng(1)
+    system = iiwa()
+    rng = np.random.default_rng(1)
     for q in system.random(rng, 20):
         T = system.fk(q, "tool")
         some = iiwa_at(T, arm_angle(system, q, "tool"))
@@ -193,10 +199,12 @@ def test_odd_angles_and_offsets(seed):
     psi = arm_angle(system, q, "tool")
     at = sweep.at(psi)
     assert np.abs(wrapped(at.q - q)).max(axis=1).min() < 1e-7 and lies_in(sweep.feasible, psi, 2 * PI)
-    low, high = system.lower, system.upper
+    low = system.lower
+    high = system.upper
     for k in range(8):
         found = sweep.q[sweep.mask[:, k], k]
-        spans, rows = sweep.spans[k], sweep.intervals[k]
+        spans = sweep.spans[k]
+        rows = sweep.intervals[k]
         fits = ((found >= low - 1e-9) & (found <= high + 1e-9)).all(axis=1)
         marks = np.array([x for i in (*rows, *spans) for x in i if abs(x) != PI])
         for x, there in zip(sweep.values, sweep.mask[:, k], strict=True):
@@ -212,7 +220,8 @@ def test_the_arm_angle_and_the_joint_agree(seed):
     """The same chain over its third joint: every solution inside the limits has an arm angle inside the intervals."""
     system = iiwa()
     T = system.fk(system.random(np.random.default_rng(100 + seed)), "tool")
-    arm, joint = ik_sweep(system, T, "tool"), ik_sweep(system, T, "tool", "q3", n=101)
+    arm = ik_sweep(system, T, "tool")
+    joint = ik_sweep(system, T, "tool", "q3", n=101)
     q = joint.q[joint.inside]
     assert len(q) > 10 and deviation(system, "tool", joint.q[joint.mask], T) < 1e-9
     for x in arm_angle(system, q, "tool"):
@@ -356,7 +365,8 @@ def test_planar_arm_with_four_joints():
     angle = q.sum()
     p3 = T[:2, 3] - lengths[3] * np.array([math.cos(angle), math.sin(angle)])
     # joint 3 is at p3 - l3 (cos, sin)(angle - q4): at most l1 + l2 from the origin, at least l1 - l2
-    away, towards = np.linalg.norm(p3), math.atan2(p3[1], p3[0])
+    away = np.linalg.norm(p3)
+    towards = math.atan2(p3[1], p3[0])
     known = []
     for reach in (lengths[0] + lengths[1], lengths[0] - lengths[1]):
         c = (away**2 + lengths[2] ** 2 - reach**2) / (2 * away * lengths[2])
@@ -395,7 +405,9 @@ def test_more_freedoms_than_one():
 
 
 def test_what_is_refused():
-    system, panda, six = iiwa(), kempe.load("panda"), kempe.load("puma560")
+    system = iiwa()
+    panda = kempe.load("panda")
+    six = kempe.load("puma560")
     T = system.fk(system.random(1), "tool")
     with pytest.raises(UnsupportedError, match="no arm angle.*last three axes do not meet"):
         ik_sweep(panda, T, "tool", "arm_angle")

@@ -22,7 +22,9 @@ def slips(system, frame: str, q, v) -> float:
 def with_arm():
     """A cart on an axle with an arm of two joints."""
     m = Mechanism("mobile arm", dim=2)
-    body, upper, lower = m.body("body"), m.body("upper"), m.body("lower")
+    body = m.body("body")
+    upper = m.body("upper")
+    lower = m.body("lower")
     m.planar("pose", m.ground, body)
     m.revolute("shoulder", body, upper, at=(0.3, 0.1))
     m.revolute("elbow", upper, lower, at=(0.5, 0))
@@ -35,9 +37,11 @@ def with_arm():
 
 
 def test_steps_do_not_slip(hunt):
-    rng, system = hunt.rng(), with_arm()
+    rng = hunt.rng()
+    system = with_arm()
     for _ in range(hunt.cases(60)):
-        q, dt = rng.uniform(-2, 2, system.nq), 10.0 ** rng.uniform(-4, -1)
+        q = rng.uniform(-2, 2, system.nq)
+        dt = 10.0 ** rng.uniform(-4, -1)
         wanted = rng.normal(size=6) * [1, 1, 0, 0, 0, 1]
         for step in (
             system.ik_step(q, wanted, "tip", dt, damping=0.0),
@@ -84,7 +88,8 @@ def test_a_step_names_why_the_rest_is_missing():
 def test_cycles_lead_a_mobile_arm_to_its_target():
     """Without slip: the place of the axle is that of the unicycle with the speeds that it had."""
     system = with_arm()
-    q, goal = np.array([0.0, 0.0, 0.0, 0.5, 0.7]), tasks.Position("tip", [1.0, 1.5, 0.0])
+    q = np.array([0.0, 0.0, 0.0, 0.5, 0.7])
+    goal = tasks.Position("tip", [1.0, 1.5, 0.0])
     for _ in range(400):
         q = system.ik_step(q, [goal], None, 0.02).q
     assert system.fk(q, "tip")[:2, 3] == pytest.approx([1.0, 1.5], abs=1e-9)
@@ -137,7 +142,8 @@ def test_ik_says_that_going_there_is_a_manoeuvre():
 @pytest.mark.slow
 def test_paths_that_roll_are_followed(hunt):
     """Manoeuvres at random, sampled finely and coarsely, arcs, straight lines, cusps and turns on the spot."""
-    rng, system = hunt.rng(), wheels.knife((0.3, 0.1), 0.5)
+    rng = hunt.rng()
+    system = wheels.knife((0.3, 0.1), 0.5)
     for _ in range(hunt.cases(15)):
         n = int(rng.integers(30, 200))
         found = system.manoeuvre(*rng.uniform(-2, 2, (2, 3)), radius=rng.choice([0.0, 0.5, 2.0]),
@@ -152,9 +158,12 @@ def test_paths_that_roll_are_followed(hunt):
 @pytest.mark.slow
 def test_paths_that_slip_are_refused_with_the_place(hunt):
     """They roll up to a sample, and slip from there on."""
-    rng, system = hunt.rng(), wheels.knife()
+    rng = hunt.rng()
+    system = wheels.knife()
     for _ in range(hunt.cases(15)):
-        k, speed, bend = int(rng.integers(10, 40)), rng.choice([-1, 1]) * 10.0 ** rng.uniform(-3, 0), rng.normal()
+        k = int(rng.integers(10, 40))
+        speed = rng.choice([-1, 1]) * 10.0 ** rng.uniform(-3, 0)
+        bend = rng.normal()
         t = np.linspace(0, 1, 60)
         h = bend * t
         q = np.column_stack([np.sin(h) / bend, (1 - np.cos(h)) / bend, h])
@@ -172,7 +181,8 @@ def test_paths_that_slip_are_refused_with_the_place(hunt):
 
 
 def test_slow_slip_all_along_is_reported_with_its_speed():
-    system, t = wheels.knife(), np.linspace(0, 2, 50)
+    system = wheels.knife()
+    t = np.linspace(0, 2, 50)
     motion = system.drive({"pose.x": t, "pose.y": 0.01 * t, "pose.rz": 0 * t}, t)
     assert "by 0.01 m/s across 'edge'" in motion.status and not motion.success
 
@@ -194,7 +204,8 @@ def test_a_towed_axle_follows_a_tractrix():
 
 @pytest.mark.slow
 def test_a_motion_that_rolls_along():
-    system, t = wheels.coin(0.5), np.linspace(0, math.pi, 80)
+    system = wheels.coin(0.5)
+    t = np.linspace(0, math.pi, 80)
     motion = system.drive({"roll": 2 * t, "pose.rz": 2 * t}, t, np.zeros(4))
     assert motion and motion.q[-1] == pytest.approx([0, 0, 2 * math.pi, 2 * math.pi], abs=1e-9)
     assert np.ptp(np.hypot(motion.q[:, 0], motion.q[:, 1] - 0.5)) < 1e-9
@@ -245,7 +256,8 @@ def test_ik_speaks_of_a_manoeuvre_only_where_brackets_show_one(hunt):
         if rng.random() < 0.5:
             second[2] = first[2]
         target = kempe.spatial.pose(kempe.spatial.rot_z(rng.uniform(-2, 2)), [*rng.uniform(-2, 2, 2), 0.0])
-        one, two = cart(first).ik(target, "body"), cart(first, second).ik(target, "body")
+        one = cart(first).ik(target, "body")
+        two = cart(first, second).ik(target, "body")
         assert one and "going there is a manoeuvre ('axle0' holds on the way)" in one.status
         assert two and "is a manoeuvre" not in two.status
         assert "'axle0', 'axle1' hold on the way, where 2 functions of position keep their values" in two.status

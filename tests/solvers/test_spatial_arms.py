@@ -36,17 +36,21 @@ def arm(rng, kinds, wrist):
 
     After two joints in the plane three turns, after three of them two, the first of which is in the plane.
     """
-    m, n = Mechanism("arm"), rng.uniform(-np.pi, np.pi)
-    normal, out = np.array([-np.sin(n), np.cos(n), 0.0]), np.array([np.cos(n), np.sin(n), 0.0])
+    m = Mechanism("arm")
+    n = rng.uniform(-np.pi, np.pi)
+    normal = np.array([-np.sin(n), np.cos(n), 0.0])
+    out = np.array([np.cos(n), np.sin(n), 0.0])
     m.revolute("q1", m.ground, m.body("b1"), at=rng.uniform(-0.3, 0.3, 3), axis=(0, 0, rng.choice([-1, 1])))
     for i, kind in enumerate(kinds, 2):
         at = [m.parameter(f"l{i}", float(rng.uniform(0.2, 0.5))), *rng.uniform(-0.3, 0.3, 2)]
         if kind == "R":
             m.revolute(f"q{i}", f"b{i - 1}", m.body(f"b{i}"), at=at, axis=rng.choice([-1, 1]) * normal)
         else:
-            c, s = np.cos(x := rng.uniform(-np.pi, np.pi)), np.sin(x)
+            c = np.cos(x := rng.uniform(-np.pi, np.pi))
+            s = np.sin(x)
             m.prismatic(f"q{i}", f"b{i - 1}", m.body(f"b{i}"), at=at, axis=c * out + s * np.array([0.0, 0.0, 1.0]))
-    hand, k = rng.uniform(-0.3, 0.3, 3), len(kinds) + 2
+    hand = rng.uniform(-0.3, 0.3, 3)
+    k = len(kinds) + 2
     if not wrist:
         m.frame("tip", "b3", at=hand)
         return m.build()
@@ -85,7 +89,8 @@ def test_formulas_of_arms_with_three_joints_in_a_plane_are_all_solutions(kinds, 
 
 
 def compared(system, kinds, wrist, rng):
-    task, turns = "pose" if wrist else "position", np.array([k != "P" for k in "R" + kinds])
+    task = "pose" if wrist else "position"
+    turns = np.array([k != "P" for k in "R" + kinds])
     turns = np.append(turns, np.ones(system.nq - len(turns), dtype=bool))
     formulas = system.inverse.plan("tip", task).formulas()
     X = system.fk(rng.uniform(-2.0, 2.0, (6, len(turns))), "tip")
@@ -117,7 +122,8 @@ def test_the_formulas_of_a_puma_are_those_of_the_textbook():
 @pytest.mark.parametrize("system", [PUMA, kempe.load("ur5")], ids=lambda system: system.name)
 def test_signs_have_the_names_of_all_solutions(system):
     """The wrist's sign is that of `no flip` and `flip`; both shoulders and both elbows are distinguished by theirs."""
-    rng, formulas = np.random.default_rng(5), system.symbolic.ik("tool")
+    rng = np.random.default_rng(5)
+    formulas = system.symbolic.ik("tool")
     X = system.fk(rng.uniform(-3.0, 3.0, (10, 6)), "tool")
     for target in X:
         both = system.ik_all(target, "tool")
@@ -133,7 +139,8 @@ def test_signs_have_the_names_of_all_solutions(system):
 
 
 def test_the_printed_function_computes_the_same():
-    formulas, names = kempe.load("stanford").symbolic.ik("tool"), {}
+    formulas = kempe.load("stanford").symbolic.ik("tool")
+    names = {}
     exec(formulas.code(), names)
     system = formulas.system
     X = system.fk([0.3, 0.7, 0.5, 0.2, 0.9, -0.4], "tool")
@@ -151,7 +158,8 @@ def test_what_is_refused():
             kempe.load(name).symbolic.ik(frame)
     with pytest.raises(UnsupportedError, match="ik_all"):
         PUMA.symbolic.ik("tool", "position")
-    formulas, X = PUMA.symbolic.ik("tool"), PUMA.fk(PUMA.neutral, "tool")
+    formulas = PUMA.symbolic.ik("tool")
+    X = PUMA.fk(PUMA.neutral, "tool")
     for sign in (0, 2, (1, 1), (1, 1, 0), "up", None, 1.5):
         with pytest.raises(InputError, match="sign is"):
             formulas(X, sign)

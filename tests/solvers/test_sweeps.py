@@ -31,7 +31,8 @@ def limited(arm: arms.Arm, q: np.ndarray, half: float) -> kempe.System:
 @pytest.mark.parametrize("joint", [0, -1])
 def test_solutions_at_a_value_are_those_with_the_joint_held(case, joint):
     kinds, axis = CASES[case]
-    task, seed = case.partition(",")[0], 21
+    task = case.partition(",")[0]
+    seed = 21
     arm = arms.random_arm(seed, kinds, task=task)
     q = arm.random(seed, 1)[0]
     system = limited(arm, q, 1.3)

@@ -50,7 +50,8 @@ def test_both_solutions_reach_the_target(system):
 
 def test_the_signs_are_the_elbows_of_all_solutions():
     p = np.array([0.6, 0.3])
-    both, formulas = ARM.ik_all(p, "e"), ARM.symbolic.ik("e")
+    both = ARM.ik_all(p, "e")
+    formulas = ARM.symbolic.ik("e")
     for sign, name in ((-1, "elbow-up"), (1, "elbow-down")):
         assert np.allclose(both.q[both.named(name)], [formulas(p, sign)], atol=1e-9)
     assert np.isnan(formulas([2.0, 0.0], 1)).all()
@@ -106,11 +107,13 @@ def test_code_has_names_of_its_own_for_all_that_it_computes(names):
 )
 def test_names_that_derivations_use_are_left_to_the_system(names):
     """The symbols of the steps get an ending; the formulas reach the pose by `fk`, also as the printed function."""
-    m, bodies = Mechanism("arm", dim=2), ["ground", "A", "B", "C"]
+    m = Mechanism("arm", dim=2)
+    bodies = ["ground", "A", "B", "C"]
     for k, name in enumerate(names):
         m.revolute(name, bodies[k], m.body(bodies[k + 1]), at=(0.0 if k == 0 else 0.5, 0))
     m.frame("tip", "C", at=(0.2, 0))
-    system, space = m.build(), {}
+    system = m.build()
+    space = {}
     formulas = system.symbolic.ik("tip")
     exec(formulas.code(), space)
     for sign in (-1, 1):
@@ -142,7 +145,8 @@ def chain(kinds, rng, dim):
     for i, kind in enumerate(kinds):
         length = m.parameter(f"l{i}", float(rng.uniform(0.2, 1.0)))
         at = (length, float(rng.uniform(-0.5, 0.5)), *([0.3] if dim == 3 else []))
-        body, across = m.body(f"b{i}"), [0.0] if dim == 3 else []
+        body = m.body(f"b{i}")
+        across = [0.0] if dim == 3 else []
         if kind == "P":
             m.prismatic(f"q{i}", here, body, at=at, axis=(*rng.uniform(-1, 1, 2), *across))
         elif dim == 3:
@@ -161,7 +165,9 @@ KINDS = [k for n in (2, 3) for k in map("".join, itertools.product("RP", repeat=
 @pytest.mark.parametrize("kinds", some(KINDS, 4))
 def test_formulas_of_any_planar_chain_reach_the_target_and_miss_no_solution(kinds, dim, hunt):
     rng = hunt.rng()
-    system, n, turns = chain(kinds, rng, dim), len(kinds), np.array(list(kinds)) == "R"
+    system = chain(kinds, rng, dim)
+    n = len(kinds)
+    turns = np.array(list(kinds)) == "R"
     q = rng.uniform(-2, 2, (20, n))
     X = system.fk(q, "tip")
     target = X[:, :2, 3] if n == 2 else np.column_stack([X[:, :2, 3], np.arctan2(X[:, 1, 0], X[:, 0, 0])])
@@ -194,7 +200,8 @@ def test_code_computes_what_the_formulas_say(kinds):
 
 def lifted(kinds, rng):
     """A chain of `chain` in which an L is a slide along z or -z; its tip looks up or down."""
-    m, here = Mechanism("lifted"), "ground"
+    m = Mechanism("lifted")
+    here = "ground"
     for i, kind in enumerate(kinds):
         length = m.parameter(f"l{i}", float(rng.uniform(0.2, 1.0)))
         options = {"at": (length, *rng.uniform(-0.5, 0.5, 2)), "axis": str(rng.choice(["z", "-z"]))}
@@ -213,13 +220,16 @@ LIFTED = ["RRRL", "RRLR", "RLRR", "LRRR", "RRL", "LRP", "RLP", "PLR", "LPP", "RP
 def test_formulas_with_a_slide_along_z_are_all_solutions(kinds, hunt):
     """Each reaches the target, and those of `ik_all` are the same: of SCARAs, with the same names."""
     rng = hunt.rng()
-    system, n, task = lifted(kinds, rng), len(kinds), "position" if len(kinds) == 3 else "pose"
+    system = lifted(kinds, rng)
+    n = len(kinds)
+    task = "position" if len(kinds) == 3 else "pose"
     X = system.fk(rng.uniform(-2, 2, (20, n)), "tip")
     angle = np.arctan2(X[:, 1, 0], X[:, 0, 0])
     target = X[:, :3, 3] if n == 3 else np.column_stack([X[:, :3, 3], angle])
     formulas = system.inverse.plan("tip", task).formulas()
     assert formulas.coordinates == system.joint_names and "from the height" in str(formulas)
-    both, turns = [formulas(target, sign) for sign in (-1, 1)], np.array(list(kinds)) == "R"
+    both = [formulas(target, sign) for sign in (-1, 1)]
+    turns = np.array(list(kinds)) == "R"
     for q in both:
         Y = system.fk(q, "tip")
         np.testing.assert_allclose(*((Y, X) if n == 4 else (Y[:, :3, 3], X[:, :3, 3])), atol=1e-9)
@@ -238,7 +248,8 @@ def test_elbow_up_is_what_all_solutions_call_so(axis):
     """Seen from where the axes point to, which is from below if that is down."""
     system = arm(0.7, 0.4, axis=axis)
     p = system.fk([0.4, 0.8], "tip")[:3, 3]
-    found, formulas = system.ik_all(p, "tip"), system.symbolic.ik("tip")
+    found = system.ik_all(p, "tip")
+    formulas = system.symbolic.ik("tip")
     for sign, name in ((-1, "elbow-up"), (1, "elbow-down")):
         np.testing.assert_allclose(found.q[found.named(name)], [formulas(p[:2], sign)], atol=1e-9)
 
@@ -246,13 +257,15 @@ def test_elbow_up_is_what_all_solutions_call_so(axis):
 def test_the_formulas_of_a_shipped_scara():
     """Craig's steps, and the printed function."""
     scara = kempe.load("cobra600")
-    formulas, names = scara.inverse.plan("tool").formulas(), {}
+    formulas = scara.inverse.plan("tool").formulas()
+    names = {}
     said = {str(step.symbol): str(step.formula) for step in formulas.steps}
     assert said["r2"] == "p_x**2 + p_y**2" and said["q3"] == "d1 - p_z" and "w_x" not in said
     assert "q_{3} &= d_{1} - p_{z}" in formulas.latex()
     exec(formulas.code(), names)
     q = scara.ik_all(scara.fk([0.5, 0.9, 0.1, -0.3], "tool"), "tool", start=[0.5, 0.9, 0.1, -0.3]).q[0]
-    X, sizes = scara.fk(q, "tool"), scara.structure.parameters
+    X = scara.fk(q, "tool")
+    sizes = scara.structure.parameters
     p = [*X[:3, 3], np.arctan2(X[1, 0], X[0, 0])]
     np.testing.assert_allclose(names["inverse"](*p, 1, *(sizes[x] for x in ("a1", "a2", "d1"))), q, atol=1e-9)
     np.testing.assert_allclose(formulas(p, 1), q, atol=1e-9)
@@ -267,7 +280,8 @@ def test_what_is_printed_of_numbers_can_be_read():
     m.revolute("q2", "A", m.body("B"), at=(0.3, 0))
     m.frame("tip", "B", at=(0.25, 0))
     system = m.build()
-    formulas, both = system.symbolic.ik("tip"), system.ik_all([0.4, 0.2], "tip")
+    formulas = system.symbolic.ik("tip")
+    both = system.ik_all([0.4, 0.2], "tip")
     assert "c2 = 6.66667*r2 - 1.01667" in str(formulas) and "6.66667 r_{2} - 1.01667" in formulas.latex()
     assert "6.6666666666666" in formulas.code()
     np.testing.assert_allclose([formulas([0.4, 0.2], 1)], both.q[both.named("elbow-down")], atol=1e-12)
@@ -289,6 +303,7 @@ def test_formulas_take_poses():
         (arm.build(), "tip", [0.3, 0.8, -0.4]),
         (kempe.from_dh(rows).build(), "tool", [0.4, 0.8, 0.1, 0.3]),
     ):
-        formulas, X = system.symbolic.ik(frame), system.fk(q, frame)
+        formulas = system.symbolic.ik(frame)
+        X = system.fk(q, frame)
         assert np.allclose(formulas(X, +1), q)
         assert np.allclose(formulas(np.stack([X, X]), +1), [q, q])

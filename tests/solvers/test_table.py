@@ -51,7 +51,8 @@ def turned() -> kempe.System:
     return m.build()
 
 
-STOPPED, GENERAL = ball(), turned()
+STOPPED = ball()
+GENERAL = turned()
 G = GENERAL.fk(GENERAL.mid + 0.3, "tool")
 CASES = {
     ("ik", "chain"): lambda: PUMA.ik(X, TOOL),
@@ -82,7 +83,8 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES, ids=" - ".join)
 def test_answers_say_who_answered_and_why(case):
-    answer, (verb, name) = CASES[case](), case[:2]
+    answer = CASES[case]()
+    (verb, name) = case[:2]
     rows = [row.name for row in TABLE[verb]]
     assert answer and answer.solver.name == name
     before = rows[: rows.index(name)]
@@ -112,8 +114,10 @@ def test_rows_have_names_sentences_and_a_last_one_that_takes_what_is_left(verb):
 @pytest.mark.parametrize("name", ["puma560", "ur5", "stanford", "two_link_pose"])
 def test_all_who_can_reach_the_same(name, hunt):
     """Closed form, chain and levels, on targets that are reached: each by the judge."""
-    robot, rng = kempe.load(name), hunt.rng()
-    frame, refused = robot.frame_names[-1], set[str]()
+    robot = kempe.load(name)
+    rng = hunt.rng()
+    frame = robot.frame_names[-1]
+    refused = set[str]()
     for _ in range(hunt.cases(5)):
         target = robot.fk(robot.random(rng), frame)
         for row in inverse.SOLVERS:
@@ -134,7 +138,8 @@ def test_closed_forms_and_many_starts_find_the_same_modes(name):
     known = {n: float(system.q_dict(system.assemble().q)[n]) for n in system.coordinate_names[: system.mobility().dof]}
     problem = Problem(system, "all", known=known, budget=kempe.Budget(starts=256))
     assert modes.no_dyads(system, tuple(known)) is None
-    exact, found = modes.by_dyads(problem), modes.by_starts(problem)
+    exact = modes.by_dyads(problem)
+    found = modes.by_starts(problem)
     assert len(exact) == len(found)
     for q in exact.q:
         assert np.abs(np.exp(1j * found.q) - np.exp(1j * q)).max(axis=-1).min() < 1e-7

@@ -61,7 +61,8 @@ def test_a_position_is_no_pose(verb, dim):
 def test_a_target_beyond_the_limit_of_a_slide_names_the_limit():
     """Lengths alone say nothing of an arm on a rail: its end is the reason, in `ik`, `ik_all` and of tasks."""
     m = kempe.Mechanism("rail")
-    cart, link = m.body("cart"), m.body("link")
+    cart = m.body("cart")
+    link = m.body("link")
     m.prismatic("rail", m.ground, cart, axis=(1, 0, 0), limits=(0.0, 1.0))
     m.revolute("turn", cart, link)
     m.frame("tip", link, at=(0.3, 0, 0))
@@ -75,8 +76,10 @@ def test_a_target_beyond_the_limit_of_a_slide_names_the_limit():
 
 def test_numbers_of_a_pose_in_a_row_name_the_form_that_works():
     s = kempe.load("panda")
-    place, X = [0.4, 0.0, 0.4], np.eye(4)
-    X[:3, :3], X[:3, 3] = np.diag([1.0, -1.0, -1.0]), place
+    place = [0.4, 0.0, 0.4]
+    X = np.eye(4)
+    X[:3, :3] = np.diag([1.0, -1.0, -1.0])
+    X[:3, 3] = place
     with pytest.raises(InputError, match=r"'quat_xyzw': \[x, y, z, w\]"):
         s.ik([*place, 1, 0, 0, 0], "panda_hand_tcp")
     with pytest.raises(InputError, match=r"'rpy': \[roll, pitch, yaw\]"):

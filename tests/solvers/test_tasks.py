@@ -29,18 +29,21 @@ def two_arms() -> System:
     rng = np.random.default_rng(0)
     m.joint("base", "free", m.ground, m.body("torso", 5.0, (0.0, 0.0, 0.1)))
     for side, y in (("left", 0.2), ("right", -0.2)):
-        before, at = "torso", (0.0, y, 0.3)
+        before = "torso"
+        at = (0.0, y, 0.3)
         for k in range(7):
             name = f"{side}{k}"
             m.revolute(name, before, m.body(f"{name} link", 1.0, (0.0, 0.0, 0.1)), at=at,
                        rpy=(math.pi / 2 * (-1) ** k, 0.0, rng.normal(0, 0.1)), limits=(-2.2, 2.2))  # fmt: skip
-            before, at = f"{name} link", (0.0, 0.02, 0.2)
+            before = f"{name} link"
+            at = (0.0, 0.02, 0.2)
         m.frame(side, before, at=at)
     return m.build()
 
 
 def inside(s: System, q: np.ndarray) -> bool:
-    x, v = q[..., s.structure.layout.vector_q], s.structure.layout.vector_v
+    x = q[..., s.structure.layout.vector_q]
+    v = s.structure.layout.vector_v
     return bool(np.all(x >= s.lower[v] - 1e-12) and np.all(x <= s.upper[v] + 1e-12))
 
 
@@ -112,8 +115,10 @@ def test_every_kind_of_hard_task_is_met_where_it_can_be():
     s = two_arms()
     rng = np.random.default_rng(3)
     for q in s.random(rng, 4):
-        L, R = s.fk(q, "left"), s.fk(q, "right")
-        z, d = L[:3, 2], rng.normal(size=3)
+        L = s.fk(q, "left")
+        R = s.fk(q, "right")
+        z = L[:3, 2]
+        d = rng.normal(size=3)
         far = np.linalg.norm(R[:3, 3] - L[:3, 3])
         for task in (
             tasks.Pose("left", L), tasks.Position("left", (L @ [0.1, 0, 0, 1])[:3], point=[0.1, 0, 0]),
@@ -150,7 +155,8 @@ def test_joints_at_their_limits():
 def test_wide_limits_do_not_stand_in_the_way():
     """Joints that can turn by two turns and more: a start needs not find the right one."""
     s = kempe.load("ur5")
-    frame, rng = s.body_names[-1], np.random.default_rng(5)
+    frame = s.body_names[-1]
+    rng = np.random.default_rng(5)
     answers = [s.ik(tasks.Pose(frame, s.fk(q, frame)), start=s.random(rng)) for q in s.random(rng, 40)]
     assert all(a.success and inside(s, a.q) for a in answers)
     assert np.mean([a.starts == 1 for a in answers]) > 0.6
@@ -200,10 +206,13 @@ def test_levels_are_optima_of_a_nested_optimisation(seed):
     posture = tasks.Posture(s.random(rng), priority=1)
     answer = s.ik([posture, elbow, hard, point], start=s.random(rng))
     assert answer.success and inside(s, answer.q)
-    a, b, c = cost_of(s, point), cost_of(s, elbow), cost_of(s, posture)
+    a = cost_of(s, point)
+    b = cost_of(s, elbow)
+    c = cost_of(s, posture)
 
     def middle(q):
-        (x, gx), (y, gy) = a(q), b(q)
+        (x, gx) = a(q)
+        (y, gy) = b(q)
         return x + 0.25 * y, gx + 0.25 * gy
 
     best = least(middle, s, answer.q, [equal_to(s, hard)])
@@ -260,7 +269,8 @@ def test_nearest_and_mid_are_the_nearest_with_the_tasks_held():
     s = kempe.load("panda")
     rng = np.random.default_rng(6)
     for q in s.random(rng, 4):
-        seed, task = s.random(rng), tasks.Pose(HAND, s.fk(q, HAND))
+        seed = s.random(rng)
+        task = tasks.Pose(HAND, s.fk(q, HAND))
         for prefer, to in (("nearest", seed), ("mid", s.mid)):
             answer = s.ik(task, start=seed, prefer=prefer)
             assert answer.success
@@ -377,7 +387,8 @@ def test_no_false_success():
 def test_batches_are_their_rows_and_do_not_depend_on_threads():
     s = two_arms()
     q = s.random(10, (4, 12))
-    L, R = s.fk(q, "left"), s.fk(q, "right")[..., :3, 3]
+    L = s.fk(q, "left")
+    R = s.fk(q, "right")[..., :3, 3]
     wanted = [tasks.Pose("left", L), tasks.Position("right", R), tasks.Posture(s.neutral, priority=1)]
     answer = s.ik(wanted, budget=kempe.Budget(threads=1))
     assert (
@@ -413,7 +424,8 @@ def test_what_is_refused():
     ):  # fmt: skip
         with pytest.raises(InputError, match=match):
             s.ik(*bad)
-    nan, none = [math.nan] * 7, kempe.Budget(starts=0)
+    nan = [math.nan] * 7
+    none = kempe.Budget(starts=0)
     for more, match in (({"prefer": "best"}, "prefer"), ({"start": nan}, "start"), ({"budget": none}, "starts")):
         with pytest.raises(InputError, match=match):
             s.ik(tasks.Pose(HAND, X), **more)
@@ -439,7 +451,8 @@ def test_functions_do_what_the_tasks_they_stand_for_do():
     q = s.random(11)
     p = s.fk(q, HAND)[:3, 3]
     mine = tasks.Function(lambda x: s.fk(x, HAND)[:3, 3] - p, lambda x: s.jacobian(x, HAND)[:3])
-    a, b = s.ik(mine, start=s.mid), s.ik(tasks.Position(HAND, p), start=s.mid)
+    a = s.ik(mine, start=s.mid)
+    b = s.ik(tasks.Position(HAND, p), start=s.mid)
     assert a.success and b.success
     np.testing.assert_allclose(s.fk(a.q, HAND)[:3, 3], p, atol=1e-6)
     between = s.ik(tasks.Function(lambda x: x[:2] * 1.0, low=[0.5, -1.0], high=[0.7, -0.9]), start=np.zeros(7))
@@ -537,17 +550,20 @@ def mobile(planar: bool) -> System:
         m.prismatic("x", "ground", m.body("rail"), axis=(1, 0, 0))
         m.prismatic("y", "rail", m.body("cart"), axis=(0, 1, 0))
         m.revolute("yaw", "cart", m.body("base"))
-    before, at = "base", (0.0, 0.0, 0.5)
+    before = "base"
+    at = (0.0, 0.0, 0.5)
     for k in range(4):
         m.revolute(f"j{k}", before, m.body(f"l{k}"), at=at, rpy=(math.pi / 2 * (-1) ** k, 0, 0), limits=(-2.5, 2.5))
-        before, at = f"l{k}", (0.02, 0.0, 0.2)
+        before = f"l{k}"
+        at = (0.02, 0.0, 0.2)
     m.frame("tool", before, at=at)
     return m.build()
 
 
 @pytest.mark.parametrize("planar", [True, False])
 def test_a_base_that_drives_begins_beside_its_target(planar):
-    s, rng = mobile(planar), np.random.default_rng(0)
+    s = mobile(planar)
+    rng = np.random.default_rng(0)
     q = s.random(rng, 20)
     q[:, :2] += rng.normal(size=(20, 2)) * 2000.0
     X = s.fk(q, "tool")

@@ -14,7 +14,8 @@ from kempe.solvers.tasks.levels import packed_for
 from kempe.status import Status
 
 HAND = "panda_link7"
-NAN, INF = math.nan, math.inf
+NAN = math.nan
+INF = math.inf
 
 
 def ball(kind: str = "spherical") -> System:
@@ -26,10 +27,12 @@ def ball(kind: str = "spherical") -> System:
 def flat_arm(n: int = 3) -> System:
     """An arm in the plane of links of length 1, with the frame 'tip'."""
     m = Mechanism("flat", dim=2)
-    before, at = "ground", 0.0
+    before = "ground"
+    at = 0.0
     for k in range(n):
         m.revolute(f"j{k}", before, m.body(f"b{k}", 1.0, (0.5, 0.0)), at=(at, 0))
-        before, at = f"b{k}", 1.0
+        before = f"b{k}"
+        at = 1.0
     m.frame("tip", before, at=(1.0, 0))
     return m.build()
 
@@ -57,7 +60,9 @@ def test_axes_that_are_nearly_opposite_are_turned(task, back):
 @pytest.mark.parametrize("task", [tasks.Pointing, tasks.LookAt])
 def test_tilts_have_the_length_and_the_rates_that_they_should(task, angle):
     s = ball("free")
-    t, q, h = task("b", turned(angle)), s.neutral, 1e-6 if angle < 3.1 else 1e-3 * (math.pi - angle)
+    t = task("b", turned(angle))
+    q = s.neutral
+    h = 1e-6 if angle < 3.1 else 1e-3 * (math.pi - angle)
     ends = [
         [tasks.error(s, t, s.configuration_space.integrate(q, sign * h * e)) for sign in (1, -1)] for e in np.eye(6)
     ]
@@ -94,7 +99,8 @@ def test_nothing_looks_at_its_own_origin():
 
 
 def test_axes_of_the_plane():
-    s, q = flat_arm(), np.array([0.3, 0.4, 0.5])
+    s = flat_arm()
+    q = np.array([0.3, 0.4, 0.5])
     for task in (tasks.Pointing("tip", [-1.0, 0.5]), tasks.LookAt("tip", [1.0, 0.2])):
         answer = s.ik(task, start=q)
         X = s.fk(answer.q, "tip")
@@ -219,13 +225,15 @@ def test_caches_are_bounded():
 def test_lengths_prove_what_is_out_of_reach_as_for_one_frame(panda):
     rng = np.random.default_rng(0)
     for d in spatial.unit(rng.normal(size=(4, 3))):
-        answer, single = panda.ik(tasks.Position(HAND, 3.0 * d), budget=kempe.Budget(starts=4)), panda.ik(3.0 * d, HAND)
+        answer = panda.ik(tasks.Position(HAND, 3.0 * d), budget=kempe.Budget(starts=4))
+        single = panda.ik(3.0 * d, HAND)
         beyond = single.status.split("at least ")[1].split(",")[0]
         assert answer.code == single.code == Status.OUT_OF_REACH
         assert f"is outside the workspace by at least {beyond}, by the lengths of the links" in answer.status
         assert float(beyond.split()[0]) <= answer.position_error
     X = spatial.pose(spatial.rot_x(math.pi), [0.0, 0.0, 1.25])
-    answer, single = panda.ik(tasks.Pose(HAND, X), budget=kempe.Budget(starts=4)), panda.ik(X, HAND)
+    answer = panda.ik(tasks.Pose(HAND, X), budget=kempe.Budget(starts=4))
+    single = panda.ik(X, HAND)
     assert answer.code == single.code == Status.OUT_OF_REACH
     assert single.status.split("outside")[1].split(";")[0] in answer.status
 
@@ -235,7 +243,8 @@ def test_lengths_prove_nothing_wrong(panda):
     point = [0.1, 0.0, 0.2]
     for q in panda.random(1, 30):
         X = panda.fk(q, HAND)
-        p, d = (X @ [*point, 1.0])[:3], np.array([0.3, 0.5, -0.2])
+        p = (X @ [*point, 1.0])[:3]
+        d = np.array([0.3, 0.5, -0.2])
         at = [tasks.Pose(HAND, X), tasks.Position(HAND, p, point), tasks.OnLine(HAND, p + d, d, point),
               tasks.OnPlane(HAND, p, d, point), tasks.RelativePose(HAND, "panda_link0", X)]  # fmt: skip
         for task in at:
@@ -258,7 +267,8 @@ def test_tasks_that_are_out_of_reach_are_the_ones_named(panda):
 
 def test_lengths_prove_with_loops_too():
     s = kempe.load("five_bar")
-    frame, q = s.body_names[-1], s.assemble().q
+    frame = s.body_names[-1]
+    q = s.assemble().q
     answer = s.ik(tasks.Position(frame, [9.0, 0.0]), start=q, budget=kempe.Budget(starts=3))
     assert answer.code == Status.OUT_OF_REACH and "by the lengths of the links" in answer.status
     beyond = float(answer.status.split("at least ")[1].split(" m")[0])
@@ -290,7 +300,8 @@ def test_the_limit_at_which_a_self_motion_ends_is_named(panda, i):
 
 
 def test_the_half_space_at_which_a_self_motion_ends_is_named():
-    s, q = flat_arm(), np.array([0.4, 1.0, 0.7])
+    s = flat_arm()
+    q = np.array([0.4, 1.0, 0.7])
     elbow = s.fk(q, "b2")[:2, 3]
     wall = tasks.HalfSpace("b2", elbow + [0.1, 0.0], [-1.0, 0.0], name="wall")
     m = s.inverse.self_motion(q, [tasks.Position("tip", s.fk(q, "tip")[:2, 3]), wall], budget=kempe.Budget(points=300))

@@ -80,12 +80,15 @@ def test_a_hard_task_behind_a_soft_one_that_stays_off_holds_in_what_that_leaves(
 
 def test_soft_mixes_are_as_low_as_scipy_brings_them():
     """From the answer a solver of bounded least squares finds next to nothing lower."""
-    s, rng = kempe.load("panda"), np.random.default_rng(5)
+    s = kempe.load("panda")
+    rng = np.random.default_rng(5)
     for _ in range(12):
-        near, weight = s.random(rng), rng.uniform(0.1, 3.0)
+        near = s.random(rng)
+        weight = rng.uniform(0.1, 3.0)
         goal = s.fk(s.random(rng), HAND)[:3, 3] * rng.uniform(1.0, 1.6)
         other = s.fk(s.random(rng), "panda_link4")[:3, 3] * rng.uniform(1.0, 1.6)
-        one, two = tasks.Position(HAND, goal, weight=1.0), tasks.Position("panda_link4", other, weight=weight)
+        one = tasks.Position(HAND, goal, weight=1.0)
+        two = tasks.Position("panda_link4", other, weight=weight)
         answer = solve(s, one, two, start=near, starts=1)
 
         def miss(q, goal=goal, other=other, weight=weight):
@@ -110,13 +113,15 @@ def test_an_arm_stretches_towards_what_is_out_of_reach(count, away):
 
 @pytest.mark.slow
 def test_a_soft_position_is_as_near_as_scipy_comes():
-    s, rng = kempe.load("xarm6"), np.random.default_rng(1)
+    s = kempe.load("xarm6")
+    rng = np.random.default_rng(1)
     frame = s.frame_names[-1]
     for _ in range(6):
         d = rng.normal(size=3)
         x = d / np.linalg.norm(d) * rng.uniform(1.5, 4.0)
         answer = solve(s, tasks.Position(frame, x, weight=1.0))
-        low, high = np.maximum(s.lower, -7.0), np.minimum(s.upper, 7.0)
+        low = np.maximum(s.lower, -7.0)
+        high = np.minimum(s.upper, 7.0)
 
         def miss(q, x=x):
             return s.fk(q, frame)[:3, 3] - x
@@ -176,7 +181,8 @@ def test_a_ball_screw_turns_as_often_as_it_must(limits, z):
 
 def flying(frames: int) -> System:
     """A rigid body that flies and the frames 0, 1, ... on it, in general places."""
-    m, rng = Mechanism("flying"), np.random.default_rng(3)
+    m = Mechanism("flying")
+    rng = np.random.default_rng(3)
     m.free("base", m.ground, m.body("body"))
     for k in range(frames):
         m.frame(str(k), "body", at=rng.normal(size=3), rpy=rng.normal(size=3))
@@ -186,7 +192,8 @@ def flying(frames: int) -> System:
 @pytest.mark.parametrize("frames, posed", [(1, True), (1, False), (2, False), (3, False), (2, True)])
 def test_a_rigid_body_that_flies_is_where_it_should_be_at_once(frames, posed):
     """The best fit of goals that a rigid body can meet is exact, also where points leave a turn open."""
-    s, rng = flying(frames), np.random.default_rng(4)
+    s = flying(frames)
+    rng = np.random.default_rng(4)
     for k in range(10):
         turn = Rotation.random(rng=rng).as_matrix() if k else np.diag([1.0, -1.0, -1.0])
         X = spatial.pose(turn, 100.0 * rng.normal(size=3))

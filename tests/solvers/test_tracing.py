@@ -17,7 +17,8 @@ class Implicit(Curve):
     """Where functions of n numbers vanish; `f` gives them and their derivatives."""
 
     def __init__(self, n, f):
-        self.n, self.f = n, f
+        self.n = n
+        self.f = f
 
     def both(self, x):
         F, J = self.f(x)
@@ -48,7 +49,8 @@ def traced(curve, x, toward, longest, most=100_000, **more):
 @pytest.mark.parametrize("a", some([1.0, 2.0, 5.0], 3))
 def test_the_circumference_of_an_ellipse(a):
     """Complete elliptic integral of the second kind; nodes on the curve, tangents by the derivative, bends bounded."""
-    curve, nodes = ellipse(a, 1.0), []
+    curve = ellipse(a, 1.0)
+    nodes = []
     for b in traced(curve, [a, 0.0], [0.0, 1.0], 0.05, 2000):
         if len(nodes) > 5 and b.x[1] > 0.0 > nodes[-1].x[1]:
             break

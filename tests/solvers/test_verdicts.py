@@ -44,8 +44,11 @@ def robot(name: str) -> System:
 
 def configurations(s: System, rng: np.random.Generator, n: int, kind: str) -> np.ndarray:
     """Configurations (n, nq) inside the limits, with some coordinates at them."""
-    q, at_q, at_v = np.array(s.random(rng, n)), s.structure.layout.vector_q, s.structure.layout.vector_v
-    low, high = s.lower[at_v], s.upper[at_v]
+    q = np.array(s.random(rng, n))
+    at_q = s.structure.layout.vector_q
+    at_v = s.structure.layout.vector_v
+    low = s.lower[at_v]
+    high = s.upper[at_v]
     at = (rng.random((n, len(at_q))) < AT_LIMITS[kind]) & np.isfinite(low) & np.isfinite(high)
     q[:, at_q] = np.where(at, np.where(rng.random(at.shape) < 0.5, low, high), q[:, at_q])
     return q
@@ -53,19 +56,22 @@ def configurations(s: System, rng: np.random.Generator, n: int, kind: str) -> np
 
 def tree(rng: np.random.Generator) -> System:
     """A body on a joint or free, with two to four arms of three to seven joints that turn or slide, all limited."""
-    m, free = Mechanism("tree"), rng.random() < 0.5
+    m = Mechanism("tree")
+    free = rng.random() < 0.5
     if free:
         m.joint("base", "free", m.ground, m.body("torso"))
     else:
         m.revolute("base", m.ground, m.body("torso"), limits=(-2.0, 2.0))
     for arm in range(int(rng.integers(2, 5))):
-        before, at = "torso", rng.normal(0.0, 0.3, 3)
+        before = "torso"
+        at = rng.normal(0.0, 0.3, 3)
         for k in range(int(rng.integers(3, 8))):
             link = m.body(f"{arm}.{k}")
             low = -rng.uniform(0.3, 3.0)
             make, limits = (m.prismatic, (0.1 * low, 0.2)) if rng.random() < 0.15 else (m.revolute, (low, low + 3.0))
             make(f"j{arm}.{k}", before, link, at=at, rpy=rng.normal(0.0, 1.5, 3), limits=limits)
-            before, at = link, rng.normal(0.0, 0.15, 3)
+            before = link
+            at = rng.normal(0.0, 0.15, 3)
         m.frame(f"tip{arm}", before, at=at)
     return m.build()
 
@@ -76,7 +82,9 @@ def bundle(s: System, rng: np.random.Generator, q: np.ndarray) -> list[tasks.Tas
     frames = [f for f in s.frame_names if not s.structure.table.at[f][2]]
     for i in range(int(rng.integers(2, 6))):
         frame, other = (frames[k] for k in rng.choice(len(frames), 2, replace=False))
-        X, Y, n = s.fk(q, frame), s.fk(q, other), rng.normal(size=3)
+        X = s.fk(q, frame)
+        Y = s.fk(q, other)
+        n = rng.normal(size=3)
         make = [
             lambda: tasks.Pose(frame, X, name=f"t{i}"),  # noqa: B023
             lambda: tasks.Position(frame, X[:3, 3], name=f"t{i}"),  # noqa: B023
@@ -101,7 +109,8 @@ def claims(status: str) -> list[str]:
 @pytest.mark.parametrize("kind, least", [("random", 0.99), ("half", 0.98), ("corner", 0.96)])
 @pytest.mark.parametrize("name", list(FILES))
 def test_hands_and_feet_at_goals_of_one_configuration(name, kind, least, hunt):
-    s, n = robot(name), hunt.cases(25 if name in FREE else 50)
+    s = robot(name)
+    n = hunt.cases(25 if name in FREE else 50)
     q = configurations(s, hunt.rng(), n, kind)
     answer = s.ik([tasks.Pose(frame, s.fk(q, frame)) for frame in FILES[name][1]])
     assert answer.success.mean() >= least and not answer.proven.any()
@@ -114,18 +123,22 @@ def test_nearly_all_goals_of_one_configuration_are_found(kind, hunt):
     """At least 999 of 1000, over all robots."""
     found = total = 0
     for name in FILES:
-        s, n = robot(name), hunt.cases(60 if name in FREE else 200)
+        s = robot(name)
+        n = hunt.cases(60 if name in FREE else 200)
         q = configurations(s, hunt.rng(), n, kind)
         answer = s.ik([tasks.Pose(frame, s.fk(q, frame)) for frame in FILES[name][1]])
         assert not answer.proven.any(), name
-        found, total = found + int(answer.success.sum()), total + n
+        found = found + int(answer.success.sum())
+        total = total + n
     assert found >= 0.999 * total - 1.0, (found, total)
 
 
 @pytest.mark.parametrize("few", [None, 1, 5])
 def test_bundles_that_one_configuration_holds_are_never_said_to_contradict(few, hunt):
     """Even where so few starts are tried that many bundles are not reached."""
-    rng, missed, n = hunt.rng(), 0, hunt.cases(60)
+    rng = hunt.rng()
+    missed = 0
+    n = hunt.cases(60)
     for k in range(n):
         s = tree(rng)
         q = configurations(s, rng, 1, list(AT_LIMITS)[k % 3])[0]
@@ -139,7 +152,9 @@ def test_bundles_that_one_configuration_holds_are_never_said_to_contradict(few, 
 
 @pytest.mark.slow
 def test_bundles_on_real_robots(hunt):
-    rng, missed, n = hunt.rng(), 0, hunt.cases(40)
+    rng = hunt.rng()
+    missed = 0
+    n = hunt.cases(40)
     for name in FILES:
         s = robot(name)
         for k in range(n):
@@ -155,7 +170,8 @@ def test_bundles_on_real_robots(hunt):
 @pytest.mark.parametrize("kind", AT_LIMITS)
 def test_reachable_targets_of_one_frame_are_never_said_to_be_blocked(kind, name, hunt):
     s = kempe.load(name)
-    rng, frame = hunt.rng(), s.frame_names[-1]
+    rng = hunt.rng()
+    frame = s.frame_names[-1]
     q = configurations(s, rng, hunt.cases(150), kind)
     X = s.fk(q, frame)
     answer = s.ik(X, frame, budget=kempe.Budget(starts=1, iterations=4))
@@ -193,7 +209,9 @@ def test_contradictions_are_proven_and_their_sizes_true(hunt):
     for _ in range(hunt.cases(30)):
         s = tree(rng)
         q = np.array(s.random(rng))
-        X, n, off = s.fk(q, "tip0"), rng.normal(size=3), 10.0 ** rng.uniform(-4, 0)
+        X = s.fk(q, "tip0")
+        n = rng.normal(size=3)
+        off = 10.0 ** rng.uniform(-4, 0)
         n /= np.linalg.norm(n)
         turned = X.copy()
         turned[:3, :3] = spatial.exp_so3(off * n) @ X[:3, :3]
@@ -232,7 +250,8 @@ def test_hands_farther_apart_than_the_links_between_them_are_long(hunt):
 
 def test_two_link_arms_are_blocked_only_where_both_elbows_are(hunt):
     """The closed form judges: where it has no solution inside the limits that is proven, else never."""
-    rng, blocked = hunt.rng(), 0
+    rng = hunt.rng()
+    blocked = 0
     for _ in range(hunt.cases(120)):
         a, b = rng.uniform(0.3, 1.0, 2)
         limits = [tuple(sorted(rng.uniform(-3.0, 3.0, 2))) for _ in range(2)]
@@ -240,7 +259,8 @@ def test_two_link_arms_are_blocked_only_where_both_elbows_are(hunt):
         m.revolute("q1", m.ground, m.body("upper"), limits=limits[0])
         m.revolute("q2", "upper", m.body("lower"), at=(a, 0.0), limits=limits[1])
         m.frame("tip", "lower", at=(b, 0.0))
-        r, turn = rng.uniform(abs(a - b), a + b), rng.uniform(-np.pi, np.pi)
+        r = rng.uniform(abs(a - b), a + b)
+        turn = rng.uniform(-np.pi, np.pi)
         cosine = np.clip((r * r - a * a - b * b) / (2.0 * a * b), -1.0, 1.0)
         room = -np.inf
         for elbow in (np.arccos(cosine), -np.arccos(cosine)):
@@ -264,11 +284,13 @@ def test_two_link_arms_are_blocked_only_where_both_elbows_are(hunt):
 @pytest.mark.parametrize("name", ["panda", "ur5", "puma560", "stanford", "iiwa14", "two_link"])
 def test_a_bound_is_never_above_the_miss_of_the_same_quantity(name, hunt):
     s = kempe.load(name)
-    rng, frame = hunt.rng(), s.frame_names[-1]
+    rng = hunt.rng()
+    frame = s.frame_names[-1]
     X = np.array(s.fk(s.random(rng, hunt.cases(60)), frame))
     way = rng.normal(size=(len(X), 3)) * ([1, 1, 0] if s.dim == 2 else [1, 1, 1])
     X[:, :3, 3] += way * rng.uniform(0.5, 4.0, (len(X), 1))
-    answer, seen = s.ik(X, frame, budget=kempe.Budget(starts=64)), 0
+    answer = s.ik(X, frame, budget=kempe.Budget(starts=64))
+    seen = 0
     place = s.ik(X[:, : s.dim, 3] if s.dim == 2 else X[:, :3, 3], frame, task="position",
                  budget=kempe.Budget(starts=64))  # fmt: skip
     for i in np.flatnonzero(answer.code == Status.OUT_OF_REACH):
@@ -319,14 +341,19 @@ def test_a_singular_start_is_said_to_be_one(target):
 def test_stretched_arms_inside_the_workspace_are_never_said_to_be_outside(hunt):
     rng = hunt.rng()
     for _ in range(hunt.cases(40)):
-        m, n, total = Mechanism("arm", dim=2), int(rng.integers(2, 5)), 0.0
-        before, at = m.ground, 0.0
+        m = Mechanism("arm", dim=2)
+        n = int(rng.integers(2, 5))
+        total = 0.0
+        before = m.ground
+        at = 0.0
         for k in range(n):
             m.revolute(f"q{k}", before, m.body(f"b{k}"), at=(at, 0.0))
-            before, at = f"b{k}", rng.uniform(0.3, 1.0)
+            before = f"b{k}"
+            at = rng.uniform(0.3, 1.0)
             total += at
         m.frame("tip", before, at=(at, 0.0))
-        s, straight = m.build(), np.zeros(n)
+        s = m.build()
+        straight = np.zeros(n)
         straight[0] = rng.uniform(-3.0, 3.0)
         q = np.array(s.random(rng))
         p = s.fk(q, "tip")[:2, 3]

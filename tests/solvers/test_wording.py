@@ -73,7 +73,8 @@ def test_a_figure_that_is_not_there_is_an_attribute_that_is_missing():
 
 
 def test_targets_in_millimetres_are_suspected_and_those_a_little_too_far_are_not():
-    near, far = ARM.fk(ARM.mid + 0.2, "tool"), ARM.fk(ARM.mid + 0.2, "tool")
+    near = ARM.fk(ARM.mid + 0.2, "tool")
+    far = ARM.fk(ARM.mid + 0.2, "tool")
     far[:3, 3] *= 1000.0
     near[:3, 3] *= 4.0
     for X, wrong in ((far, True), (near, False)):
@@ -97,7 +98,8 @@ def test_parts_that_are_empty_leave_no_mark():
 
 
 def test_coordinates_outside_of_their_limits_count_modulo_turns():
-    s, turn = kempe.load("two_link"), 6.283185307179586
+    s = kempe.load("two_link")
+    turn = 6.283185307179586
     first, second = s.coordinate_names
     s = s.with_limits({first: (-1.0, 1.0), second: (2.0, 3.0)})
     assert outside_limits(s, np.array([0.5 + 3 * turn, 2.5 - turn])) == []

@@ -24,7 +24,8 @@ def raising(error):
     (MemoryError("1 TiB"), "not done, by a defect of Kempe: MemoryError: 1 TiB"),
 ])  # fmt: skip
 def test_what_ends_in_an_error_is_said_and_others_go_on(error, said, capfd):
-    actions, texts = queue.Queue(), []
+    actions = queue.Queue()
+    texts = []
     beside = Beside(lambda key, action: actions.put(action), texts.append)
     try:
         beside.start("bad", raising(error))

@@ -64,7 +64,8 @@ def test_a_rod_to_the_ground_ends_at_a_ground_symbol():
     m = Mechanism("in space")
     m.free("J", m.ground, m.particle("p"))
     m.distance("hook", m.ground, "p", length=1.0, at=(0, 0, 1))
-    solids, system = Solids(), m.build()
+    solids = Solids()
+    system = m.build()
     symbols.build(solids, look(system, system.neutral), 0.02, None)
     assert [name for name in solids.named if name.startswith("ground:")] == ["ground:0"]
 

@@ -18,7 +18,8 @@ import matplotlib
 from matplotlib import animation
 from PIL import Image
 
-BAR, ARM = kempe.load("four_bar"), kempe.load("puma560")
+BAR = kempe.load("four_bar")
+ARM = kempe.load("puma560")
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +43,8 @@ def test_a_gif_shows_the_motion_on_one_scale(tmp_path, turn):
     found = images(path)
     assert path == tmp_path / "turn.gif" and len(found) == 8 and {x.shape for x in found} == {found[0].shape}
     dark = np.stack(found) < 200.0
-    moving, still = dark.any(axis=0) & ~dark.all(axis=0), dark.all(axis=0)
+    moving = dark.any(axis=0) & ~dark.all(axis=0)
+    still = dark.all(axis=0)
     assert moving.sum() > 2000 and still.sum() > 500
     assert abs(found[0] - found[4]).max() > 100.0
 
@@ -75,7 +77,8 @@ def test_what_is_refused(tmp_path, turn, monkeypatch):
 
 def test_the_program_of_a_package_writes_films(tmp_path, monkeypatch):
     """Where ffmpeg is not installed, that of imageio-ffmpeg is run: here a script that keeps what it is given."""
-    program, kept = tmp_path / "program", tmp_path / "kept"
+    program = tmp_path / "program"
+    kept = tmp_path / "kept"
     program.write_text(f"#!/bin/sh\ncat > {kept}\n")
     program.chmod(0o755)
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", SimpleNamespace(get_ffmpeg_exe=lambda: program))

@@ -22,7 +22,9 @@ from kempe.views import overviews
 SCREEN = 40
 """Lines of one screen."""
 MANY = 300
-ARM, BAR, TWO = kempe.load("puma560"), kempe.load("four_bar"), kempe.load("two_link")
+ARM = kempe.load("puma560")
+BAR = kempe.load("four_bar")
+TWO = kempe.load("two_link")
 SOURCE = Path(kempe.__file__).parent
 FOUND = [
     (f"kempe.{path.relative_to(SOURCE).with_suffix('').as_posix().replace('/', '.')}", node.name)
@@ -154,7 +156,8 @@ def test_a_short_formula_is_printed_with_what_it_stands_for():
 
 def records() -> dict[str, object]:
     """What the builder returns, in the plane and in space."""
-    m, s = kempe.Mechanism("arm", dim=2), kempe.Mechanism("joints")
+    m = kempe.Mechanism("arm", dim=2)
+    s = kempe.Mechanism("joints")
     m.parameter("l1", 0.3)
     m.revolute("q1", m.ground, m.body("a", mass=2, center=(0.1, 0, 0)), at=("l1", 0), limits=(-1, 1))
     m.prismatic("q2", "a", m.body("b"), axis=(3, 4), actuated=True, limits=(None, 0.3))
@@ -210,7 +213,8 @@ def test_a_record_of_a_mechanism_is_a_sentence(name):
 
 def test_types_of_joints_and_tasks_are_sentences():
     """At the end of a cell as elsewhere; fields stay in the `repr`."""
-    joint, task = kempe.joints.TYPES["cylindrical"](), kempe.tasks.Position("tip", (1, 2, 3))
+    joint = kempe.joints.TYPES["cylindrical"]()
+    task = kempe.tasks.Position("tip", (1, 2, 3))
     assert joint._repr_html_() == "<p>cylindrical: turn about z, slide along z; 2 DoF, 4 constraints</p>"
     assert task._repr_html_() == f"<p>{task.sentence}</p>" and "tip" in task.sentence
     named = kempe.tasks.Position("tip", (1, 2, 3), name="home")

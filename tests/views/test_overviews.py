@@ -45,7 +45,8 @@ def test_the_tree_of_the_seven_bodies_as_a_picture():
     found = artists(ax)
     at = {n: found[f"body:{n}"][0].get_xydata()[0] for n in system.body_names}
     for body, parent in enumerate(system.parent, 1):
-        child, above = at[f"B{body}"], at[f"B{parent}"]
+        child = at[f"B{body}"]
+        above = at[f"B{parent}"]
         assert above[1] - child[1] == pytest.approx(1.4)
         line = found[f"edge:{system.structure.parent_joints[body - 1]}"][0].get_xydata()
         assert np.allclose(line, [above, child])
@@ -68,7 +69,8 @@ def humanoid() -> kempe.System:
 
 
 def chain_of_long_names() -> kempe.System:
-    m, name = kempe.Mechanism("chain"), "part_of_the_second_station_at_the_left_of_the_long_assembly_line"
+    m = kempe.Mechanism("chain")
+    name = "part_of_the_second_station_at_the_left_of_the_long_assembly_line"
     m.revolute(f"{name}_joint_1", m.ground, m.body(f"{name}_body_1"))
     m.revolute(f"{name}_joint_2", f"{name}_body_1", m.body(f"{name}_body_2"), at=(0, 0, 1))
     return m.build()
@@ -82,7 +84,8 @@ def test_names_in_a_tree_can_be_read(make):
     draw = ax.figure.canvas.get_renderer()
     boxes = {t.get_text(): t.get_window_extent(draw) for t in ax.texts}
     assert {str(k) for k in range(len(system.body_names))} <= set(boxes)
-    paper, said = ax.figure.bbox, list(boxes.items())
+    paper = ax.figure.bbox
+    said = list(boxes.items())
     for k, (text, box) in enumerate(said):
         assert paper.x0 <= box.x0 and box.x1 <= paper.x1, text
         for other, more in said[:k]:
@@ -201,7 +204,8 @@ NOTEBOOK = {
 @pytest.mark.slow
 def test_cells_of_a_notebook_show_pictures():
     """Run by Jupyter's own client; texts are a screen at most."""
-    nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
+    nbclient = pytest.importorskip("nbclient")
+    nbformat = pytest.importorskip("nbformat")
     pytest.importorskip("ipykernel")
     cells = [nbformat.v4.new_code_cell(source) for source in NOTEBOOK]
     book = nbformat.v4.new_notebook(cells=cells)

@@ -123,7 +123,8 @@ def test_the_page_itself_needs_the_token_and_may_load_nothing_from_elsewhere():
 
 def test_two_servers_have_two_tokens_and_other_servers_of_viser_are_as_they_were():
     plain = viser.infra.WebsockServer._background_worker
-    first, second = PageServer(port=0), PageServer(port=0)
+    first = PageServer(port=0)
+    second = PageServer(port=0)
     assert first.guard.token != second.guard.token and viser.infra.WebsockServer._background_worker is plain
     other = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     assert int(opened(f"http://127.0.0.1:{other.get_port()}/", FOREIGN)) > 0
@@ -146,7 +147,8 @@ def test_requests_with_anything_else_are_refused(hunt):
     letters = "abcxyzABCXYZ0123456789-_./:@%#"
     refused = 0
     for _ in range(hunt.cases(4000)):
-        guard, host = Guard(), rng.choice(["127.0.0.1:8080", "localhost:9", "[::1]:80", "LOCALHOST"])
+        guard = Guard()
+        host = rng.choice(["127.0.0.1:8080", "localhost:9", "[::1]:80", "LOCALHOST"])
         parts = {"token": guard.token, "host": host, "origin": f"http://{host}"}
         assert ask(guard, parts["token"], [host], [parts["origin"]]) is None
         which = rng.choice(list(parts))
@@ -154,10 +156,14 @@ def test_requests_with_anything_else_are_refused(hunt):
             pass
         wrong = {**parts, which: text}
         if rng.random() < 0.2 and which != "token":  # beside the right one
-            token, hosts, origins = parts["token"], [host], [parts["origin"]]
+            token = parts["token"]
+            hosts = [host]
+            origins = [parts["origin"]]
             (hosts if which == "host" else origins).append(text)
         else:
-            token, hosts, origins = wrong["token"], [wrong["host"]], [wrong["origin"]]
+            token = wrong["token"]
+            hosts = [wrong["host"]]
+            origins = [wrong["origin"]]
         answer = ask(guard, token, hosts, origins)
         if which == "token" and text.startswith((f"{parts['token']}/", f"{parts['token']}?")):
             continue  # the token, and a path after it
@@ -233,7 +239,8 @@ def named(site: str, tmp_path: Path) -> kempe.System:
     """A system whose names are all markup, with a mesh that is not there."""
     evil = EVIL.format(site=site)
     m = kempe.Mechanism(f"system {evil}", dim=3)
-    body, other = m.body(f"body {evil}"), m.body(f"other {evil}")
+    body = m.body(f"body {evil}")
+    other = m.body(f"other {evil}")
     m.revolute(f"joint {evil}", m.ground, body, limits=(-1.0, 1.0))
     m.prismatic(f"slide {evil}", body, other, at=(1.0, 0.0, 0.0), limits=(0.0, 1.0))
     m.frame(f"frame {evil}", other, at=(0.5, 0.0, 0.0))
@@ -272,7 +279,8 @@ def test_names_are_text_on_the_page_and_request_nothing(browser, tmp_path, monke
     with website() as (site, asked):
         system = named(site, tmp_path)
         with system.show(port=0, browser=False) as viewer:
-            tab, requests = browser.new_page(viewport={"width": 1000, "height": 900}), []
+            tab = browser.new_page(viewport={"width": 1000, "height": 900})
+            requests = []
             tab.on("request", lambda r: requests.append(r.url))
             tab.goto(viewer.url)
             tab.get_by_text("random", exact=True).wait_for()
@@ -339,7 +347,8 @@ def test_the_page_speaks_degrees_where_these_are_wanted(page_of):
     page = page_of(system, deg=True)
     page.show()
     for s in page.session.sliders:
-        handle, factor = page.sliders[s.name], np.pi / 180.0 if s.unit == "rad" else 1.0
+        handle = page.sliders[s.name]
+        factor = np.pi / 180.0 if s.unit == "rad" else 1.0
         assert np.allclose(np.array([handle.min, handle.max, handle.value]) * factor, [s.low, s.high, s.value])
         assert handle.label.endswith("[deg]" if s.unit == "rad" else "[m]")
         page._set(s.name, "deg" if s.unit == "rad" else s.unit, handle.max)

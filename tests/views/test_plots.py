@@ -155,7 +155,9 @@ def test_the_hull_drops_what_lies_inside_and_on_sides():
 def test_bodies_joined_by_fixed_joints_are_one_link():
     """What is fixed to the ground is ground, whichever way the fixed joint was written."""
     m = Mechanism("mounted", dim=2)
-    base, arm, tool = m.body("base"), m.body("arm"), m.body("tool")
+    base = m.body("base")
+    arm = m.body("arm")
+    tool = m.body("tool")
     m.fixed("mount", base, m.ground)
     m.revolute("A", base, arm, at=(0.2, 0.1))
     m.fixed("flange", arm, tool, at=(0.5, 0.0))
@@ -172,7 +174,8 @@ def test_a_slider_is_a_block_on_a_hatched_rail():
     q = start(system)
     found = artists(plots.plot(system))
     (name,) = [n for n, j in system.structure.joints.items() if j.type.type_name == "prismatic"]
-    block, rail = found[f"block:{name}"][0], found[f"rail:{name}"][0]
+    block = found[f"block:{name}"][0]
+    rail = found[f"rail:{name}"][0]
     joint = system.structure.joints[name]
     axis = (system.fk(q, joint.parent) @ joint.X_PF.evaluate(system.structure.parameters))[:2, 2]
     centre = centres(system, q)[name][:2]
@@ -235,7 +238,8 @@ def test_open_loops_are_shown():
 
 def test_rods_and_slots_of_constraints():
     m = Mechanism("rods", dim=2)
-    crank, rocker = m.body("crank"), m.body("rocker")
+    crank = m.body("crank")
+    rocker = m.body("rocker")
     m.revolute("A", m.ground, crank)
     m.revolute("D", m.ground, rocker, at=(0.4, 0))
     m.distance("rod", crank, rocker, at=(0.1, 0), child_at=(0, 0.4), length=0.5)
@@ -269,8 +273,11 @@ def test_curves_are_fk_over_the_path():
 def test_marked_frames_show_their_axes(name):
     """The axes of every body and frame, in the plane and in space, lie where `fk` says; others are not marked."""
     system = kempe.load(name)
-    q, names, axes = start(system), [*system.body_names, *system.frame_names][::2], "xyz"[: system.dim]
-    bare, found = artists(plots.plot(system, q)), artists(plots.plot(system, q, frames=names))
+    q = start(system)
+    names = [*system.body_names, *system.frame_names][::2]
+    axes = "xyz"[: system.dim]
+    bare = artists(plots.plot(system, q))
+    found = artists(plots.plot(system, q, frames=names))
     assert not [gid for gid in bare if gid.startswith("mark:")]
     drawn = {gid for gid in found if gid.startswith("mark:") and not gid.endswith(":head")}
     assert drawn == {f"mark:{n}{part}" for n in names for part in ("", *(f":{a}" for a in axes))}
@@ -306,7 +313,8 @@ def test_all_is_inside_the_limits():
     system, q = parallelogram()
     for ax in (plots.plot(system), plots.plot(system, path=q, ghosts=4)):
         assert ax.get_aspect() == 1.0
-        (x0, x1), (y0, y1) = ax.get_xlim(), ax.get_ylim()
+        (x0, x1) = ax.get_xlim()
+        (y0, y1) = ax.get_ylim()
         for patch in ax.patches:
             if patch.get_gid():
                 box = patch.get_path().get_extents()
@@ -370,7 +378,8 @@ def test_nice_lengths(length, rounded):
 
 
 def solids_of(system, q) -> tuple[Solids, float]:
-    scene, solids = look(system, q), Solids()
+    scene = look(system, q)
+    solids = Solids()
     r = symbols.radius(scene)
     symbols.build(solids, scene, r, None)
     return solids, r
@@ -434,7 +443,8 @@ def test_tubes_join_the_joints_of_a_link(name):
 
 def test_links_follow_axes_and_common_normals():
     """A link from (0,0,0) about z to (1,0,1) about y: up the first axis, then along the common normal."""
-    A, B = np.eye(4), np.eye(4)
+    A = np.eye(4)
+    B = np.eye(4)
     B[:3, :3] = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
     B[:3, 3] = 1, 0, 1
     line = symbols._along_axes(A, B, True, True)
@@ -487,7 +497,8 @@ def test_symbols_are_of_joint_types():
 
 def test_tubes_and_balls_have_their_sizes():
     solids = Solids()
-    a, b = np.array([1.0, 2.0, 3.0]), np.array([2.0, 0.0, 5.0])
+    a = np.array([1.0, 2.0, 3.0])
+    b = np.array([2.0, 0.0, 5.0])
     solids.tube("t", a, b, 0.25, "#808080")
     u = (b - a) / 3.0
     p = vertices(solids, "t") - a
@@ -536,7 +547,8 @@ def test_vector_output_names_its_parts(tmp_path):
 
 def test_axes_of_the_caller_are_used():
     figure = page.new_figure()
-    left, right = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2, projection="3d")
+    left = figure.add_subplot(1, 2, 1)
+    right = figure.add_subplot(1, 2, 2, projection="3d")
     assert plots.plot(kempe.load("four_bar"), ax=left) is left and "joint:A" in artists(left)
     assert plots.plot(kempe.load("bennett"), ax=right) is right and "solids" in artists(right)
     limits = np.array([right.get_xlim(), right.get_ylim(), right.get_zlim()])
@@ -574,7 +586,8 @@ def test_wrong_calls_say_what_is_allowed():
 
 
 def test_answers_draw_their_coordinates():
-    bar, arm = kempe.load("four_bar"), kempe.load("puma560")
+    bar = kempe.load("four_bar")
+    arm = kempe.load("puma560")
     path = bar.trace("A")
     ax = path.plot_curve(["A", "D"])
     found = artists(ax)
@@ -696,7 +709,8 @@ def text_of(ax, gid: str) -> str:
 
 def test_the_two_link_arm_with_its_frames_angles_and_lengths():
     """As in the figure of the lecture: x_0, x_1, x_2, x_e, arcs of q1 and q2 by their size, l1 and l2."""
-    arm, q = kempe.load("two_link"), np.array([0.5, 0.9])
+    arm = kempe.load("two_link")
+    q = np.array([0.5, 0.9])
     ax = arm.plot(q, axes="all", angles=True, dimensions=True, labels=("bodies", "joints"))
     found = artists(ax)
     for name, below in (("ground", "0"), ("B1", "1"), ("B2", "2"), ("e", "e")):
@@ -720,7 +734,8 @@ def test_the_two_link_arm_with_its_frames_angles_and_lengths():
 
 def test_the_angles_alpha_and_beta_of_the_inverse_model():
     """alpha = atan2(p_y, p_x), beta = atan2(l2 s2, l1 + l2 c2), and q1 = alpha - beta."""
-    arm, q = kempe.load("two_link"), np.array([0.5, 0.9])
+    arm = kempe.load("two_link")
+    q = np.array([0.5, 0.9])
     found = artists(arm.plot(q, angles="e"))
     p = arm.fk(q, "e")[:2, 3]
     way = {"alpha": np.arctan2(p[1], p[0]), "beta": np.arctan2(0.4 * np.sin(0.9), 0.5 + 0.4 * np.cos(0.9))}
@@ -780,10 +795,8 @@ def shown_boxes(ax, words):
     ax.figure.canvas.draw()
     out = []
     for t in (t for t in ax.texts if t.get_text() in words):
-        size, at = (
-            t.get_window_extent(),
-            ax.transData.transform(proj_transform(*t.get_position_3d(), ax.get_proj())[:2]),
-        )
+        size = t.get_window_extent()
+        at = ax.transData.transform(proj_transform(*t.get_position_3d(), ax.get_proj())[:2])
         out.append(Bbox([at - 0.5 * np.array(size.size), at + 0.5 * np.array(size.size)]))
     return out
 
@@ -792,11 +805,14 @@ def test_many_solutions_have_numbers_and_a_key_and_differ_in_grey():
     """Eight of an arm in space: no number covers another, all lies in the figure, and no two have the same dashes."""
     arm = kempe.load("ur5")
     every = arm.ik_all(arm.fk(arm.random(4), "tool"), "tool")
-    ax, wide = every.plot(), arm.plot(every.q[0]).figure.get_figwidth()
-    numbers, legend = shown_boxes(ax, set("12345678")), ax.get_legend()
+    ax = every.plot()
+    wide = arm.plot(every.q[0]).figure.get_figwidth()
+    numbers = shown_boxes(ax, set("12345678"))
+    legend = ax.get_legend()
     assert [t.get_text() for t in legend.get_texts()] == [f"{k}  {name}" for k, name in enumerate(every.names, 1)]
     assert len(numbers) == 8 and not any(a.overlaps(b) for k, a in enumerate(numbers) for b in numbers[:k])
-    boxes, sheet = [*numbers, legend.get_window_extent()], ax.figure.bbox
+    boxes = [*numbers, legend.get_window_extent()]
+    sheet = ax.figure.bbox
     assert all(sheet.x0 <= b.x0 and b.x1 <= sheet.x1 and sheet.y0 <= b.y0 and b.y1 <= sheet.y1 for b in boxes)
     assert legend.get_window_extent().x0 > 72 * wide, "beside what is drawn"
     dashes = [str(artists(ax)[f"configuration{k}:link2"][0]._unscaled_dash_pattern) for k in range(1, 8)]
@@ -819,7 +835,8 @@ def test_starts_of_a_history_differ_in_grey():
 def test_a_motion_is_a_path():
     bar = kempe.load("four_bar")
     path = bar.trace("A")
-    one, two = artists(bar.plot(path)), artists(bar.plot(path=path))
+    one = artists(bar.plot(path))
+    two = artists(bar.plot(path=path))
     assert one.keys() == two.keys() and "curve:coupler_point" in one
 
 
@@ -835,7 +852,8 @@ def test_an_arrow_for_each_freedom(name):
     """Those of a joint go round its axes, or along them; a ball has three."""
     system = kempe.load(name)
     assert system.plot(motion=True).collections
-    scene, solids = look(system, start(system)), Solids()
+    scene = look(system, start(system))
+    solids = Solids()
     (joint,) = scene.joints
     lines = measured.freedoms(solids, joint, 1.0)
     (own,) = (j for j in system.structure.joints.values() if j.type.dof(3))
@@ -970,7 +988,8 @@ def test_opened_systems_keep_their_links_in_pictures(name, joint):
     system = whole.opened(joint)
     q = whole.assemble().q
     given = {n: x for n, x in whole.q_dict(q).items() if n in system.coordinate_names}
-    before, after = look(whole, q), look(system, system.q(given))
+    before = look(whole, q)
+    after = look(system, system.q(given))
     for link in before.links[1:]:
         same = next(x for x in after.links if x.name == link.name)
         for p in before.points(link):

@@ -108,7 +108,8 @@ def test_solutions_hold_the_frame_and_can_be_chosen():
 def test_assembly_modes_are_passed_in_turn():
     """A four-bar has two for a crank angle (Grashof); the second brings back the first."""
     session = Session(kempe.load("four_bar"))
-    first, A = session.q.copy(), session.sliders[0].value
+    first = session.q.copy()
+    A = session.sliders[0].value
     session.next("mode")
     assert closed(session) and not np.allclose(session.q, first) and session.sliders[0].value == pytest.approx(A)
     session.next("mode")
@@ -146,7 +147,8 @@ def test_curves_are_what_the_frame_passes():
 def test_the_workspace_of_a_planar_chain_is_its_annulus():
     """Two links of 1 m and 0.7 m without limits: the triangles cover pi ((1 + 0.7)^2 - (1 - 0.7)^2)."""
     m = kempe.Mechanism("arm", dim=2)
-    one, two = m.body("one"), m.body("two")
+    one = m.body("one")
+    two = m.body("two")
     m.revolute("A", m.ground, one)
     m.revolute("B", one, two, at=(1.0, 0.0))
     m.frame("tip", two, at=(0.7, 0.0))
@@ -217,7 +219,8 @@ def test_rods_hold_while_a_target_is_dragged():
         X = session.pose.copy()
         X[:3, 3] += step
         session.reach(X)
-        p, q = session.q[:2], session.q[2:]
+        p = session.q[:2]
+        q = session.q[2:]
         assert abs(np.hypot(*p) - 0.3) < 1e-6 and abs(np.hypot(*(q - p)) - 0.5) < 1e-6
 
 

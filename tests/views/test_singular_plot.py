@@ -25,7 +25,8 @@ def test_an_arm_has_lost_the_direction_of_its_links():
     for ax, x in zip(axes, (0.0, np.pi), strict=False):
         (arrow,) = artists(ax)["lost:0"]
         q = min(found.sets[0].q, key=lambda q: abs(q[1] - x))
-        way, link = np.subtract(arrow.xy, arrow.xyann), ARM.fk(q, "e")[:2, 3]
+        way = np.subtract(arrow.xy, arrow.xyann)
+        link = ARM.fk(q, "e")[:2, 3]
         assert abs(way[0] * link[1] - way[1] * link[0]) < 1e-9 and np.linalg.norm(way) > 0.1
     radii = {round(float(np.hypot(*v[0].get_data())[0]), 9) for k, v in artists(axes[2]).items() if "singular" in k}
     assert len(axes) == 3 and radii == {0.9, 0.1}
@@ -38,7 +39,8 @@ def test_a_platform_gains_a_turn_about_where_the_legs_meet():
     axes = found.plot()
     assert len(axes) == len(found.sets) == 2  # the sets are surfaces: there are no curves
     (two,) = (k for k, s in enumerate(found.sets) if s.kinds == ("type 2",))
-    q, (twist,) = found.sets[two].q[0], found.sets[two].gained[0]
+    q = found.sets[two].q[0]
+    (twist,) = found.sets[two].gained[0]
     assert set(artists(axes[two])) >= {"gained:0"} and "lost:0" not in artists(axes[two])
     centre = robot.fk(q, "tool")[:2, 3] + np.array([-twist[1], twist[0]]) / twist[5]
     drawn = artists(axes[two]).get("gained:0:centre")
@@ -83,7 +85,8 @@ def test_what_is_not_drawn_says_so():
 
 def offset_arm():
     """Six turns with offsets, whose elbow is singular at two angles."""
-    m, before = kempe.Mechanism("offset arm"), "ground"
+    m = kempe.Mechanism("offset arm")
+    before = "ground"
     places = [(0, 0, 0.3), (0.1, 0, 0.1), (0.05, 0, 0.4), (0.1, 0, 0.05), (0.3, 0, 0), (0, 0, 0)]
     for k, (axis, at) in enumerate(zip("zyyxyx", places, strict=True)):
         m.revolute(f"j{k}", before, m.body(f"b{k}"), at=at, axis=axis, limits=(-2.8, 2.8))

@@ -19,9 +19,12 @@ from kempe.views.space_pictures import nearest
 
 ARM = kempe.load("two_link")
 LIMITED = ARM.with_limits({"q1": (-0.5, 2.0), "q2": (-1.0, 2.5)})
-L1, L2 = 0.5, 0.4
+L1 = 0.5
+L2 = 0.4
 FIVE = kempe.load("five_bar").with_parameters(d=0.3)
-CRANK, ROD, BASE = 0.2, 0.3, 0.3
+CRANK = 0.2
+ROD = 0.3
+BASE = 0.3
 """Its lengths; its pivots are at (0, 0) and (BASE, 0)."""
 ARCS = (1.0, 1.2, 1.1, 0.9, 1.3)
 """Of a spherical five-bar: crank, rod, rod, crank, base."""
@@ -216,11 +219,14 @@ def test_modes_and_ways_of_five_bars_are_those_of_triangles(hunt):
             m.revolute(name, parent, child, at=(at, 0), child_at=(of, 0), actuated=name in "AD")
         m.frame("tip", "rod1", at=(b1, 0))
         space = two_freedoms(m.build(), "tip")
-        values, p = rng.uniform(-np.pi, np.pi, (500, 2)), rng.uniform(-1.5, 1.5, (500, 2))
+        values = rng.uniform(-np.pi, np.pi, (500, 2))
+        p = rng.uniform(-1.5, 1.5, (500, 2))
         ends = [x + a * np.stack([np.cos(q), np.sin(q)], axis=1) for x, a, q in (
             ([0.0, 0.0], a1, values[:, 0]), ([d, 0.0], a2, values[:, 1]))]  # fmt: skip
-        far, legs = np.linalg.norm(ends[1] - ends[0], axis=1), [np.linalg.norm(p - [x, 0.0], axis=1) for x in (0.0, d)]
-        modes, ways = space.over(values)[1].sum(axis=1), space.reaching(p)[1].sum(axis=1)
+        far = np.linalg.norm(ends[1] - ends[0], axis=1)
+        legs = [np.linalg.norm(p - [x, 0.0], axis=1) for x in (0.0, d)]
+        modes = space.over(values)[1].sum(axis=1)
+        ways = space.reaching(p)[1].sum(axis=1)
         assert space.names == ("A", "D")
         assert np.array_equal(modes, 2 * _closes(far, b1, b2))
         assert np.array_equal(ways, 4 * (_closes(legs[0], a1, b1) & _closes(legs[1], a2, b2)))
@@ -280,7 +286,8 @@ def test_limits_of_other_coordinates_are_lines():
 def test_places_with_a_configuration_are_the_image_of_a_grid(limits):
     space = two_freedoms(FIVE.with_limits(limits), "tip")
     p = space.places(*space.over_grid(300)).reshape(-1, 2)
-    x, y = np.linspace(-0.31, 0.61, 24), np.linspace(-0.51, 0.52, 27)
+    x = np.linspace(-0.31, 0.61, 24)
+    y = np.linspace(-0.51, 0.52, 27)
     beside = np.histogram2d(*p[np.isfinite(p).all(axis=1)].T, bins=[_edges(x), _edges(y)])[0] > 0
     reached = space.reach_grid(x, y) > 0
     assert not (reached & ~beside).any()  # a cell whose middle is reached holds some of the image
@@ -418,8 +425,10 @@ def test_a_linkage_that_spins_idly_is_drawn():
     left, right = system.plot_spaces("camera", task="direction", resolution=14)
     assert (left.get_xlabel(), left.get_ylabel()) == ("s0 [m]", "s1 [m]") and set(shades(left)[1].ravel()) >= {2, 4}
     p, ways = shades(right)
-    z, expected = directions(*np.moveaxis(p, -1, 0)), np.zeros(ways.shape)
-    a, b = np.arctan2(-z[..., 1], z[..., 2]), np.arcsin(z[..., 0])
+    z = directions(*np.moveaxis(p, -1, 0))
+    expected = np.zeros(ways.shape)
+    a = np.arctan2(-z[..., 1], z[..., 2])
+    b = np.arcsin(z[..., 0])
     for U in ((a, b), (a + np.pi, np.pi - b)):
         s = lengths_of_pointer(np.stack(U, axis=-1))
         expected += ((s > 0.45) & (s < 0.7)).all(axis=-1)

@@ -27,7 +27,8 @@ from kempe.views.viewer.rigid_parts import RigidParts
 from kempe.views.viewer.scene_nodes import Nodes
 from kempe.views.viewer.session import Session
 
-WIDE, HIGH = 960, 400
+WIDE = 960
+HIGH = 400
 TALOS = "talos_data/robots/talos_reduced.urdf"
 SOON = 300.0
 """Seconds after which what is waited for does not come."""
@@ -53,7 +54,8 @@ def test_parts_move_with_their_links(name):
     rigid = RigidParts(system, q)
     assert {p.carrier for p in rigid.parts} <= set(range(rigid.carriers))
     assert all(np.isfinite(p.corners).all() and len(p.triangles) for p in rigid.parts)
-    scene, X = look(system, q), rigid.poses(q)
+    scene = look(system, q)
+    X = rigid.poses(q)
     for k, (_, _, ends, _) in enumerate(scene.rods, len(rigid.heads)):
         assert np.allclose(X[k, :3, 3], ends[0]) and np.allclose(X[k, :3, 2] * np.linalg.norm(ends[1] - ends[0]),
                                                                  ends[1] - ends[0])  # fmt: skip
@@ -63,7 +65,8 @@ def test_a_pin_is_drawn_where_its_joint_is():
     """The drawing at one configuration, moved to another, is the drawing of that other: corners of links agree."""
     bar = kempe.load("four_bar")
     motion = bar.trace("A").q
-    here, there = RigidParts(bar, motion[0]), RigidParts(bar, motion[len(motion) // 3])
+    here = RigidParts(bar, motion[0])
+    there = RigidParts(bar, motion[len(motion) // 3])
     X = here.poses(motion[len(motion) // 3])
     for a, b in zip(here.parts, there.parts, strict=True):
         if a.carrier:
@@ -87,7 +90,8 @@ def bare_part(triangles: np.ndarray, a: np.ndarray, z: np.ndarray, along: float,
     t = (triangles - a) @ z
     off = triangles - a - t[..., None] * z
     near = (np.linalg.norm(off, axis=-1) < wide).all(axis=1)
-    at, most = min(0.0, along), 0.0
+    at = min(0.0, along)
+    most = 0.0
     for low, high in sorted(zip(t[near].min(axis=1), t[near].max(axis=1), strict=True)):
         if low > at:
             most = max(most, min(low, max(0.0, along)) - at)
@@ -108,7 +112,8 @@ def test_sliding_joints_are_whole_at_every_configuration(name):
     for _ in range(2):
         session.random()
         scene = look(system, session.q)
-        here, anew = parts_at(rigid, session.q), parts_at(RigidParts(system, session.q), session.q)
+        here = parts_at(rigid, session.q)
+        anew = parts_at(RigidParts(system, session.q), session.q)
         ends = [(j.F[:3, 3], j.axis, float(j.axis @ (j.centre - j.F[:3, 3]))) for j in scene.joints
                 if j.kind in ("prismatic", "cylindrical", "helical")]  # fmt: skip
         for a, z, along in ends:
@@ -119,7 +124,8 @@ def test_sliding_joints_are_whole_at_every_configuration(name):
 def test_a_pin_stays_in_its_slot(dim):
     """A point on a line that slides far: the bar reaches to it, and the slot or the bar is about it."""
     m = kempe.Mechanism("slot", dim=dim)
-    bar, arm = m.body("bar"), m.body("arm")
+    bar = m.body("bar")
+    arm = m.body("arm")
     zero = (0.0,) * dim
     m.revolute("A", m.ground, bar, at=zero, **({"axis": (0, 0, 1)} if dim == 3 else {}))
     m.prismatic("x", m.ground, arm, at=(0.0, 0.3, 0.0)[:dim], axis=(1.0, 0.0, 0.0)[:dim])
@@ -131,7 +137,8 @@ def test_a_pin_stays_in_its_slot(dim):
     rigid = RigidParts(system, first)
     _, _, A, point = look(system, far).lines[0]
     along = float(A[:3, 2] @ (point - A[:3, 3]))
-    here, z = parts_at(rigid, far), A[:3, 2]
+    here = parts_at(rigid, far)
+    z = A[:3, 2]
     assert abs(along) > 1.0
     assert bare_part(here, point - 3.0 * rigid.r * z, z, 6.0 * rigid.r, 3.0 * rigid.r) < rigid.r
     if dim == 2:
@@ -244,7 +251,9 @@ class Seen:
     """A page in the browser, with what it requested, and the mouse over what is in space."""
 
     def __init__(self, browser, viewer, wide: int = WIDE, high: int = HIGH):
-        self.browser, self.viewer, self.requests = browser, viewer, []
+        self.browser = browser
+        self.viewer = viewer
+        self.requests = []
         self.open(wide, high)
 
     def open(self, wide: int = WIDE, high: int = HIGH) -> None:
@@ -297,7 +306,8 @@ class Seen:
         x = np.cross(z, camera.up_direction)
         x = x / np.linalg.norm(x)
         v = np.asarray(p) - camera.position
-        wide, high = 0.5 * camera.image_width, 0.5 * camera.image_height
+        wide = 0.5 * camera.image_width
+        high = 0.5 * camera.image_height
         scale = high / np.tan(0.5 * camera.fov) / (v @ z)
         return wide + scale * (v @ x), high - scale * (v @ np.cross(x, z))
 
@@ -310,7 +320,8 @@ class Seen:
             y = self.tab.get_by_text(row, exact=True).bounding_box()["y"]
             found.sort(key=lambda one: abs(one.bounding_box()["y"] - y))
         found[0].scroll_into_view_if_needed()
-        box, before = found[0].bounding_box(), None
+        box = found[0].bounding_box()
+        before = None
         while box != before:  # sentences above it may still come
             self.tab.wait_for_timeout(200)
             box, before = found[0].bounding_box(), box
@@ -330,7 +341,8 @@ class Seen:
 
         from matplotlib.image import imread
 
-        camera, old = self.page.client.camera, np.zeros(())
+        camera = self.page.client.camera
+        old = np.zeros(())
         clip = {"x": 0, "y": 0, "width": camera.image_width, "height": camera.image_height}
         for _ in range(20):
             new = imread(io.BytesIO(self.tab.screenshot(clip=clip)), format="png")[..., :3]
@@ -372,8 +384,10 @@ def test_sliders_and_targets_move_the_robot_and_no_request_goes_outside(browser,
     with system.show(frame=frame, port=0, browser=False) as viewer:
         seen = Seen(browser, viewer)
         assert seen.shows(lambda picture: np.abs(picture - seen_before(name)).max() < ALIKE)
-        session, q = seen.page.session, viewer.q
-        X, size = session.pose.copy(), 0.22 * seen.page.nodes.drawn.rigid.size
+        session = seen.page.session
+        q = viewer.q
+        X = session.pose.copy()
+        size = 0.22 * seen.page.nodes.drawn.rigid.size
         ends = {k: [np.array(seen.at(X[:3, 3] + part * size * X[:3, k])) for part in (0.0, 0.85, 1.2)] for k in (0, 1)}
         axis = max(ends, key=lambda k: float(np.linalg.norm(ends[k][1] - ends[k][0])))
         seen.drag(*ends[axis][1:])
@@ -394,7 +408,8 @@ def test_sliders_and_targets_move_the_robot_and_no_request_goes_outside(browser,
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
 def test_a_system_in_other_units_looks_the_same(browser, scale):
     """A linkage in millimetres, or as small as a grain: neither too near to be seen nor too far away."""
-    bar, pictures = kempe.load("watt_six_bar"), []
+    bar = kempe.load("watt_six_bar")
+    pictures = []
     lengths = {name: scale * x for name, x in bar.structure.parameters.items() if name != "bend"}
     for system in (bar, bar.with_parameters(**lengths)):
         with system.show(bar.assemble().q, port=0, browser=False) as viewer:
@@ -410,13 +425,16 @@ def test_a_system_in_other_units_looks_the_same(browser, scale):
 def test_a_narrow_page_looks_past_the_panel_from_where_pages_begin(panel):
     """A camera that the browser puts there late, or by "Reset View", is moved; one that someone moved is left."""
     with kempe.load("panda").show(port=0, browser=False) as viewer:
-        begin, camera = viewer.server.initial_camera, types.SimpleNamespace()
-        camera.position, camera.look_at = begin.position + 0.3, begin.look_at
+        begin = viewer.server.initial_camera
+        camera = types.SimpleNamespace()
+        camera.position = begin.position + 0.3
+        camera.look_at = begin.look_at
         viewer._uncover(camera, *panel)
         assert np.allclose(camera.position, begin.position + 0.3) and np.allclose(camera.look_at, begin.look_at)
         camera.position = begin.position
         viewer._uncover(camera, *panel)
-        away, far = np.subtract(camera.position, camera.look_at), np.subtract(begin.position, begin.look_at)
+        away = np.subtract(camera.position, camera.look_at)
+        far = np.subtract(begin.position, begin.look_at)
         assert np.linalg.norm(away) > 2.0 * np.linalg.norm(far) and np.allclose(np.cross(away, far), 0.0)
 
 
@@ -427,7 +445,8 @@ def test_the_panel_leaves_the_system_in_sight(browser, name, wide):
     system = kempe.load(name)
     with system.show(port=0, browser=False) as viewer:
         seen = Seen(browser, viewer, wide, 800)
-        on_top, poses = "([x, y]) => document.elementFromPoint(x, y)?.tagName", system.fk(viewer.q)
+        on_top = "([x, y]) => document.elementFromPoint(x, y)?.tagName"
+        poses = system.fk(viewer.q)
 
         def places():
             return np.array([seen.at(X[:3, 3]) for X in (*poses, seen.page.session.pose)])
@@ -447,7 +466,9 @@ def test_a_ghost_is_clicked(browser):
     system = kempe.load("ur5")
     with system.show([0.3, -1.2, 1.5, -0.6, -1.4, 0.2], port=0, browser=False) as viewer:
         seen = Seen(browser, viewer)
-        session, q, X = seen.page.session, viewer.q, seen.page.session.pose.copy()
+        session = seen.page.session
+        q = viewer.q
+        X = seen.page.session.pose.copy()
         seen.press("show", "other solutions")
         assert seen.until(lambda: len(session.solutions) == 7)
         solutions = session.solutions.copy()
@@ -472,7 +493,9 @@ def test_another_assembly_mode_is_clicked_and_overlays_come_and_go(browser):
     bar = kempe.load("four_bar")
     with bar.show(port=0, browser=False) as viewer:
         seen = Seen(browser, viewer)
-        session, laid, crank = seen.page.session, seen.page.nodes.laid, viewer.q[0]
+        session = seen.page.session
+        laid = seen.page.nodes.laid
+        crank = viewer.q[0]
         for name in ("curve", "workspace"):
             seen.press(name)
             assert seen.until(lambda n=name: n in laid)
@@ -522,7 +545,8 @@ def test_motions_are_found_by_a_button_and_played(browser, name, motion):
 def test_pages_share_a_configuration_on_request(browser):
     """And with neither page left, another one still opens."""
     with kempe.load("two_link").show(port=0, browser=False, share=True) as viewer:
-        first, q = Seen(browser, viewer), viewer.q
+        first = Seen(browser, viewer)
+        q = viewer.q
         first.tab.get_by_text("random", exact=True).click()
         assert first.until(lambda: not np.allclose(viewer.q, q))
         q = viewer.q
@@ -536,15 +560,19 @@ def test_pages_share_a_configuration_on_request(browser):
 @pytest.mark.slow
 def test_a_saved_page_opens_from_disk_and_moves(browser, tmp_path):
     """Of a four-bar: one file, no request but for itself, and two pictures at different times differ."""
-    bar, file = kempe.load("four_bar"), tmp_path / "robot.html"
+    bar = kempe.load("four_bar")
+    file = tmp_path / "robot.html"
     bar.save_html(file, path=bar.trace("A"), seconds=2.0)
-    tab, requests = browser.new_page(viewport={"width": 600, "height": 500}), []
+    tab = browser.new_page(viewport={"width": 600, "height": 500})
+    requests = []
     tab.on("request", lambda r: requests.append(r.url))
     tab.goto(Path(file).as_uri())
-    note, bar = tab.get_by_text("Sliders need the live page"), tab.locator(".mantine-Slider-root").first
+    note = tab.get_by_text("Sliders need the live page")
+    bar = tab.locator(".mantine-Slider-root").first
     note.wait_for()
     bar.wait_for()
-    own, below = note.bounding_box(), bar.bounding_box()
+    own = note.bounding_box()
+    below = bar.bounding_box()
     assert own["y"] + own["height"] < below["y"], "above the player"
     pictures = set()
     for _ in range(200):  # as it is drawn, then as it moves
@@ -562,7 +590,8 @@ if __name__ == "__main__":
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as play:
-        chromium, pictures = play.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE), {}
+        chromium = play.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
+        pictures = {}
         for each in SHOWN:
             with systems(each).show(frame="car" if each == "car" else None, port=0, browser=False) as shown:
                 seen = Seen(chromium, shown)

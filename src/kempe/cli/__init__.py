@@ -36,7 +36,8 @@ __all__ = [
 ]
 
 
-NARROWEST, WIDEST = 40, 1000
+NARROWEST = 40
+WIDEST = 1000
 """Columns of help and tables at least and at most, where COLUMNS names a width."""
 
 

@@ -39,7 +39,10 @@ def option(flags: str, help: str, metavar: str | None = None, panel: str | None 
     return typer.Option(*flags.split(","), help=help, metavar=metavar or "", rich_help_panel=panel)
 
 
-DESCRIBE, OPEN, CLOSED, MODELS = "Describe and convert", "Positions", "Closed loops", "Models"
+DESCRIBE = "Describe and convert"
+OPEN = "Positions"
+CLOSED = "Closed loops"
+MODELS = "Models"
 """Titles over the commands in the help."""
 
 TimeLimit = Annotated[

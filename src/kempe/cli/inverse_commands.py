@@ -56,7 +56,8 @@ if TYPE_CHECKING:
     from kempe.solvers.modes.modes import Modes
     from kempe.views.input.task_file import FileTasks
 
-SLICE, TASK_SLICE = 4096, 256
+SLICE = 4096
+TASK_SLICE = 256
 """Targets that are solved at once: between them the work shows how far it is, and can be stopped."""
 
 
@@ -201,7 +202,8 @@ def path(
     wanted: Any
     if frame is None or target is None:
         read = _read_tasks(system, tasks, deg)
-        wanted, count = read.tasks(), read.count
+        wanted = read.tasks()
+        count = read.count
     else:
         system.structure.frame_name(frame)
         wanted, position = rows.target(system, target, deg)

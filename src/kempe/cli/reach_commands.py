@@ -91,7 +91,8 @@ def singularities(
     """
     from kempe.solvers.common.clock import TimeLimit
 
-    system, time = load(file, base, root, package_dir, xacro, lenient_limits), TimeLimit(time_limit)
+    system = load(file, base, root, package_dir, xacro, lenient_limits)
+    time = TimeLimit(time_limit)
     from kempe.views import rows
     from kempe.views.input import given
 

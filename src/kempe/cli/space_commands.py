@@ -68,7 +68,8 @@ def spaces(
     system = load(file, base, root, package_dir, xacro, lenient_limits)
     results(out)
     drawable(plot)
-    space, budget = system.configuration_space, Budget(time_limit=time_limit)
+    space = system.configuration_space
+    budget = Budget(time_limit=time_limit)
     found: dict[str, Any] = {"configuration_space": space}
     found["components"] = until_interrupt(space.components, budget=budget)
     if frame is not None:

@@ -138,7 +138,8 @@ def query(
     from kempe.analysis.spaces.workspace.workspace import open_workspace
 
     space = open_workspace(path)
-    turned, dim = space.kind == "orientation", space.system.dim
+    turned = space.kind == "orientation"
+    dim = space.system.dim
     wanted = 1 if turned and dim == 2 else dim
     rows = [_numbers(p, "a point") for p in points]
     if any(len(row) != wanted for row in rows):
@@ -147,7 +148,8 @@ def query(
         inside = [bool(space.contains(read_rotations(_turned(p, "a point", deg), dim))) for p in points]
         far: Any = [None] * len(rows)
     else:
-        inside, far = space.contains(rows).tolist(), space.distance(rows).tolist()
+        inside = space.contains(rows).tolist()
+        far = space.distance(rows).tolist()
     off = 0.0 if space.exact is not None else space.resolution
     if json:
         found = [{"point": p, "reached": i, "distance": f} for p, i, f in zip(rows, inside, far, strict=True)]

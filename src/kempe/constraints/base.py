@@ -218,7 +218,8 @@ class Constraint(ABC):
 
     def in_words(self, name: str) -> str:
         """The value of the field `name`, as `sentence` writes it."""
-        x, sort = getattr(self, name), next(f.type for f in fields(self) if f.name == name)
+        x = getattr(self, name)
+        sort = next(f.type for f in fields(self) if f.name == name)
         if x is None:
             return "the ground" if sort in FRAMES else "what is given"
         return SQUARE[sort] if sort in SQUARE and np.ndim(x) >= 2 else plainly(x)
@@ -261,7 +262,8 @@ class Bounded(Constraint):
         for bound in (self.at_least, self.at_most):
             if bound is not None and not signed:
                 positive(bound, f"a bound of {self.label}")
-        low, high = (-np.inf if signed else 0.0) if self.at_least is None else self.at_least, self.at_most
+        low = (-np.inf if signed else 0.0) if self.at_least is None else self.at_least
+        high = self.at_most
         pair(low, np.inf if high is None else high, f"at_least and at_most of {self.label}")
 
     @property
@@ -271,7 +273,8 @@ class Bounded(Constraint):
         return " and ".join(f"{word} {plainly(x)}" for word, x in given if x is not None)
 
 
-SIGNED, UNITS = ("height", "value"), {"distance": "m", "height": "m", "angle": "rad", "value": "1"}
+SIGNED = ("height", "value")
+UNITS = {"distance": "m", "height": "m", "angle": "rad", "value": "1"}
 """Numbers that may be negative, and the units of all."""
 
 EYE = np.eye(4)
@@ -300,7 +303,9 @@ def kind(name: str, symbol: str = "mark", says: str = "") -> Callable[[_Kind], _
         taken = KINDS.get(name)
         if taken is not None and taken.__qualname__ != made.__qualname__:
             raise InputError(f"the kind {name!r} of constraint exists already: {taken.__qualname__}")
-        made.kind, made.symbol, made.says = name, symbol, says
+        made.kind = name
+        made.symbol = symbol
+        made.says = says
         explained_making(made)
         if not issubclass(made, Bounded):
             INSTEAD.update({(made.__name__, word): made.unbounded for word in ("at_least", "at_most")})

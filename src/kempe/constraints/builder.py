@@ -72,7 +72,8 @@ class Builder:
         folded = self._folded(BINARY[op], left, right)
         if folded is not None:
             return folded
-        a, b = self._constant(left), self._constant(right)
+        a = self._constant(left)
+        b = self._constant(right)
         if op in (L.ADD, L.SUB) and b == 0.0:
             return left
         if op in (L.ADD, L.SUB) and a == 0.0:
@@ -82,7 +83,8 @@ class Builder:
         if op == L.MUL and a == 1.0:
             return right
         if op == L.MUL:
-            (base, m), (other, n) = self._powers.get(left, (left, 1)), self._powers.get(right, (right, 1))
+            (base, m) = self._powers.get(left, (left, 1))
+            (other, n) = self._powers.get(right, (right, 1))
             if base == other and m + n <= WHOLE_POWERS:
                 return self._whole_power(base, m + n)
         if op == L.POW:
@@ -158,7 +160,8 @@ class Builder:
         key = (L.NEAREST, (table, x, y), z)
         if key not in self._known:
             place = self._known[key] = self._with_partials(L.NEAREST, way, z)
-            zero, one = self.number(0.0), self.number(1.0)
+            zero = self.number(0.0)
+            one = self.number(1.0)
             by = nearest_rates(self, self._listed(table), place, (x, y, z))
             for k, left, rate in zip((before, way, place), (zero, one, one), by, strict=True):
                 self._moves(k, left, rate)
@@ -179,7 +182,8 @@ class Builder:
 
     def rates_of(self, place: int) -> list[int]:
         """The places of the derivatives of the parameter of a nearest point by x, y, z."""
-        found, n = list[int](), len(self.inputs)
+        found = list[int]()
+        n = len(self.inputs)
         for _ in range(3):
             found.insert(0, self._nodes[place + 1 - n][2])
             place = self._nodes[place - n][1]
@@ -209,7 +213,10 @@ class Builder:
 
     def _derivative(self, op: int, x: int, y: int) -> int:
         """The place of the derivative of y = f(x)."""
-        one, unary, binary, square = self.number(1.0), self.unary, self.binary, self._square
+        one = self.number(1.0)
+        unary = self.unary
+        binary = self.binary
+        square = self._square
         apart = lambda: binary(L.MUL, binary(L.SUB, one, x), binary(L.ADD, one, x))  # noqa: E731
         root: Callable[[int], int] = lambda z: binary(L.DIV, one, unary(L.SQRT, z))  # noqa: E731
         made: dict[int, Callable[[], int]] = {
@@ -309,7 +316,8 @@ def on_pieces(build: Builder, pieces: np.ndarray, s: int, p: Sequence[int]) -> t
     b = build.binary
     entry: Callable[[np.ndarray], int] = lambda column: build.entry(s, column.tolist())  # noqa: E731
     u = b(L.SUB, s, entry(np.arange(len(pieces), dtype=float)))
-    two, three = build.number(2.0), build.number(3.0)
+    two = build.number(2.0)
+    three = build.number(3.0)
     off: list[int] = []
     first: list[int] = []
     second: list[int] = []

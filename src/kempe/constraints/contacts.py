@@ -109,7 +109,8 @@ class Rolls(Constraint):
         gap, slips, spin = touching(self.shape, dim, self.label)
         more = (spin,) if spin and not self.spin else ()
         inputs = (*POSE, *TWIST, "radius")
-        tape, own = from_text([*slips, *more], inputs, {}), from_text([gap], (*POSE, "radius"), {})
+        tape = from_text([*slips, *more], inputs, {})
+        own = from_text([gap], (*POSE, "radius"), {})
         names = [*(f"slip {a}" for a, _ in zip("xy", slips, strict=False)), *(["spin"] if more else [])]
         low = "zero" if self.one_sided else ""
         return (Row(Op.TAPE, (own, 0), "gap", "m", low=low), *(

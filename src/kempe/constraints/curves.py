@@ -122,7 +122,8 @@ def spline(points: tuple[tuple[float, ...], ...], closed: bool, what: str) -> Ar
     pieces = np.moveaxis(found.c[::-1], 0, -1) * powers  # (n, 3, 4)
     made = [half for i, piece in enumerate(pieces) for half in _gentle(piece, HALVINGS, f"{what}: near point {i}")]
     if not closed:
-        first, last = made[0], made[-1]
+        first = made[0]
+        last = made[-1]
         slope = last @ [0.0, 1.0, 2.0, 3.0]
         zero = np.zeros(3)
         made.insert(0, np.stack([first[:, 0] - first[:, 1], first[:, 1], zero, zero], axis=1))
@@ -132,8 +133,11 @@ def spline(points: tuple[tuple[float, ...], ...], closed: bool, what: str) -> Ar
 
 def _gentle(piece: Array, left: int, what: str) -> list[Array]:
     """A piece in parts of which none turns far: the directions of its derivative's control points are near."""
-    a, b, c = piece[:, 1], 2.0 * piece[:, 2], 3.0 * piece[:, 3]
-    ends, middle = np.stack([a, a + 0.5 * b, a + b + c]), a + 0.5 * b + 0.25 * c
+    a = piece[:, 1]
+    b = 2.0 * piece[:, 2]
+    c = 3.0 * piece[:, 3]
+    ends = np.stack([a, a + 0.5 * b, a + b + c])
+    middle = a + 0.5 * b + 0.25 * c
     sizes = np.linalg.norm(ends, axis=1) * np.linalg.norm(middle)
     if np.all(ends @ middle > TURN * sizes):
         return [piece]
@@ -146,7 +150,8 @@ def _gentle(piece: Array, left: int, what: str) -> list[Array]:
 
 def table_of(pieces: Array, closed: bool) -> tuple[float, ...]:
     """Pieces as kernels read them (`tape_layout`)."""
-    b, c = pieces[..., 1], pieces[..., 2]
+    b = pieces[..., 1]
+    c = pieces[..., 2]
     control = np.stack([b / 3.0, (2.0 * b + c) / 3.0, pieces[..., 1:].sum(axis=-1)])  # Bezier's points less the first
     radius = np.linalg.norm(control, axis=-1).max(axis=0)
     rows = np.concatenate([pieces.reshape(len(pieces), 12), radius[:, None]], axis=1)

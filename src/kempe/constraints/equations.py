@@ -132,7 +132,8 @@ class _WrittenKind(Constraint):
         """The texts of a function, or the tape where they would be too long, or a `Call`; and its shape."""
         from kempe.constraints.recording import NotRecorded, probe, record
 
-        of, time = self.of, self.time
+        of = self.of
+        time = self.time
         if not of:
             raise InputError(f"{self.what} is given a function; name the coordinates that it reads: of=(...)")
         try:
@@ -150,7 +151,9 @@ class _WrittenKind(Constraint):
 
     def _tape_of(self, written: Any) -> Tape:
         """The tape of texts, over coordinates, the time and parameters. Errors: `InputError`, `UnknownNameError`."""
-        of, time, known = self.of, self.time, self.parameters
+        of = self.of
+        time = self.time
+        known = self.parameters
         if isinstance(written, Tape):
             return written
         clock = (TIME,) if time else ()
@@ -230,7 +233,8 @@ class _Valued(_WrittenKind, Bounded):
         """The expressions, compared with zero, as text."""
         if name != "expression":
             return super().in_words(name)
-        written, tail = self._texts, " >= 0" if self.sense else " = 0"
+        written = self._texts
+        tail = " >= 0" if self.sense else " = 0"
         texts: tuple[str, ...] = written if is_texts(written) else (f"f({', '.join(self.of)})",)
         if self.bounded:
             return f"{', '.join(texts)} {'is' if len(texts) == 1 else 'are'} {self.bounds_in_words}"
@@ -240,9 +244,12 @@ class _Valued(_WrittenKind, Bounded):
         """One row for each value of the expressions."""
         written = self._texts
         if isinstance(written, Call):
-            op, of, n = Op.CALL, written, written.size
+            op = Op.CALL
+            of = written
+            n = written.size
         else:
-            op, of = Op.TAPE, self._tape_of(written)
+            op = Op.TAPE
+            of = self._tape_of(written)
             n = len(of.outputs)
         sense = {"low": "at_least", "high": "at_most"} if self.bounded else self.sense
         part = n > 1 and self.bounded
@@ -251,7 +258,8 @@ class _Valued(_WrittenKind, Bounded):
 
     def prefixed(self, prefix: str) -> Constraint:
         """The same constraint with a prefix before the names of its coordinates."""
-        written, new = self.expression, {n: prefix + n for n in self.of}
+        written = self.expression
+        new = {n: prefix + n for n in self.of}
         if isinstance(written, Call):
             written = replace(written, of=tuple(new.get(n, n) for n in written.of))
         elif isinstance(written, Tape):
@@ -377,7 +385,8 @@ class VelocityEquation(_WrittenKind):
 
     def velocity_tape(self, rates: tuple[str, ...]) -> Tape:
         """The rows A v - b over coordinates and the velocities `rates`."""
-        texts, clock = self._row_texts(), (TIME,) if self.time else ()
+        texts = self._row_texts()
+        clock = (TIME,) if self.time else ()
         inputs = (*self.of, *rates, *clock)
         words = [w for w in words_of(texts) if w not in inputs]
         known = tuple(words if self.parameters is None else self.parameters)

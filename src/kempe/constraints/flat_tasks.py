@@ -67,7 +67,8 @@ class FlatTask:
             return Position(frame, p)
         i, j, along = PLANES[self.name]
         at = np.zeros((*p.shape[:-1], 3))
-        at[..., i], at[..., j] = p[..., 0], p[..., 1]
+        at[..., i] = p[..., 0]
+        at[..., j] = p[..., 1]
         return OnLine(frame, at, np.eye(3)[along])
 
     def area(self, X: Array, J: Array) -> Array:
@@ -80,7 +81,8 @@ class FlatTask:
         """How far (...) two of them (..., 2) are apart, in metres, or as an angle."""
         if not self.turns:
             return np.asarray(np.linalg.norm(other - p, axis=-1))
-        a, b = _directions(p), _directions(other)
+        a = _directions(p)
+        b = _directions(other)
         return 2.0 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))
 
 

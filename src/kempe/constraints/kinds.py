@@ -233,7 +233,8 @@ class HalfSpace(Placed):
 
     def goal(self, dim: int) -> Array:
         """Poses (..., 4, 4) at a point `margin` over the plane, z along the normal."""
-        X, margin = self._along(dim, "normal"), numbers_of(self.margin, f"margin of {self.label}")
+        X = self._along(dim, "normal")
+        margin = numbers_of(self.margin, f"margin of {self.label}")
         return X @ spatial.pose(p=margin[..., None] * np.array(Z)) if np.any(margin) else X
 
 
@@ -321,7 +322,8 @@ class RelativePose(Placed):
     other: Frame
     target: Matrix
 
-    rows, goal = Pose.rows, Pose.goal
+    rows = Pose.rows
+    goal = Pose.goal
 
 
 @kind("relative_position", says="{frame} is at {target}, seen from {other}")
@@ -333,7 +335,8 @@ class RelativePosition(Measured):
     target: Point
     point: Point = ORIGIN
 
-    rows, goal = Position.rows, Position.goal
+    rows = Position.rows
+    goal = Position.goal
 
 
 @kind("distance", says="{frame} and {other} are {value} m apart")

@@ -26,7 +26,8 @@ from kempe.constraints.text import from_text
 from kempe.errors import InputError
 from kempe.spatial import Array
 
-ORIGIN, Z = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+ORIGIN = (0.0, 0.0, 0.0)
+Z = (0.0, 0.0, 1.0)
 
 
 @lru_cache

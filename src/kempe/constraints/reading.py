@@ -29,7 +29,10 @@ def poses_of(x: Any, dim: int, what: str) -> Array:
     is_planar = dim == 2 and given.ndim >= 2 and given.shape[-2:] == (3, 3)
     X = np.zeros((*given.shape[:-2], 4, 4)) if is_planar else given
     if is_planar:
-        X[..., :2, :2], X[..., :2, 3], X[..., 2, 2], X[..., 3, 3] = given[..., :2, :2], given[..., :2, 2], 1.0, 1.0
+        X[..., :2, :2] = given[..., :2, :2]
+        X[..., :2, 3] = given[..., :2, 2]
+        X[..., 2, 2] = 1.0
+        X[..., 3, 3] = 1.0
     if X.ndim < 2 or X.shape[-2:] != (4, 4):
         raise InputError(f"{what} has shape {X.shape}; it must be a pose (..., 4, 4)")
     X = spatial._poses(X, what)

@@ -32,7 +32,8 @@ class RecordedNumber:
     __slots__ = ("_builder", "place")
 
     def __init__(self, builder: Builder, place: int):
-        self._builder, self.place = builder, place
+        self._builder = builder
+        self.place = place
 
     def _of(self, x: Any) -> int | None:
         """The place of another operand."""
@@ -55,8 +56,10 @@ class RecordedNumber:
                 for i in np.ndindex(*a.shape):
                     out[i] = self._binary(op, a[i], b[i])
                 return out
-            left, right = a.item(), b.item()
-        a, b = self._of(left), self._of(right)
+            left = a.item()
+            right = b.item()
+        a = self._of(left)
+        b = self._of(right)
         if a is None or b is None:
             return NotImplemented
         return RecordedNumber(self._builder, self._builder.binary(op, a, b))

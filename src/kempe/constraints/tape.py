@@ -53,7 +53,8 @@ def nearest(way: Any, z: Any) -> NDArray[Any]:
     `way` has the table of the curve, and x and y.
     """
     table, *xy = way
-    endless, rows = table[0] != 0.0, np.reshape(table[1:], (-1, L.PIECE))
+    endless = table[0] != 0.0
+    rows = np.reshape(table[1:], (-1, L.PIECE))
     p = np.stack(np.broadcast_arrays(*xy, z), axis=-1)
     out = np.empty(p.shape[:-1])
     for index in np.ndindex(out.shape):
@@ -65,22 +66,26 @@ def _nearest(rows: NDArray[Any], endless: bool, p: NDArray[Any]) -> float:
     """The nearest of one place: roots of the derivative of the squared distance, polynomials of degree 5."""
     if not np.isfinite(p).all():
         return 0.0
-    c, n = rows[:, :12].reshape(-1, 3, 4).copy(), len(rows)
+    c = rows[:, :12].reshape(-1, 3, 4).copy()
+    n = len(rows)
     c[..., 0] -= p
     away = np.linalg.norm(c[..., 0], axis=-1)
     may = away - rows[:, 12] <= away.min()
     if endless:
         may[[0, -1]] = True
-    best, found = np.inf, 0.0
+    best = np.inf
+    found = 0.0
     for i in np.flatnonzero(may):
         slope = np.sum([np.convolve(x, x[1:] * [1.0, 2.0, 3.0]) for x in c[i]], axis=0)
-        low, high = -np.inf if endless and i == 0 else 0.0, np.inf if endless and i == n - 1 else 1.0
+        low = -np.inf if endless and i == 0 else 0.0
+        high = np.inf if endless and i == n - 1 else 1.0
         us = np.polynomial.polynomial.polyroots(np.trim_zeros(slope, "b"))
         us = np.clip(us[np.abs(us.imag) < 1e-6].real, low, high).tolist()
         for u in [*us, *(x for x in (low, high) if np.isfinite(x))]:
             far = float(np.sum((c[i] @ [1.0, u, u * u, u**3]) ** 2))
             if far < best:
-                best, found = far, float(i + u)
+                best = far
+                found = float(i + u)
     return found
 
 
@@ -106,7 +111,8 @@ NAMES = {op: name for name, f in FUNCTIONS.items() for op, g in (BINARY | UNARY)
 
 SYMBOLS = {L.ADD: (" + ", 1), L.SUB: (" - ", 1), L.MUL: ("*", 2), L.DIV: ("/", 2), L.POW: ("**", 4)}
 """Signs of operations, and how tightly they bind; a minus before a term binds with 3, a name or call with 5."""
-SIGN, ATOM = 3, 5
+SIGN = 3
+ATOM = 5
 
 
 @dataclass(frozen=True)
@@ -257,7 +263,8 @@ class Tape:
             x = self.numbers[left]
             text = str(int(x)) if x.is_integer() and abs(x) < 1e15 else repr(x)
             return text, ATOM if text[0] != "-" else SIGN
-        base, n = powers[left][0], powers[left][1] + powers.get(right, (-1, 0))[1]
+        base = powers[left][0]
+        n = powers[left][1] + powers.get(right, (-1, 0))[1]
         if op == L.MUL and powers[right][0] == base and n <= WHOLE_POWERS:
             powers[i] = (base, n)
             return f"{_within(made[base], ATOM)}**{n}", SYMBOLS[L.POW][1]

@@ -138,14 +138,16 @@ def read(text: str) -> tuple[Expression, dict[str, str]]:
         raise InputError(f"{text!r} is no expression; it must be text")
     if len(text) > TEXT_LIMIT:
         raise InputError(f"expression of {len(text)} characters; at most {TEXT_LIMIT} are allowed")
-    sides, at = [""], 0
+    sides = [""]
+    at = 0
     meant: dict[str, str] = {}
     while at < len(text):
         match = _TOKENS.match(text, at)
         if match is None:
             raise InputError(f"{_short(text)} has {text[at]!r} at place {at + 1}, which no expression holds")
         at = match.end()
-        kind, token = match.lastgroup, match[match.lastgroup or 0]
+        kind = match.lastgroup
+        token = match[match.lastgroup or 0]
         if token == "=":
             sides.append("")
             continue

@@ -102,7 +102,8 @@ class _OfCentre(Bounded):
         """Poses (..., 4, 4) at the target, which has three numbers, or one for each axis that `axes` names."""
         if self.bounded:
             return EYE
-        what, axes = f"target of {self.label}", self.axis_numbers(dim)
+        what = f"target of {self.label}"
+        axes = self.axis_numbers(dim)
         p = numbers_of(self.target, what)  # type: ignore[attr-defined]
         if p.shape[-1:] == (len(axes),):
             p, given = np.zeros((*p.shape[:-1], 3)), p

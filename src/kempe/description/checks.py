@@ -101,9 +101,11 @@ def slip(kind: str | JointType, options: Iterable[str], builder: Callable[..., J
     inner = {"self", "options", "where", "name", "kind", "parent", "child"}
     keywords = [k for k in inspect.signature(builder).parameters if k not in inner]
     try:
-        own, is_type = joint_type(kind).defaults(), True
+        own = joint_type(kind).defaults()
+        is_type = True
     except (InputError, UnknownNameError):  # the type itself is wrong, too
-        own, is_type = {}, False
+        own = {}
+        is_type = False
     for key in (key for key in options if key not in own):
         if key in FOREIGN_KEYWORDS:
             return f"joints have no keyword {key!r}: {FOREIGN_KEYWORDS[key]}"
@@ -215,7 +217,8 @@ def limits(
         if len(numbers) != 2 or not all(is_real(x) for x in numbers):
             allowed = "they must be a pair (lower, upper), None where there is none"
             refuse(subject, f"limits are {shown(pair)}", where, allowed)
-        lower, upper = float(numbers[0]), float(numbers[1])
+        lower = float(numbers[0])
+        upper = float(numbers[1])
         if math.isnan(lower) or math.isnan(upper) or lower == math.inf or upper == -math.inf:
             refuse(subject, f"limits are ({lower}, {upper})", where, "they must be numbers")
         if lower > upper:

@@ -30,7 +30,8 @@ def attach(
     if name in host.frames:
         if "at" in placement:
             raise InputError("`at` cannot be given when mounting on a frame; mount on the body instead")
-        on, placement = host.frames[name].body, {"at": host.frames[name].X_BF, **placement}
+        on = host.frames[name].body
+        placement = {"at": host.frames[name].X_BF, **placement}
     elif name in host.bodies:
         on = name
     else:
@@ -96,7 +97,8 @@ def subchain(mechanism: Mechanism, base: str, tip: str) -> Mechanism:
     path = _path(mechanism, base, end)
     kept = {base, end} | {b for j in path for b in (j.parent, j.child)}
     out = Mechanism(f"{mechanism.name}: {base} to {tip}", mechanism.dim, ground=base)
-    out.parameters, out.roots = dict(mechanism.parameters), mechanism.roots
+    out.parameters = dict(mechanism.parameters)
+    out.roots = mechanism.roots
     out.bodies = {n: mechanism.bodies[n] for n in [base, *(b for b in mechanism.bodies if b in kept and b != base)]}
     names = {j.name for j in path}
     out.joints = {n: j for n, j in mechanism.joints.items() if n in names}
@@ -120,7 +122,8 @@ def subchain(mechanism: Mechanism, base: str, tip: str) -> Mechanism:
 
 def _follow_inside(mechanism: Mechanism, out: Mechanism, coupling: Coupling, coordinates: set[str]) -> None:
     """Keep a coupling that reaches outside the chain, where it does so only through locks and other couplings."""
-    sources, offset = dict(coupling.sources), coupling.offset
+    sources = dict(coupling.sources)
+    offset = coupling.offset
     for _ in range(len(mechanism.couplings) + 1):
         outside = [c for c in sources if c not in coordinates]
         for name in outside:

@@ -173,11 +173,14 @@ def _read(x: Any, what: str) -> Any:
 
 def check(mechanism: Mechanism, made: Declared) -> None:
     """Refuse ends, frames and numbers that the constraint cannot have."""
-    subject, where, dim = f"constraint {made.name!r}", made.where, mechanism.dim
+    subject = f"constraint {made.name!r}"
+    where = made.where
+    dim = mechanism.dim
     if made.parent and made.parent == made.child:
         checks.refuse(subject, f"it ties body {made.parent!r} to itself", where, "it must tie two bodies")
     numbers = resolved(made, mechanism.parameters, dim)
-    rows, tool = numbers.rows(dim), numbers.tool(dim)
+    rows = numbers.rows(dim)
+    tool = numbers.tool(dim)
     if not made.parent:
         if not made.of.reads:
             checks.refuse(subject, f"{made.of.label} is requested in one call of ik, not held always", where,

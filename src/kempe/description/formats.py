@@ -181,7 +181,8 @@ def other_kind(data: str | bytes) -> OtherKind | None:
     text = data[:HEAD] if isinstance(data, str) else decoded_head(data)
     text = text.removeprefix("\ufeff").lstrip()
     head = text.encode("utf-8", "replace") if isinstance(data, str) or data[:2] in UTF16_MARKS else data[:HEAD]
-    head, element = head.removeprefix(codecs.BOM_UTF8).lstrip(), root_element(text).lower()
+    head = head.removeprefix(codecs.BOM_UTF8).lstrip()
+    element = root_element(text).lower()
     return next((k for k in OTHER_KINDS if element in k.elements or re.match(k.signature, head, re.DOTALL)), None)
 
 

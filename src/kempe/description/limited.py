@@ -91,7 +91,8 @@ def run_limited(
                     process.wait()
         out.seek(0)
         complaints.seek(0)
-        text, said = out.read(output + 1), complaints.read(MOST_SAID).decode("utf-8", "replace").strip()
+        text = out.read(output + 1)
+        said = complaints.read(MOST_SAID).decode("utf-8", "replace").strip()
     return Ended(_reason(ended, said), text, said, ended)
 
 

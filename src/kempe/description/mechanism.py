@@ -45,7 +45,8 @@ class Mechanism(ConstraintMethods):
     def __init__(self, name: str = "mechanism", dim: int = 3, ground: str = "ground"):
         if dim not in (2, 3):
             raise InputError(f"dim is {dim!r}; a system lives in the plane (2) or in space (3)")
-        self.name, self.dim = name, int(dim)
+        self.name = name
+        self.dim = int(dim)
         self.bodies: dict[str, Body] = {}
         self.joints: dict[str, Joint] = {}
         self.frames: dict[str, Frame] = {}
@@ -137,7 +138,8 @@ class Mechanism(ConstraintMethods):
             checks.refuse(subject, str(error), where)
         except InputError as error:
             checks.refuse(subject, checks.slip(kind, options, Mechanism.joint) or str(error), where)
-        on, to = self._body(parent, subject, where), self._body(child, subject, where)
+        on = self._body(parent, subject, where)
+        to = self._body(child, subject, where)
         if on.name == to.name:
             checks.refuse(subject, f"it connects body {on.name!r} to itself", where, "it must connect two bodies")
         checks.kind(self.dim, subject, type_, on, to, where)
@@ -314,7 +316,8 @@ class Mechanism(ConstraintMethods):
     def _free_joint_name(self, name: str, subject: str, where: Where | None) -> None:
         taken = self.joints.get(name) or self.constraints.get(name)
         if taken is not None:
-            what, first = "joint" if name in self.joints else "constraint", f" ({taken.where})" if taken.where else ""
+            what = "joint" if name in self.joints else "constraint"
+            first = f" ({taken.where})" if taken.where else ""
             checks.refuse(subject, f"there is another {what} of this name{first}", where, "names must be unique")
 
     def _body(self, body: BodyLike, subject: str, where: Where | None) -> Body:

@@ -117,8 +117,10 @@ class Joint(InSentence):
         2 in a planar system; `particle` says that the child is a particle; without them it is as in the joint's
         mechanism. `JointType.forbids` has the names alone.
         """
-        dim, particle = self.dim if dim is None else dim, self.of_particle if particle is None else particle
-        taken, whole = self.type.constraints(dim, particle), dim if particle else 3 * (dim - 1)
+        dim = self.dim if dim is None else dim
+        particle = self.of_particle if particle is None else particle
+        taken = self.type.constraints(dim, particle)
+        whole = dim if particle else 3 * (dim - 1)
         names = [name for name in self.type.forbids(dim) if not (particle and name[0] == "r")]
         axes, of = self._axes(dim)
         groups = [sorted(axes[n[-1]] for n in names if (n[0] == "r") == turning) for turning in (False, True)]

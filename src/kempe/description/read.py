@@ -131,11 +131,13 @@ def _read_file(path: Path, how: _How, xacro: bool) -> Mechanism:
         from kempe.description.urdf.xacro import XACRO_ADVICE
 
         raise fail("this is a xacro file, a program that writes URDF", Where(str(path)), XACRO_ADVICE)
-    text, name = data, str(path)
+    text = data
+    name = str(path)
     if xacro:
         from kempe.description.urdf.xacro import expand_xacro
 
-        text, name = expand_xacro(path, package_dirs=how.folders), f"{path} (expanded)"
+        text = expand_xacro(path, package_dirs=how.folders)
+        name = f"{path} (expanded)"
         how = how._replace(format=URDF)
     how = how._replace(format=how.format or by_ending(path.name), folders=(path.parent, *how.folders), home=path.parent)
     return _read_text(text, name, how)

@@ -87,7 +87,8 @@ class Source:
     """A text with the name of where it came from, which answers where its lines are."""
 
     def __init__(self, name: str, text: str):
-        self.name, self.text = name, text
+        self.name = name
+        self.text = text
 
     @cached_property
     def _starts(self) -> list[int]:

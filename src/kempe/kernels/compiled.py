@@ -23,7 +23,8 @@ import numpy as np
 from kempe.errors import KernelsError
 from kempe.kernels.digest import first_difference, source_digests, sources
 
-VARIABLE, JIT = "KEMPE_KERNELS", "jit"
+VARIABLE = "KEMPE_KERNELS"
+JIT = "jit"
 """The environment variable that names a variant, and the name of what is compiled in this process."""
 
 _HELP = (
@@ -34,7 +35,8 @@ _HELP = (
 
 def _library() -> Any:
     """The library of kernels, at the variant that is wanted; None where to compile. Errors: `KernelsError`."""
-    wanted, guard = os.environ.get(VARIABLE, ""), os.environ.get("KEMPE_GUARD", "")
+    wanted = os.environ.get(VARIABLE, "")
+    guard = os.environ.get("KEMPE_GUARD", "")
     if guard not in ("", "after", "before"):
         raise KernelsError(f"KEMPE_GUARD is {guard!r}; allowed: 'after', 'before'")
     if wanted == JIT:

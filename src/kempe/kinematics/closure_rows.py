@@ -59,7 +59,8 @@ def evaluate(
     """
     q = as_q(system, q)
     loops = loops or full(system, scaled)
-    lead, m = q.shape[:-1], len(loops.names)
+    lead = q.shape[:-1]
+    m = len(loops.names)
     flat = q.reshape(math.prod(lead), system.nq)
     out = np.empty((len(flat), m))
     columns = np.empty((len(flat) if with_jacobian else 0, m, system.nv))

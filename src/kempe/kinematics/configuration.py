@@ -105,10 +105,12 @@ def closed_from(system: Compiled, coordinates: Mapping[str, Any], start: Any = N
     answer = late("assemble")(system, given, start)
     if np.all(answer.success):
         return answer.q
-    why, where = answer.status, ""
+    why = answer.status
+    where = ""
     if q.ndim > 1:
         first = int(np.flatnonzero(~np.ravel(answer.success))[0])
-        why, where = np.ravel(np.asarray(why, dtype=object))[first], f"row {first} of "
+        why = np.ravel(np.asarray(why, dtype=object))[first]
+        where = f"row {first} of "
     raise InputError(f"{where}q gives {', '.join(map(repr, given)) or 'nothing'} of a system with loops, and the other "
                      f"coordinates must close them: {why} (an array of all {system.nq} is taken as it is)")  # fmt: skip
 
@@ -204,7 +206,8 @@ def refuse_far(system: Compiled, q: Array, what: str) -> Array:
 def refuse_wound(system: Compiled, q: Array, what: str) -> Array:
     """As `refuse_far`, for a configuration (nq,) in a motion: its angles must be below `MOST_WOUND`."""
     refuse_far(system, q, what)
-    layout, turning = system.structure.layout, system.structure.coordinates.turning
+    layout = system.structure.layout
+    turning = system.structure.coordinates.turning
     for i, k in zip(layout.vector_q, layout.vector_v, strict=True):
         if turning[k]:
             refuse_wound_angle(float(q[i]), f"{what}[{system.coordinate_names[i]!r}]")
@@ -225,7 +228,8 @@ def mid(system: Compiled) -> Array:
 
     It is read-only: `copy` gives one to change.
     """
-    lower, upper = system.lower, system.upper
+    lower = system.lower
+    upper = system.upper
     both = np.isfinite(lower) & np.isfinite(upper)
     with np.errstate(invalid="ignore"):
         v = np.where(both, 0.5 * lower + 0.5 * upper, np.clip(0.0, lower, upper))
@@ -248,7 +252,8 @@ def random(system: Compiled, rng: np.random.Generator | int | None, shape: int |
         raise InputError(f"shape is {shape!r}; it must be a whole number or a tuple of them, not negative")
     shape = tuple(int(n) for n in sizes)
     rng = generator(rng)
-    layout, names = system.structure.layout, system.structure.velocity_names
+    layout = system.structure.layout
+    names = system.structure.velocity_names
     try:
         q = np.broadcast_to(system.neutral, (*shape, system.nq)).copy()
     except (MemoryError, ValueError):
@@ -266,7 +271,8 @@ def random(system: Compiled, rng: np.random.Generator | int | None, shape: int |
 
 def sampling_box(system: Compiled) -> tuple[Array, Array]:
     """Finite bounds (nv,) to draw from: the limits, and where one is missing a turn or a length of 1 m on each side."""
-    lower, upper = system.lower, system.upper
+    lower = system.lower
+    upper = system.upper
     reach = np.where(system.structure.coordinates.turning, math.pi, 1.0)
     with np.errstate(invalid="ignore"):
         low = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper - 2.0 * reach, -reach))
@@ -294,7 +300,8 @@ def difference(system: Compiled, q0: Any, q1: Any) -> Array:
     `integrate` leads from `q0` by it to `q1`, up to whole turns of unlimited joints. Turns that a constraint tells
     apart count.
     """
-    a, b = as_q(system, q0), as_q(system, q1)
+    a = as_q(system, q0)
+    b = as_q(system, q1)
     if a.shape != b.shape:
         together({"q0": a.shape[:-1], "q1": b.shape[:-1]})
     return by_short_turns(system.structure.layout.difference(a, b), circles(system))
@@ -321,7 +328,8 @@ def winding_angles(system: Compiled) -> np.ndarray:
 @explained
 def interpolate(system: Compiled, q0: Any, q1: Any, t: ArrayLike) -> Array:
     """Configuration (..., nq) at fraction `t` (...) of the way; quaternions and unlimited joints go the short way."""
-    t, v = numbers(t, "t"), difference(system, q0, q1)
+    t = numbers(t, "t")
+    v = difference(system, q0, q1)
     together({"t": t.shape, "q0 and q1": v.shape[:-1]})
     return integrate(system, q0, t[..., None] * v)
 

@@ -47,7 +47,8 @@ class Designs(Generic[SystemType]):
 
     def __init__(self, system: SystemType, numbers: Mapping[str, ArrayLike]):
         arrays = np.broadcast_arrays(*numbers.values())
-        self.system, self.shape = system, arrays[0].shape
+        self.system = system
+        self.shape = arrays[0].shape
         self.parameters = {**system.structure.parameters, **dict(zip(numbers, arrays, strict=True))}
         for coupling in system.mechanism.couplings.values():
             terms = (*coupling.sources.values(), coupling.offset)
@@ -71,7 +72,8 @@ class Designs(Generic[SystemType]):
         if q.shape[:k] != self.shape:
             raise InputError(f"q has shape {q.shape}; it must be ({self.system.nq},) or begin with {self.shape}")
         inner = q.shape[k:-1]
-        designs, each = math.prod(self.shape), math.prod(inner)
+        designs = math.prod(self.shape)
+        each = math.prod(inner)
         flat_q = np.ascontiguousarray(q).reshape(designs, each, self.system.nq)
         floats = np.broadcast_to(floats, (*self.shape, floats.shape[-1])).reshape(designs, floats.shape[-1])
         out = np.empty((designs, each, 1, 4, 4))

@@ -36,7 +36,9 @@ def expanded(system: SystemType) -> SystemType:
     or locked.
     """
     m = system.mechanism.copy()
-    joints, m.joints, m.name = m.joints, {}, f"{m.name}, expanded"
+    joints = m.joints
+    m.joints = {}
+    m.name = f"{m.name}, expanded"
     for joint in joints.values():
         parts = _parts(m, joint)
         if len(parts) == 1 and parts[0].motion.multiplier == 1.0 or not parts:
@@ -49,7 +51,8 @@ def expanded(system: SystemType) -> SystemType:
 def _parts(m: Mechanism, joint: Joint) -> list[_SingleJoint]:
     """The turns and slides of a joint; those of a quaternion with three angles, in postures, too."""
     keys, steps = joint.type.layout(m.dim, m.bodies[joint.child].particle)
-    names, out = coordinate_names(m, joint), list[_SingleJoint]()
+    names = coordinate_names(m, joint)
+    out = list[_SingleJoint]()
     for p in steps:
         if p.kind != Q:
             out.append(_SingleJoint(names[p.coordinate], keys[p.coordinate], p))
@@ -70,9 +73,11 @@ def _parts(m: Mechanism, joint: Joint) -> list[_SingleJoint]:
 
 def _expand(m: Mechanism, joint: Joint, parts: list[_SingleJoint]) -> None:
     """Add a joint to a mechanism as a chain of turns and slides."""
-    here, X = joint.parent, joint.X_PF
+    here = joint.parent
+    X = joint.X_PF
     for k, (name, key, motion) in enumerate(parts):
-        last, axis = k == len(parts) - 1, place(axis=motion.axis)
+        last = k == len(parts) - 1
+        axis = place(axis=motion.axis)
         there = joint.child if last else unused_name(m, f"{joint.name} {k + 1}")
         if not last:
             m.bodies[there] = Body(there)
@@ -87,4 +92,5 @@ def _expand(m: Mechanism, joint: Joint, parts: list[_SingleJoint]) -> None:
             (joint.X_CM if last else Placement()) @ axis, *own, actuated=None if follows else joint.actuated,
             cut=joint.cut and last, where=joint.where, dim=joint.dim, of_particle=joint.of_particle and last,
         )  # fmt: skip
-        here, X = there, Placement()
+        here = there
+        X = Placement()

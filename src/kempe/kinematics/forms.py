@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
 FEW = 2048
 """Configurations whose poses, or numbers of another type, are held at once: a block that stays in the cache."""
-CHUNK, SERIAL_BELOW = 16384, 20_000
+CHUNK = 16384
+SERIAL_BELOW = 20_000
 
 
 class Form(NamedTuple):

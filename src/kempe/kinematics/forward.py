@@ -81,10 +81,15 @@ def _model(chain_of: _ChainQuery) -> Any:
     A closure over the packed arrays, not an object: for one configuration the way into a method and back would cost
     as much as the forward model itself. The kernels check shapes; whatever they refuse goes the general way.
     """
-    new_pose, new_columns = maker(4, 4), maker(6, chain_of.system.nv)
-    tables, usual = chain_of.tables, "world_aligned"
-    table, table_in = tables[usual], tables.get
-    pose_kernel, jacobian_kernel, both_kernel = bound.pose, bound.jacobian, bound.pose_jacobian
+    new_pose = maker(4, 4)
+    new_columns = maker(6, chain_of.system.nv)
+    tables = chain_of.tables
+    usual = "world_aligned"
+    table = tables[usual]
+    table_in = tables.get
+    pose_kernel = bound.pose
+    jacobian_kernel = bound.jacobian
+    both_kernel = bound.pose_jacobian
 
     def pose(_: object, q: Any, out: Any = None, threads: int | None = None) -> Array:
         try:
@@ -109,7 +114,8 @@ def _model(chain_of: _ChainQuery) -> Any:
     def pose_and_jacobian(q: Any, in_frame: str = "world_aligned", threads: int | None = None) -> tuple[Array, Array]:
         try:
             if q.ndim == 1:
-                X, J = new_pose(), new_columns()
+                X = new_pose()
+                J = new_columns()
                 if not both_kernel(table if in_frame is usual else table_in(in_frame), q, X, J):
                     return X, J
         except (TypeError, AttributeError):
@@ -120,9 +126,12 @@ def _model(chain_of: _ChainQuery) -> Any:
         return in_form(chain_of.system, q, chain_of.name, out, threads, *chain_of.form)
 
     function: Any = pose if all(part is None for part in chain_of.form) else formed
-    function.jacobian, function.pose_and_jacobian = jacobian, pose_and_jacobian
-    function.system, function.frame = chain_of.system, chain_of.name
-    function.__name__, function.__qualname__ = "query", f"query({chain_of.system.name!r}, {chain_of.name!r})"
+    function.jacobian = jacobian
+    function.pose_and_jacobian = pose_and_jacobian
+    function.system = chain_of.system
+    function.frame = chain_of.name
+    function.__name__ = "query"
+    function.__qualname__ = f"query({chain_of.system.name!r}, {chain_of.name!r})"
     function.__doc__ = Query.__call__.__doc__
     return function
 
@@ -131,7 +140,9 @@ class _ChainQuery:
     """The packed chain of one frame, and the general ways through it: conversions, batches, threads, errors."""
 
     def __init__(self, system: Compiled, name: str, form: str | None = None, dtype: Any = None):
-        self.system, self.name, self.form = system, name, (form, dtype)
+        self.system = system
+        self.name = name
+        self.form = (form, dtype)
         self.ints, self.floats = system.structure.table.pack([name], system.structure.table.path(name))
         self.tables = {key: fuse(self.ints, self.floats, kind) for key, kind in IN_FRAMES.items()}
         self.regauged = chain_table(system, name)
@@ -154,7 +165,8 @@ class _ChainQuery:
             if bound.pose(self.tables["world_aligned"], q, out):
                 refuse_bad(self.system, q)
             return out
-        flat_q, flat_out = _rows(q, 1), _rows(out, 2).reshape(-1, 16)
+        flat_q = _rows(q, 1)
+        flat_out = _rows(out, 2).reshape(-1, 16)
         ints, floats = self.regauged
 
         def work(start: int, stop: int) -> int:
@@ -167,8 +179,10 @@ class _ChainQuery:
         kind = IN_FRAMES.get(in_frame) if isinstance(in_frame, str) else None
         if kind is None:
             raise UnknownNameError("frame of expression", in_frame, IN_FRAMES)
-        q, nv = as_q(self.system, q), self.system.nv
-        pose, columns = np.empty((*q.shape[:-1], 4, 4)), _out(out, (*q.shape[:-1], 6, nv))
+        q = as_q(self.system, q)
+        nv = self.system.nv
+        pose = np.empty((*q.shape[:-1], 4, 4))
+        columns = _out(out, (*q.shape[:-1], 6, nv))
         q = _apart(q, out)
         if q.ndim == 1:
             if bound.pose_jacobian(self.tables[in_frame], q, pose, columns):
@@ -271,7 +285,8 @@ def fk(
         if table_sweep.poses1(ints, floats, q, out):
             refuse_bad(system, q)
         return out
-    flat_q, flat_out = _rows(q, 1), _rows(out, 3)
+    flat_q = _rows(q, 1)
+    flat_out = _rows(out, 3)
 
     def work(start: int, stop: int) -> int:
         return table_sweep.poses(ints, floats, flat_q[start:stop], flat_out[start:stop])

@@ -38,7 +38,8 @@ def with_limits(system: SystemType, limits: Any = None, velocity: Any = None) ->
         particle = mechanism.bodies[joint.child].particle
         if name in pairs:
             pair = UNLIMITED if pairs[name] is None else pairs[name]
-            subject, names = f"limits of {name!r}", {local: pair}
+            subject = f"limits of {name!r}"
+            names = {local: pair}
             found = checks.limits(subject, names, joint.type, system.dim, particle, None)
             now = replace(now, limits={**now.limits, **found})
         if name in speeds:
@@ -62,7 +63,8 @@ def _by_name(system: Compiled, given: Any, what: str, width: int) -> dict[str, A
     found = named(given)
     if found is not None:
         return dict(found)
-    array, shape = reals(given, what, "a dict by coordinate name, or an array"), (system.nv, 2)[:width]
+    array = reals(given, what, "a dict by coordinate name, or an array")
+    shape = (system.nv, 2)[:width]
     if width == 1 and not array.ndim:
         array = np.broadcast_to(array, shape)
     if array.shape != shape:
@@ -107,7 +109,8 @@ def _check(made: Compiled, name: str, joint: Joint) -> None:
 def _check_speed(made: Compiled, name: str, joint: Joint) -> None:
     """Refuse a speed that a coordinate cannot have, because another one moves with it."""
     i, m, _ = _led(made, name)
-    has, requested = abs(m) * float(made.structure.velocity_limits[i]), joint.velocity_limits[_local(joint, name)]
+    has = abs(m) * float(made.structure.velocity_limits[i])
+    requested = joint.velocity_limits[_local(joint, name)]
     if not (has == requested or abs(has - requested) <= HELD_TOLERANCE * (1.0 + requested)):
         raise InputError(f"{name!r} cannot have the speed {requested:g}: what moves with it leaves {has:g}; give that "
                          f"of {_others(made, name)}, too")  # fmt: skip

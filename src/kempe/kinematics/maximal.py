@@ -39,13 +39,18 @@ def maximal(system: SystemType) -> SystemType:
     postures, and where there is none 'closed' is home, bodies in place.
     """
     m = system.mechanism.copy()
-    joints, m.joints, m.name = m.joints, {}, f"{m.name}, maximal"
+    joints = m.joints
+    m.joints = {}
+    m.name = f"{m.name}, maximal"
     m.bodies = {body: m.bodies[body] for body in system.body_names}
-    taken, origin = {*joints, *m.constraints}, origin_of(system)[: system.dim]
+    taken = {*joints, *m.constraints}
+    origin = origin_of(system)[: system.dim]
     for body in system.body_names[1:]:
-        name, number = body, 2
+        name = body
+        number = 2
         while name in taken:
-            name, number = f"{body}_{number}", number + 1
+            name = f"{body}_{number}"
+            number = number + 1
         m.free(name, m.ground, body, at=origin)
         taken.add(name)
     m.joints |= {name: replace(joint, cut=True) for name, joint in joints.items()}
@@ -83,7 +88,8 @@ def _joined(system: Compiled, q: Array, poses: Array) -> Array:
 
 def coordinates_of_pose(X: Array, dim: int, particle: bool) -> list[Array]:
     """The coordinates of a free joint at the pose X (..., 4, 4), as a list of arrays."""
-    p, R = X[..., :dim, 3], X[..., :3, :3]
+    p = X[..., :dim, 3]
+    R = X[..., :3, :3]
     if particle:
         return [p]
     return [p, spatial.matrix_to_quat_wxyz(R) if dim == 3 else np.arctan2(R[..., 1, 0], R[..., 0, 0])[..., None]]
@@ -91,7 +97,8 @@ def coordinates_of_pose(X: Array, dim: int, particle: bool) -> list[Array]:
 
 def as_poses(system: Compiled, poses: ArrayLike) -> Array:
     """Poses as an array. Errors: `InputError` where they are not of all bodies but the ground."""
-    array, n = numbers(arrays(poses, "poses"), "poses"), len(system.body_names) - 1
+    array = numbers(arrays(poses, "poses"), "poses")
+    n = len(system.body_names) - 1
     if array.ndim < 3 or array.shape[-3:] != (n, 4, 4):
         raise InputError(
             f"poses have shape {array.shape}; {system.name} needs (..., {n}, 4, 4): all bodies but the ground"

@@ -64,8 +64,10 @@ def shape_of(rows: tuple[Row, ...], dim: int) -> RowShape:
     }  # fmt: skip
     axes = tuple(r.args[0] for r in rows if r.op is Op.POINT)
     turns = next((sorts[r.op] for r in rows if r.op in sorts), L.NO_TURN)
-    units, mask = {r.unit for r in rows}, sum(1 << a for a in axes)
-    whole, turned = mask == (3 if dim == 2 else 7), turns in (L.FULL, L.ANGLE)
+    units = {r.unit for r in rows}
+    mask = sum(1 << a for a in axes)
+    whole = mask == (3 if dim == 2 else 7)
+    turned = turns in (L.FULL, L.ANGLE)
     return RowShape(mask, turns, "m" in units, "rad" in units, axes, whole, turned)
 
 
@@ -136,7 +138,8 @@ def missed(
     `made` has its numbers, but for those `given`; A and B (..., 4, 4) are its frames, where it has any; t (...) are the
     times of equations in time.
     """
-    total, dim = [np.zeros(q.shape[:-1]), np.zeros(q.shape[:-1])], system.dim
+    total = [np.zeros(q.shape[:-1]), np.zeros(q.shape[:-1])]
+    dim = system.dim
     X = None if A is None or B is None else spatial.inverse(A) @ B
     known: dict[str, Any] = {TIME: t} | numbers_of(made) | dict(given or {}) | ({} if X is None else pose_inputs(X))
     for row in rows:
@@ -162,7 +165,8 @@ def _value(system: Compiled, made: Constraint, row: Row, q: Array, X: Array | No
         own = {n: coordinate_value(system, q, n) for n in what.inputs if n not in known or n in made.reads}
         return what.evaluate({**known, **own})[..., k]
     whole = getattr(what, "at", None)  # a function of the whole configuration
-    own, out = {n: coordinate_value(system, q, n) for n in made.reads}, np.empty(q.shape[:-1])
+    own = {n: coordinate_value(system, q, n) for n in made.reads}
+    out = np.empty(q.shape[:-1])
     if TIME in known:
         own = {TIME: np.broadcast_to(known[TIME], out.shape)} | own
     for index in np.ndindex(out.shape):
@@ -197,7 +201,10 @@ class Poses:
     """
 
     def __init__(self, system: Compiled, q: Array, t: Array | float = 0.0):
-        self.system, self.q, self.mechanism, tree = system, q, system.mechanism, system.structure.topology
+        self.system = system
+        self.q = q
+        self.mechanism = system.mechanism
+        tree = system.structure.topology
         self.t = t
         self.bodies = {tree.bodies[0]: np.broadcast_to(np.eye(4), (*q.shape[:-1], 4, 4))}
         for body, parent, name, back in zip(
@@ -209,7 +216,8 @@ class Poses:
 
     def frames(self, joint: Joint) -> tuple[Array, Array]:
         """Frame M (..., 4, 4) of a joint on its parent body, where its coordinates put it, and (4, 4) on its child."""
-        system, m = self.system, self.mechanism
+        system = self.system
+        m = self.mechanism
         names, primitives = joint.type.layout(m.dim, m.bodies[joint.child].particle)
         whole = [f"{joint.name}.{n}" if n else joint.name for n in names]
         own = [coordinate_value(system, self.q, n) for n in whole]
@@ -228,7 +236,8 @@ class Poses:
     def joint(self, joint: Joint) -> tuple[Array, Array]:
         """Gap (...) of a cut joint, in metres and radians: (distance, angle); the angle is 0 for a particle."""
         F, M = self.frames(joint)
-        A, B = self.bodies[joint.parent] @ F, self.bodies[joint.child] @ M
+        A = self.bodies[joint.parent] @ F
+        B = self.bodies[joint.child] @ M
         size = size_of(B[..., :3, 3] - A[..., :3, 3])
         if self.mechanism.bodies[joint.child].particle:
             return size, np.zeros_like(size)
@@ -236,11 +245,15 @@ class Poses:
 
     def declared(self, declared: Declared) -> tuple[Array, Array]:
         """Errors (...) of the position rows of a declared constraint, in metres and in radians."""
-        m, dim = self.mechanism, self.system.dim
-        made, A, B = resolved(declared, m.parameters, dim), None, None
+        m = self.mechanism
+        dim = self.system.dim
+        made = resolved(declared, m.parameters, dim)
+        A = None
+        B = None
         if declared.parent:
             F, M = declared.frames(m.parameters, dim)
-            A, B = self.bodies[declared.parent] @ F, self.bodies[declared.child] @ M
+            A = self.bodies[declared.parent] @ F
+            B = self.bodies[declared.child] @ M
         return missed(self.system, made, [r for r in made.rows(dim) if not r.velocity], self.q, A, B, t=self.t)
 
     def relation(self, of: str, sources: dict[str, float], offset: float) -> tuple[Array, Array]:
@@ -331,10 +344,12 @@ def judge(
     Where another system is `closing`, what is declared is judged in its dimensions, and what is required in those of
     `system`.
     """
-    q, t = as_q(system, q), reals(t, "t")
+    q = as_q(system, q)
+    t = reals(t, "t")
     at = drawn = Poses(system, q, t)
     if closing is not None and closing is not system:
-        system, at = closing, Poses(closing, q, t)
+        system = closing
+        at = Poses(closing, q, t)
     m = at.mechanism
     found = [(name, at.joint(m.joints[name])) for name in system.structure.closures]
     found += [(c.name, at.declared(c)) for c in m.constraints.values() if c.positions(system.dim)]

@@ -131,15 +131,21 @@ class OneSided:
         return f"; {those} {which}" if count else ""
 
     def _read(self, q: Any, rates: bool, declared: bool = False) -> tuple[Array, Array]:
-        q, nv = as_q(self.system, q), self.system.nv
-        lead, n, k = q.shape[:-1], self.declared, self.declared if declared else len(self)
+        q = as_q(self.system, q)
+        nv = self.system.nv
+        lead = q.shape[:-1]
+        n = self.declared
+        k = self.declared if declared else len(self)
         flat = q.reshape(math.prod(lead), self.system.nq)
-        values, J = np.empty((len(flat), k)), np.zeros((len(flat) if rates else 0, k, nv))
+        values = np.empty((len(flat), k))
+        J = np.zeros((len(flat) if rates else 0, k, nv))
         if self.loops is not None:
             from kempe.kernels.compiled import closure_batch
 
-            loops, m = self.loops, len(self.loops.names)
-            out, columns = np.empty((len(flat), m)), np.empty((len(J), m, nv))
+            loops = self.loops
+            m = len(self.loops.names)
+            out = np.empty((len(flat), m))
+            columns = np.empty((len(J), m, nv))
             none = np.zeros((1, 0))
             packed = loops.ints, loops.floats, loops.plan, loops.weights
             closure_batch.equations(*packed, none, flat, rates, out, columns)
@@ -163,9 +169,11 @@ class OneSided:
 @kept
 def one_sided_rows(system: Compiled) -> OneSided:
     """The one-sided rows of a system, packed."""
-    at, v = system.structure.layout.vector_q, system.structure.layout.vector_v
+    at = system.structure.layout.vector_q
+    v = system.structure.layout.vector_v
     limited = np.isfinite(system.lower[v]) | np.isfinite(system.upper[v])
-    at, v = at[limited], v[limited]
+    at = at[limited]
+    v = v[limited]
     names, units, bounds, chosen, loops = _declared(system) if system._mechanism.constraints else ([], [], [], [], None)
     low, high = np.array(bounds, dtype=float).reshape(-1, 2).T
     names += [system.structure.velocity_names[i] for i in v]
@@ -180,7 +188,8 @@ def _declared(system: Compiled) -> tuple[list[str], list[str], list[tuple[float,
     """Names, units, bounds and places of the declared rows between bounds, and the ties that they are among."""
     loops = loops_of(system, frozenset(system.structure.closures), one_sided=True)
     several = Counter(t.name for t in loops.ties if t.bounds for _ in t.rows)
-    at, every = 0, loops.units
+    at = 0
+    every = loops.units
     names: list[str] = []
     units: list[str] = []
     bounds: list[tuple[float, float]] = []

@@ -65,7 +65,8 @@ def clocked(system: SystemType) -> SystemType:
 
 def _plain(system: Compiled, more: tuple[str, ...]) -> Mechanism:
     """The mechanism with the time as an ordinary name in its equations, and among their coordinates `more`."""
-    m, names = system.mechanism.copy(), timed(system)
+    m = system.mechanism.copy()
+    names = timed(system)
     if TIME in m.parameters or TIME in m.joints or TIME in m.constraints:
         raise InputError(f"constraint {names[0]!r} depends on the time {TIME!r}, and something else is called so: "
                          "rename that")  # fmt: skip

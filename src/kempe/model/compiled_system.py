@@ -167,7 +167,8 @@ class Compiled:
         own["_table"] = (
             lower(mechanism, self._topology, self._coordinates, mechanism.parameters) if table is None else table
         )
-        own["_queries"], own["_kept"] = {}, {}
+        own["_queries"] = {}
+        own["_kept"] = {}
         self._check()
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -207,13 +208,15 @@ class Compiled:
     @cached_property
     def structure(self) -> Structure:
         """The parts of the system: joints, frames, loop closures, couplings, limits, parameters, tree, table."""
-        m, coordinates = self._mechanism, self._coordinates
+        m = self._mechanism
+        coordinates = self._coordinates
         return Structure(m, self._topology, coordinates, self._table, coordinates.layout)
 
     @property
     def kind(self) -> str:
         """What the joints connect the bodies to: 'serial chain', 'tree', '1 loop', '2 loops', ..."""
-        loops, parent = len(self._topology.closures), self._topology.parent
+        loops = len(self._topology.closures)
+        parent = self._topology.parent
         if loops:
             return f"{loops} loop{'s' * (loops > 1)}"
         return "serial chain" if len(set(parent)) == len(parent) else "tree"

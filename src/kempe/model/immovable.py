@@ -27,7 +27,8 @@ def immovable(system: Compiled, coordinates: Iterable[int] | None = None, unstat
     names = [system.structure.velocity_names[i] for i in still if i in requested]
     ours = {name for name, joint in system.structure.joints.items() if joint.unstated}
     ours |= {f.source for of, f in system.structure.couplings.items() if of in ours and f.source is not None}
-    reported, given = [n for n in names if n in ours], [n for n in names if n not in ours and not unstated]
+    reported = [n for n in names if n in ours]
+    given = [n for n in names if n not in ours and not unstated]
     parts: list[str] = []
     for group, why in (
         (reported, f"0..0 because the file gives no bounds; lenient_limits=True reads {_them(reported)} as unlimited"),

@@ -41,7 +41,8 @@ def opened(system: SystemType, joints: str | Iterable[str] | None = None) -> Sys
 
 def _keep_ends(mechanism: Mechanism, name: str) -> None:
     """Give the moving bodies of a joint frames where it holds them, before those that are there."""
-    joint, frames = mechanism.joints[name], dict[str, Frame]()
+    joint = mechanism.joints[name]
+    frames = dict[str, Frame]()
     for body, X in ((joint.parent, joint.X_PF), (joint.child, joint.X_CM)):
         label = f"{name} on {body}"
         taken = label in mechanism.frames or label in mechanism.bodies

@@ -68,7 +68,9 @@ def system_facts(system: System, degrees: bool = False) -> dict[str, Any]:
 
 def _dof_of_tree(system: System) -> int:
     """Degrees of freedom of the tree: those of all joints without those of the joints that it left out."""
-    bodies, joints, known = system.mechanism.bodies, system.structure.joints, set(system.structure.velocity_names)
+    bodies = system.mechanism.bodies
+    joints = system.structure.joints
+    known = set(system.structure.velocity_names)
     cut = [joints[name] for name in system.structure.closures]
     names = (coordinate_name(j.name, v) for j in cut for v in j.type.velocities(system.dim, bodies[j.child].particle))
     return system.nv - sum(name in known for name in names)

@@ -79,7 +79,8 @@ def solutions(answer: Solutions, degrees: bool = False) -> RenderableType:
 def _lines(answer: Solutions, q: spatial.Array, degrees: bool) -> list[RenderableType]:
     """A line for each solution."""
     heads = [f">{c['name']} [{c['unit']}]" for c in facts.coordinates(answer.system, degrees)]
-    several, named = bool(np.any(answer.multiplicity != 1)), any(answer.names)
+    several = bool(np.any(answer.multiplicity != 1))
+    named = any(answer.names)
     cells = [
         (k + 1, _inside(answer, k), *([_times(answer.multiplicity[k])] if several else []),
          f"{answer.residual[k]:.1e}", *(_number(x, h) for x, h in zip(row, heads, strict=True)),
@@ -112,7 +113,8 @@ def _columns(answer: Solutions, q: spatial.Array, degrees: bool) -> list[Rendera
 
 def _batch(answer: Solutions, degrees: bool) -> RenderableType:
     """How many targets are reached, why others are not, and every solution with the number of its target."""
-    system, mask = answer.system, answer.mask.reshape(-1, answer.mask.shape[-1])
+    system = answer.system
+    mask = answer.mask.reshape(-1, answer.mask.shape[-1])
     inside = answer.inside.reshape(mask.shape)
     reached = inside.any(axis=1)
     text = Text(
@@ -157,7 +159,8 @@ def _in_units(system: System, q: spatial.Array, degrees: bool) -> spatial.Array:
 
 def solutions_facts(answer: Solutions, degrees: bool = False) -> dict[str, Any]:
     """All solutions as plain data; of a batch a list of such data by target."""
-    system, question = answer.system, answer.question
+    system = answer.system
+    question = answer.question
     head = {
         "system": system.name, "frame": question.frame, "task": question.task,
         "angle_unit": "deg" if degrees else "rad",

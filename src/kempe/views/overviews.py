@@ -23,9 +23,11 @@ if TYPE_CHECKING:
     from kempe.analysis.mobility.mobility import Mobility
     from kempe.model.system import System
 
-MOST_LINES, MOST_DRAWN = 40, 60
+MOST_LINES = 40
+MOST_DRAWN = 60
 """Lines of a tree that a notebook shows, and bodies up to which it shows a picture."""
-INCHES, BELOW = 0.8, 0.58
+INCHES = 0.8
+BELOW = 0.58
 """Inches of one unit of a drawn tree, and the part of a line at which its joint is named: there siblings are apart."""
 
 
@@ -42,8 +44,11 @@ def children(system: System) -> list[list[int]]:
 
 def tree_lines(system: System) -> list[str]:
     """The tree as text: for each body its joint, with the type, its number and its name; then what closes loops."""
-    below, names, joints = children(system), system.body_names, system.structure.joints
-    out, waiting = [f"0 {names[0]}"], [(b, "", b == below[0][-1]) for b in reversed(below[0])]
+    below = children(system)
+    names = system.body_names
+    joints = system.structure.joints
+    out = [f"0 {names[0]}"]
+    waiting = [(b, "", b == below[0][-1]) for b in reversed(below[0])]
     while waiting:
         body, indent, last = waiting.pop()
         joint = joints[system.structure.parent_joints[body - 1]]
@@ -91,7 +96,8 @@ def plot_tree(system: System, ax: Axes | None = None) -> Axes:
     from kempe.views.drawing import page, style
     from kempe.views.drawing.labels import shortened
 
-    names, joints = system.body_names, system.structure.joints
+    names = system.body_names
+    joints = system.structure.joints
     at = _places(system) * (_apart(system), 1.4)
     span = np.ptp(at, axis=0)
     if ax is None:
@@ -102,10 +108,12 @@ def plot_tree(system: System, ax: Axes | None = None) -> Axes:
         joint = joints[system.structure.parent_joints[body - 1]]
         ax.plot(*at[[parent, body]].T, color=style.INK, lw=1.3, zorder=style.BARS, gid=f"edge:{joint.name}")
         _edge_text(ax, joint, at[parent], at[body], style.INK, BELOW)
-    number, lowest = {name: k for k, name in enumerate(names)}, float(at[:, 1].min())
+    number = {name: k for k, name in enumerate(names)}
+    lowest = float(at[:, 1].min())
     for name in system.structure.closures:
         joint = joints[name]
-        a, b = at[number[joint.parent]], at[number[joint.child]]
+        a = at[number[joint.parent]]
+        b = at[number[joint.child]]
         side = 0.22 * np.array([b[1] - a[1], a[0] - b[0]]) + (0.0, -0.15)
         t = np.linspace(0.0, 1.0, 40)[:, None]
         line = (1 - t) ** 2 * a + 2 * t * (1 - t) * (0.5 * (a + b) + 2.0 * side) + t**2 * b

@@ -51,7 +51,9 @@ MARKERS = "os^Dv<>ph*"
 """Marks by which curves differ without colours."""
 MOST_NAMED = 16
 """Starts that the key of a history names."""
-FEW, TURN, SLIDE = 3, 0.35, 0.08
+FEW = 3
+TURN = 0.35
+SLIDE = 0.08
 """Coordinates up to which neighbours are drawn; how far away: in radians, and in parts of the size of the drawing."""
 
 
@@ -135,7 +137,8 @@ def subject_of(
     titles: tuple[str, ...],
 ) -> Subject:  # fmt: skip
     """What one picture is of, with the first of several configurations in full."""
-    q, names = several[0], names_of(system, options.frames)
+    q = several[0]
+    names = names_of(system, options.frames)
     scene = look(system, q, drivers)
     if not all(np.all(np.abs(scene.points(link)) < FARTHEST) for link in scene.links):
         raise InputError(f"{system.name} has points that are not finite or beyond {FARTHEST:g} m: nothing is drawn")
@@ -297,13 +300,16 @@ def plot_history(history: Any, ax: Axes | None = None) -> Axes:
     from matplotlib.ticker import MaxNLocator
 
     ax = page.new_figure(7.0, 4.2).add_axes((0.11, 0.12, 0.68, 0.84)) if ax is None else page.axes_given(ax)[0]
-    least, units, kinds = 1e-17, {"position": "m", "orientation": "rad"}, {"position": "-", "orientation": (0, (5, 2))}
+    least = 1e-17
+    units = {"position": "m", "orientation": "rad"}
+    kinds = {"position": "-", "orientation": (0, (5, 2))}
     errors = {name: np.asarray(getattr(history, f"{name}_error")) for name in units}
     errors = {name: values for name, values in errors.items() if values.any()}
     starts = np.unique(history.start)
     best = history.start[int(np.argmin(sum(errors.values(), np.zeros(len(history.start)))))] if len(starts) else -1
     for k, start in enumerate(starts):
-        rows, colour = history.start == start, style.INK if start == best else style.link_colour(k + 1)
+        rows = history.start == start
+        colour = style.INK if start == best else style.link_colour(k + 1)
         how: dict[str, Any] = {"color": colour, "lw": 2.6 if start == best else 1.2, "zorder": 2.0 + (start == best)}
         how |= {"marker": MARKERS[k % len(MARKERS)], "ms": 5, "mfc": "white" if k // len(MARKERS) % 2 else colour}
         for name, values in errors.items():

@@ -33,7 +33,8 @@ WIDE = 100_000
 WORD = 20
 """Columns that a text in a table gets at least, if it has a word that long."""
 
-NOTE_LIMIT, REASON_LIMIT = 10, 5
+NOTE_LIMIT = 10
+REASON_LIMIT = 5
 """Notes about one file, and reasons why targets of a batch are not reached, that are shown."""
 
 LONG = 1000
@@ -185,8 +186,11 @@ def _headline(data: dict[str, Any]) -> Text:
 
 
 def _overview(data: dict[str, Any]) -> Table | Text:
-    space, loops, dof = data["configuration_space"], len(data["closures"]), str(data["dof_of_tree"])
-    declared, equations = sum(c["equations"] > 0 for c in data["constraints"]), space["constraints"]
+    space = data["configuration_space"]
+    loops = len(data["closures"])
+    dof = str(data["dof_of_tree"])
+    declared = sum(c["equations"] > 0 for c in data["constraints"])
+    equations = space["constraints"]
     if equations:
         what = [count(loops, "loop")] if loops else []
         what += [count(declared, "constraint")] if declared else []
@@ -243,7 +247,8 @@ def _of_joint(joint: dict[str, Any], by_name: dict[str, dict[str, Any]]) -> tupl
     own = [by_name[c] for c in joint["coordinates"] if c in by_name]
     if not own:
         return ("follows" if joint["coordinates"] else ""), ""
-    first, last = own[0]["index"], own[-1]["index"]
+    first = own[0]["index"]
+    last = own[-1]["index"]
     where = str(first) if first == last else f"{first}..{last}"
     parts: list[str] = []
     for c in own:

@@ -111,7 +111,8 @@ def target(system: System, text: str, degrees: bool = False) -> tuple[spatial.Ar
     if is_file(text):
         names, rows = read(expanded(text), matrices=True)
     else:
-        names, rows = None, np.array(numbers(text, "target"))
+        names = None
+        rows = np.array(numbers(text, "target"))
     if rows.ndim == 3:
         return rows, False
     return poses_of_columns(system.dim, rows, names, degrees)
@@ -185,10 +186,8 @@ def write_poses(path: Path, X: spatial.Array, bodies: bool, degrees: bool = Fals
     columns: tuple[str, ...] = POSE_COLUMNS
     if bodies:
         index = np.indices((len(X) if X.ndim == 4 else 1, X.shape[-3])).reshape(2, -1).T
-        lines, columns = (
-            np.concatenate([index.astype(float), lines], axis=1),
-            ("configuration", "body", *columns),
-        )
+        lines = np.concatenate([index.astype(float), lines], axis=1)
+        columns = ("configuration", "body", *columns)
     write_table(path, columns, lines, X)
 
 

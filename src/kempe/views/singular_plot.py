@@ -28,9 +28,11 @@ if TYPE_CHECKING:
 
 LINES: dict[tuple[str, ...], Any] = {(TYPE_1,): "-", (TYPE_2,): (0, (4, 1.6)), (TYPE_1, TYPE_2): "-.", ("serial",): "-"}
 """How curves of the kinds of singular configurations are drawn; others are dotted."""
-MOST, EACH = 4, 2
+MOST = 4
+EACH = 2
 """Configurations that a picture shows at most, in all and of each set."""
-ARROW, NEAR = 0.2, 0.6
+ARROW = 0.2
+NEAR = 0.6
 """Length of an arrow, and how far from the frame a centre of rotation is still drawn, as parts of the drawing."""
 COLOURS = {"lost": style.OPEN, "gained": style.MOTION}
 STILL = 1e-7
@@ -52,7 +54,8 @@ def plot_singularities(
     picks = [rows[i][k] for i, k in sorted((i, k) for k, i in shown)]
     if not picks:
         raise InputError(f"{found.status}: there is nothing to draw")
-    system, q = found.system, np.array([row[1] for row in picks])
+    system = found.system
+    q = np.array([row[1] for row in picks])
     flat = system.dim == 2
     more = curves is not None and bool(curves or curves.broken)
     count = len(q) + more
@@ -104,7 +107,8 @@ def _picks(s: SingularSet) -> list[tuple[str, Array, LostAndGained]]:
     head = s.name or " and ".join(s.kinds)
     if not len(s.values):
         return [(f"{head}\n{changes(s.local[0].lost, s.local[0].gained)}", s.q[0], s.local[0])]
-    names, rows = list(s.coordinates), list[tuple[str, Array, LostAndGained]]()
+    names = list(s.coordinates)
+    rows = list[tuple[str, Array, LostAndGained]]()
     for value in s.values[:EACH]:
         off = [np.abs(np.sin(0.5 * (q[list(s.places)] - value))).max() for q in s.q]
         k = int(np.argmin(off))
@@ -118,7 +122,8 @@ def _draw_directions(ax: Any, p: Array, local: LostAndGained, flat: bool) -> Non
     length = ARROW * float(np.ptp(ax.get_xlim()))
     for word, colour in COLOURS.items():
         for k, twist in enumerate(getattr(local, word)):
-            gid, (v, w) = f"{word}:{k}", (twist[:3], twist[3:])
+            gid = f"{word}:{k}"
+            (v, w) = (twist[:3], twist[3:])
             if not flat:
                 for x, line in ((v, "-"), (w, ":")):
                     if np.linalg.norm(x) > STILL * max(np.linalg.norm(twist), STILL):

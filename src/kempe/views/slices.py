@@ -33,7 +33,9 @@ class Slices(Answer):
     also = ("position_error", "orientation_error", "iterations", "starts")
 
     def __init__(self, answers: list[Solution], requested: int, system: System):
-        self.answers, self.requested, self._system = answers, requested, system
+        self.answers = answers
+        self.requested = requested
+        self._system = system
         self.first = np.cumsum([0, *(len(a) for a in answers)])
         for name in FIELDS:
             empty = np.zeros((0, system.nq) if name == "q" else 0, dtype=bool if name == "success" else float)
@@ -64,7 +66,8 @@ class Slices(Answer):
         return super().__bool__() and not self.interrupted
 
     def __str__(self) -> str:
-        what, more = self.answers[0].what if self.answers else "targets reached", self.requested - len(self)
+        what = self.answers[0].what if self.answers else "targets reached"
+        more = self.requested - len(self)
         left = f" (interrupted: {counted(more, 'target')} {verb(more, 'was', 'were')} not solved)"
         return of_many(int(np.sum(self.success)), len(self), what) + left * self.interrupted
 
@@ -136,7 +139,8 @@ def paced(file: TextIO, what: str) -> Generator[Callable[..., None] | None, None
 
     columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[pace]}")
     with Progress(*columns, console=Console(file=file), transient=True) as bar:
-        task, first = bar.add_task(what, pace=""), cast("tuple[int, float] | None", None)
+        task = bar.add_task(what, pace="")
+        first = cast("tuple[int, float] | None", None)
 
         def said(done: int, total: int) -> None:
             nonlocal first

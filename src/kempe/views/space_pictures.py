@@ -36,14 +36,17 @@ if TYPE_CHECKING:
 
 SHADES = ("#ffffff", "#d3e3f2", "#8db8dc", "#4c7fb0", "#2f5d8a", "#1b3d63")
 """Colours of places with no, one, two, three, four and more configurations: from light to dark, to read in grey."""
-FINEST, COARSEST = 1000, 8
-FINE, STEP = 145, 12
+FINEST = 1000
+COARSEST = 8
+FINE = 145
+STEP = 12
 """Points of a line of the grid, and how many lie between two lines: those are 1/12 of a side apart."""
 FEW = 0.005
 """Part of a space from which the legend names its shade."""
 ROOM = 0.06
 """Room around the task space, as a part of its width."""
-APART, CLOSED = 0.5, 1e-6
+APART = 0.5
+CLOSED = 1e-6
 """How far apart configurations of one line are at most, in radians and characteristic lengths; how far loops may be
 open."""
 DIRECTIONS = np.array([np.pi, 0.5 * np.pi])
@@ -83,11 +86,14 @@ def plot_spaces(
 
     ``system.plot_spaces("e", points=[(0.6, 0.3)])[0].figure.savefig("spaces.png")`` writes the picture.
     """
-    name, seen, spend = system.structure.frame_name(frame), flat_task(task, system.dim), USUAL.of(budget)
+    name = system.structure.frame_name(frame)
+    seen = flat_task(task, system.dim)
+    spend = USUAL.of(budget)
     targets = _targets(points, seen)
     if not is_whole(resolution) or not COARSEST <= resolution <= FINEST:
         raise InputError(f"resolution is {shown(resolution)}; it must be a whole number, {COARSEST} to {FINEST}")
-    lines, own = flag(grid, "grid"), None if ax is None else page.axes_given(ax, 2)
+    lines = flag(grid, "grid")
+    own = None if ax is None else page.axes_given(ax, 2)
     space = two_freedoms(system, name, seen, TimeLimit(spend.time_limit))
     space.progress = spend.progress
     curves = _singular_curves(space)
@@ -153,7 +159,9 @@ def _closed(system: System, q: Array) -> bool:
 
 def _singular_curves(space: TwoFreedoms) -> Any:
     """The singular curves of a system with loops; None of a chain. Errors: `UnsupportedError`."""
-    system, name, task = space.system, space.frame, space.task
+    system = space.system
+    name = space.frame
+    task = space.task
     on_curve = f"{NEEDED} and of a frame that moves in both: {task.said(name)} of {system.name} moves on a curve"
     hint = "" if system.dim == 2 else '; task may be "xy", "xz", "yz" or "direction"'
     if not has_loops(system):
@@ -181,17 +189,20 @@ def _singular_curves(space: TwoFreedoms) -> Any:
 
 def _area(space: TwoFreedoms, q: Array) -> Array:
     """Area (...) that the rates of both coordinates of a chain span in the task, with its sign."""
-    system, name = space.system, space.frame
+    system = space.system
+    name = space.frame
     return space.task.area(fk(system, q, name), jacobian(system, q, name))
 
 
 def _shade_task_space(space: TwoFreedoms, ax: Any, p: Array, targets: Array, n: int) -> None:
     """Draw the places of the task space in the shade of the number of their configurations."""
     every = np.concatenate([p.reshape(-1, 2), targets])
-    low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
+    low = np.nanmin(every, axis=0)
+    high = np.nanmax(every, axis=0)
     room = ROOM * max(float((high - low).max()), 1e-9)
     ends = DIRECTIONS if space.task.turns else np.full(2, np.inf)
-    low, high = np.maximum(low - room, -ends), np.minimum(high + room, ends)
+    low = np.maximum(low - room, -ends)
+    high = np.minimum(high + room, ends)
     x, y = (np.linspace(float(low[i]), float(high[i]), n) for i in range(2))
     _shaded(ax, x, y, space.reach_grid(x, y))
     ax.set_xlim(x[0], x[-1])
@@ -233,7 +244,9 @@ def _torn(space: TwoFreedoms, line: Array) -> Array:
 
 def _draw_other_limits(space: TwoFreedoms, left: Any, right: Any, q: Array) -> None:
     """Draw where coordinates that are not on the axes are at a limit, and the image of that; q (k, nq) are inside."""
-    system, layout, solver = space.system, space.system.structure.layout, space.solver
+    system = space.system
+    layout = space.system.structure.layout
+    solver = space.solver
     for v, at in zip(layout.vector_v.tolist(), layout.vector_q.tolist(), strict=True):
         k = 0
         name = system.coordinate_names[int(at)]
@@ -298,7 +311,8 @@ def _draw_point(
     space: TwoFreedoms, left: Any, right: Any, target: Array, k: int, every: Array, p: Array
 ) -> None:  # fmt: skip
     """Draw a place that shall be reached: its solutions, or the nearest place that is reached."""
-    colour, number = style.curve_colour(k + 1), str(k + 1)
+    colour = style.curve_colour(k + 1)
+    number = str(k + 1)
     found = space.solutions(target)
     right.plot(*target, "*" if len(found) else "X", ms=11, color=colour, mec="white", mew=0.7, gid=f"point:{k}",
                zorder=style.TEXT)  # fmt: skip
@@ -330,7 +344,9 @@ def _values(space: TwoFreedoms, q: Array) -> Array:
 
 def _draw_arm(space: TwoFreedoms, ax: Any, q: Array, colour: str, gid: str, line: str) -> None:
     """Draw the bodies from the ground to the frame as a line through their joints; of loops each body as a line."""
-    system, name, axes = space.system, space.frame, space.task.axes
+    system = space.system
+    name = space.frame
+    axes = space.task.axes
     if not axes:
         return
     if space.modes:
@@ -343,11 +359,13 @@ def _draw_arm(space: TwoFreedoms, ax: Any, q: Array, colour: str, gid: str, line
         corners = np.concatenate([*bars.values()])[:, axes]
         low, high = np.array([ax.get_xlim(), ax.get_ylim()]).T
         room = 0.02 * (high - low)
-        low, high = np.minimum(low, corners.min(axis=0) - room), np.maximum(high, corners.max(axis=0) + room)
+        low = np.minimum(low, corners.min(axis=0) - room)
+        high = np.maximum(high, corners.max(axis=0) + room)
         ax.set_xlim(low[0], high[0])
         ax.set_ylim(low[1], high[1])
         return
-    m, tree = system.mechanism, system.structure.topology
+    m = system.mechanism
+    tree = system.structure.topology
     frame = m.frames.get(name)
     body = name if frame is None else frame.body
     ends = [fk(system, q, name)[:3, 3]]

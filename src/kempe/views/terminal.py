@@ -14,7 +14,10 @@ from typer.core import TyperGroup
 
 from kempe.errors import KempeError, TimeLimitError, shortened
 
-COMPLETE, INCOMPLETE, REFUSED, INTERRUPTED = 0, 1, 2, 130
+COMPLETE = 0
+INCOMPLETE = 1
+REFUSED = 2
+INTERRUPTED = 130
 """Exit codes: complete answer; no solution or problems found; question that could not be posed; Ctrl-C."""
 
 UsageError: type[Exception] = typer.BadParameter.__mro__[1]

@@ -45,7 +45,8 @@ def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
     height, roll); with the exact boundary in red where it is known, else with a line around the cells with samples.
     `ax` are the axes to draw on, as many. Errors: `InputError`.
     """
-    grid, counts = workspace.map.grid, workspace.map.counts
+    grid = workspace.map.grid
+    counts = workspace.map.counts
     d = len(grid.axes)
     if not workspace.map.occupied.any():
         raise InputError("no sample fell into the box: there is nothing to draw")
@@ -77,7 +78,8 @@ def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
         _slice(workspace, one, layer, right, up, most)
         if workspace.exact is not None:
             _outline(workspace.exact, one, (right, up), float(grid.centres(grid.axes[cut])[place[cut]]))
-        name, here = grid.axes[cut], grid.centres(grid.axes[cut])[place[cut]]
+        name = grid.axes[cut]
+        here = grid.centres(grid.axes[cut])[place[cut]]
         here = here if abs(here) > 1e-6 * grid.size[cut] else 0.0  # what rounding leaves of a middle at zero
         one.set_title(f"{name} = {here:.3g}{_unit(workspace, name)}", size=style.FONT, color=style.INK, pad=11)
     _bar(workspace, axes[0], list(axes))
@@ -86,7 +88,8 @@ def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
 
 def _slice(workspace: Workspace, ax: Axes, counts: np.ndarray, right: int, up: int, most: int) -> None:
     """Draw the counts of one slice, and the line around its cells with samples."""
-    grid, names = workspace.map.grid, workspace.map.grid.axes
+    grid = workspace.map.grid
+    names = workspace.map.grid.axes
     shown = np.ma.masked_equal(counts, 0).T
     low, high = (np.array(x)[grid.kept] for x in (grid.low, grid.high))
     extent = (low[right], high[right], low[up], high[up])
@@ -127,7 +130,8 @@ def _around(middles: Array, size: float) -> Array:
 
 def _bar(workspace: Workspace, first: Axes, axes: list[Any]) -> None:
     """Add a bar that says what colours mean; none where a place is reached or not."""
-    question, shown = workspace.question, first.images[0]
+    question = workspace.question
+    shown = first.images[0]
     low, high = shown.get_clim()
     if question.tried and low == 0.0:
         return
@@ -174,8 +178,10 @@ def _picture(ax: Axes | None, x: Array, y: Array, values: Array, labels: tuple[s
 
 def plot_reach(study: ReachStudy, ax: Axes | None = None) -> Axes:
     """Matplotlib axes with the system at the best of the reached poses, and the places of all: dots, crosses, rings."""
-    system, best = study.system, np.where(study.reached, study.margin, -np.inf)
-    dim, shape = system.dim, study.targets.shape[1:]
+    system = study.system
+    best = np.where(study.reached, study.margin, -np.inf)
+    dim = system.dim
+    shape = study.targets.shape[1:]
     points = study.targets[:, :3, 3] if shape == (4, 4) else study.targets
     if points.ndim != 2 or points.shape[1] < dim:
         raise UnsupportedError("orientations have no places to draw")
@@ -236,11 +242,13 @@ def plot_placement(found: BasePlacement, ax: Axes | None = None) -> Axes:
 
 def plot_capability(found: CapabilityMap, ax: Axes | None = None, height: float | None = None) -> Axes:
     """Matplotlib axes with the fraction over x and y, at the layer of cells nearest to a height (the middle)."""
-    values, title = found.fraction, found.frame
+    values = found.fraction
+    title = found.frame
     if len(found.axes) == 3:
         z = found.axes[2]
         k = len(z) // 2 if height is None else int(np.argmin(np.abs(z - height)))
-        values, title = values[..., k], f"{title}, z = {z[k]:.3g} m"
+        values = values[..., k]
+        title = f"{title}, z = {z[k]:.3g} m"
     ax = _picture(ax, found.axes[0], found.axes[1], values, ("x [m]", "y [m]"))
     ax.set_aspect("equal")
     ax.set_title(title)

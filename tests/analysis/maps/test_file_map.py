@@ -26,7 +26,9 @@ from kempe.kinematics.common import parallel
 zarr = pytest.importorskip("zarr", reason="zarr is not installed (extra scale)")
 parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed (extra scale)")
 pyarrow = pytest.importorskip("pyarrow", reason="pyarrow is not installed (extra scale)")
-PUMA, BAR, TWO = kempe.load("puma560"), kempe.load("four_bar"), kempe.load("two_link")
+PUMA = kempe.load("puma560")
+BAR = kempe.load("four_bar")
+TWO = kempe.load("two_link")
 N = 1000
 MODULES = (file_map, row_store, side_by_side, part_log)
 
@@ -161,7 +163,8 @@ def test_ik_is_the_plain_verb(tmp_path):
     budget = Budget(rng=5)
     path = tmp_path / "out.zarr"
     kempe.map_file(PUMA, "ik", written(tmp_path, "x.npy", rows), path, "tool", options=options, budget=budget)
-    plain, found = PUMA.ik(X, "tool", budget=budget, **options), arrays(tmp_path / "out.zarr")
+    plain = PUMA.ik(X, "tool", budget=budget, **options)
+    found = arrays(tmp_path / "out.zarr")
     assert np.array_equal(found["q"], plain.q, equal_nan=True) and np.array_equal(found["code"], plain.code)
     assert np.array_equal(found["position_error"], plain.position_error, equal_nan=True)
 
@@ -173,7 +176,8 @@ def test_ik_all_is_the_plain_verb(tmp_path, name, options):
     X = system.fk(system.random(3, 300), "tool")
     X[5] = np.nan
     kempe.map_file(system, "ik_all", written(tmp_path, "x.npy", X), tmp_path / "out.zarr", "tool", options=options)
-    plain, found = system.ik_all(X, "tool", **options), arrays(tmp_path / "out.zarr")
+    plain = system.ik_all(X, "tool", **options)
+    found = arrays(tmp_path / "out.zarr")
     assert np.array_equal(found["q"], plain.q, equal_nan=True) and np.array_equal(found["inside"], plain.inside)
     assert np.array_equal(found["count"], plain.mask.sum(-1)) and np.array_equal(found["complete"], plain.complete)
 
@@ -182,7 +186,8 @@ def test_assemble_is_the_plain_verb(tmp_path):
     known = np.linspace(0.0, 6.0, N)[:, None].copy()
     known[8] = np.nan
     answer = kempe.map_file(BAR, "assemble", written(tmp_path, "a.csv", known, ["A"]), tmp_path / "out.zarr")
-    plain, found = BAR.assemble({"A": known[:, 0]}), arrays(answer.path)
+    plain = BAR.assemble({"A": known[:, 0]})
+    found = arrays(answer.path)
     assert answer.outcomes == {"SOLVED": N - 1, "BAD_INPUT": 1}
     assert np.array_equal(found["q"], plain.q, equal_nan=True) and np.array_equal(found["residual"], plain.residual,
                                                                                   equal_nan=True)  # fmt: skip
@@ -322,11 +327,14 @@ def test_a_map_is_what_the_verb_answers(tmp_path, hunt, monkeypatch):
     rng = hunt.rng()
     for k in range(hunt.cases(12)):
         system = [PUMA, TWO, BAR, kempe.load("panda")][int(rng.integers(4))]
-        n, frame = int(rng.integers(1, 400)), system.body_names[-1]
+        n = int(rng.integers(1, 400))
+        frame = system.body_names[-1]
         monkeypatch.setattr(file_map, "CHUNK_BYTES", int(2 ** rng.integers(8, 15)))
         rows = system.random(int(rng.integers(100)), n)
         rows[rng.random(n) < 0.02, 0] = np.nan
-        file, path, threads = written(tmp_path, f"{k}.npy", rows), tmp_path / f"{k}.zarr", int(rng.integers(1, 4))
+        file = written(tmp_path, f"{k}.npy", rows)
+        path = tmp_path / f"{k}.zarr"
+        threads = int(rng.integers(1, 4))
         until_interrupt(
             kempe.map_file, system, "fk", file, path, frame, budget=interrupted_after(rng.integers(1, n + 1))
         )
@@ -377,10 +385,12 @@ def test_a_chunk_whose_work_is_stopped_is_gone_on_with(tmp_path, monkeypatch, sp
     """Pieces of a chunk that are done when the work is told to stop are not answered again; damaged ones are."""
     X = PUMA.fk(PUMA.random(1, 64), "tool")
     X[20:, :3, 3] *= 2.0
-    file, path = written(tmp_path, "x.npy", X), tmp_path / "out.zarr"
+    file = written(tmp_path, "x.npy", X)
+    path = tmp_path / "out.zarr"
     monkeypatch.setattr(file_map, "CHUNK_BYTES", 2**30)
     monkeypatch.setitem(row_verbs.VERBS, "ik", row_verbs.VERBS["ik"]._replace(rows=64))
-    answered, most = [], [3]
+    answered = []
+    most = [3]
     before = row_verbs.RowJob.answers
 
     def answers(job, rows):
@@ -391,7 +401,8 @@ def test_a_chunk_whose_work_is_stopped_is_gone_on_with(tmp_path, monkeypatch, sp
             answered.append(len(rows))
         return before(job, rows)
 
-    workers, made = [], side_by_side.ThreadWorkers.__init__
+    workers = []
+    made = side_by_side.ThreadWorkers.__init__
     monkeypatch.setattr(row_verbs.RowJob, "answers", answers)
 
     def noted(self, *args, **more):
@@ -482,7 +493,9 @@ def test_a_damaged_list_costs_what_it_says(tmp_path, whole, line, redone):
 
 
 def test_a_full_disk_midway_loses_nothing(tmp_path, whole, monkeypatch):
-    path, write, writes = tmp_path / "out.zarr", zarr.Array.__setitem__, []
+    path = tmp_path / "out.zarr"
+    write = zarr.Array.__setitem__
+    writes = []
 
     def full(self, where, value):
         writes.append(1)
@@ -531,14 +544,16 @@ WORK = """
 def test_a_process_that_is_ended_at_any_moment(tmp_path, hunt, ending):
     """Three times, each in the next sixth of the work at most."""
     X = PUMA.fk(PUMA.random(0, 5000), "tool")
-    file, path = written(tmp_path, "x.npy", X), tmp_path / "out.zarr"
+    file = written(tmp_path, "x.npy", X)
+    path = tmp_path / "out.zarr"
     lines = ended(ending, 0, MODULES, WORK.format(file=str(file), path=str(tmp_path / "whole.zarr")))
     for _ in range(3):
         at = int(hunt.rng().integers(1, lines // 6))
         ended(ending, at, MODULES, WORK.format(file=str(file), path=str(path)))
         assert not path.exists()
     assert ended(ending, 0, MODULES, WORK.format(file=str(file), path=str(path))) is not None
-    plain, found = PUMA.ik(X, "tool"), arrays(path)
+    plain = PUMA.ik(X, "tool")
+    found = arrays(path)
     assert np.array_equal(found["q"], plain.q) and np.array_equal(found["code"], plain.code)
 
 
@@ -562,7 +577,8 @@ def test_maps_of_something_else_are_refused(tmp_path, whole, words, more, finish
 
 @pytest.mark.parametrize("finished", [True, False])
 def test_rows_that_have_changed_are_refused_and_copies_are_not(tmp_path, whole, finished):
-    path, X = tmp_path / "out.zarr", np.load(whole[0])
+    path = tmp_path / "out.zarr"
+    X = np.load(whole[0])
     mapped(whole[0], path, budget=None if finished else interrupted_after(300))
     (tmp_path / "other").mkdir()
     changed = X.copy()
@@ -705,7 +721,8 @@ def test_damaged_npy_files_are_refused_in_words(tmp_path, hunt, read):
     """Numpy reads the header of such a file as Python: any error of that may come."""
     from kempe.views import rows
 
-    rng, file = hunt.rng(), tmp_path / "x.npy"
+    rng = hunt.rng()
+    file = tmp_path / "x.npy"
     np.save(file, np.zeros((20, 6)))
     data = file.read_bytes()
     refused: list[str] = []

@@ -17,10 +17,12 @@ def crank_and_dyads(rng: np.random.Generator, most: int = 2) -> kempe.System:
     m.revolute("crank", m.ground, bodies[1], at=rng.uniform(-1.0, 1.0, 2))
     for d in range(rng.integers(1, most + 1)):
         i, j = rng.choice(len(bodies), 2, replace=False)
-        a, b = m.body(f"a{d}"), m.body(f"b{d}")
+        a = m.body(f"a{d}")
+        b = m.body(f"b{d}")
         kind = str(rng.choice(["RRR", "RRP", "RPR", "PRP"], p=[0.6, 0.25, 0.12, 0.03]))
         for end, (letter, body, hung) in enumerate(((kind[0], bodies[i], a), (kind[2], bodies[j], b))):
-            at, own = rng.uniform(-1.0, 1.0, 2), (rng.uniform(0.3, 2.0) * end, 0.0)
+            at = rng.uniform(-1.0, 1.0, 2)
+            own = (rng.uniform(0.3, 2.0) * end, 0.0)
             if letter == "R":
                 m.revolute(f"{d}{'ac'[end]}", body, hung, at=at, child_at=own)
             else:
@@ -49,7 +51,9 @@ def counted_on_a_grid(system: kempe.System, n: int) -> int:
     nearest one whose end of that branch it may share: one other sign, not more than 0.35 away.
     """
     plan = system.loops.closed_form("crank")
-    low, high = system.lower, system.upper  # planar: one velocity a coordinate, in the same order
+    # planar: one velocity a coordinate, in the same order
+    low = system.lower
+    high = system.upper
     crank = system.coordinate_names.index("crank")
     free = not np.isfinite(low[crank])
     x = np.linspace(*((-np.pi, np.pi) if free else (low[crank], high[crank])), n, endpoint=not free)
@@ -59,7 +63,9 @@ def counted_on_a_grid(system: kempe.System, n: int) -> int:
     for shift in (-2.0 * np.pi, 2.0 * np.pi):
         inside |= turning & (q + shift >= low - 1e-12) & (q + shift <= high + 1e-12)
     there &= inside.all(axis=-1)
-    node, signs, pairs = np.arange(there.size).reshape(there.shape), plan.branches(), []
+    node = np.arange(there.size).reshape(there.shape)
+    signs = plan.branches()
+    pairs = []
     rows = np.arange(n if free else n - 1)
     following = (rows + 1) % n
     i, k = np.nonzero(there[rows] & there[following])

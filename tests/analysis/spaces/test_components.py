@@ -70,7 +70,8 @@ def test_lengths_that_are_taken_to_be_equal_are_named(more):
 
 
 def test_five_bars_are_counted_as_a_grid_counts_them(hunt):
-    rng, seen = hunt.rng(), set()
+    rng = hunt.rng()
+    seen = set()
     for _ in range(hunt.cases(40)):
         lengths = (rng.uniform(0.1, 1.0, 5) ** 2).tolist()
         x = np.sort(lengths)[::-1]
@@ -134,7 +135,8 @@ def rods_by_grid(system: kempe.System, rod: float, n: int = 720) -> int:
         X = joint.X_PF.evaluate(m.parameters) @ turn @ np.linalg.inv(joint.X_CM.evaluate(m.parameters))
         return (X @ where)[:, :3]
 
-    p, r = circle(A, B, "crank"), circle(D, C, "rocker")
+    p = circle(A, B, "crank")
+    r = circle(D, C, "rocker")
     f = np.linalg.norm(p[:, None] - r[None], axis=-1) - rod
     corner = np.stack([f[:-1, :-1], f[1:, :-1], f[:-1, 1:], f[1:, 1:]])
     cells = (corner.min(axis=0) < 0.0) & (corner.max(axis=0) > 0.0)
@@ -143,7 +145,8 @@ def rods_by_grid(system: kempe.System, rod: float, n: int = 720) -> int:
 
 @pytest.mark.slow
 def test_two_cranks_and_a_rod_are_counted_as_a_grid_counts_them(hunt):
-    rng, seen = hunt.rng(), []
+    rng = hunt.rng()
+    seen = []
     for _ in range(hunt.cases(60, least=20)):
         crank, rocker, x, y, z = rng.uniform(0.05, 0.4, 5)
         rod = rng.uniform(0.2, 0.8)

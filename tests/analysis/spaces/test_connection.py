@@ -26,7 +26,8 @@ def connects(system: kempe.System, found: Any, q0: np.ndarray, q1: np.ndarray, s
     space = system.configuration_space
     assert bool(found) and found.code is Status.SOLVED and not found.step > step
     assert space.distance(found.q[0], q0) < 1e-7 and space.distance(found.q[-1], q1) < 1e-7
-    q, length = found.q, characteristic_length(system)
+    q = found.q
+    length = characteristic_length(system)
     low, high = system.structure.limits[system.structure.layout.vector_v].T
     for _ in range(3):
         assert np.all(judge(system, q).holds)
@@ -38,8 +39,10 @@ def connects(system: kempe.System, found: Any, q0: np.ndarray, q1: np.ndarray, s
         closed = system.assemble(start=half, prefer="nearest").q if system.structure.closures else half
         assert (space.distance(closed, q[:-1]) + space.distance(closed, q[1:]) <= 1.2 * far + 1e-9).all()
         between = np.empty((2 * len(q) - 1, q.shape[1]))
-        between[::2], between[1::2] = q, closed
-        q, step = between, 0.75 * step
+        between[::2] = q
+        between[1::2] = closed
+        q = between
+        step = 0.75 * step
     return True
 
 
@@ -52,10 +55,12 @@ def test_a_tree_moves_straight_within_its_limits():
 
 def test_four_bars_with_a_crank_stay_on_their_side(hunt):
     """Both assemblies for one angle of the crank: excluded by Grashof's rule; any two of one side are joined."""
-    rng, system = hunt.rng(), four_bar()
+    rng = hunt.rng()
+    system = four_bar()
     for _ in range(hunt.cases(4)):
         x, y = rng.uniform(-np.pi, np.pi, 2)
-        (a, b), c = system.assembly_modes({"A": x}).q, system.assembly_modes({"A": y})
+        (a, b) = system.assembly_modes({"A": x}).q
+        c = system.assembly_modes({"A": y})
         none = system.configuration_space.path(a, b)
         assert none.code is Status.NONE_EXISTS and "proven" in none.status and not len(none)
         same = [q for q in c.q if np.sign(np.sin(q[2])) == np.sign(np.sin(a[2]))]
@@ -109,7 +114,9 @@ def test_cranks_and_rods_with_the_spin_left_out():
 def test_two_curves_are_proven_to_be_apart(name):
     system = kempe.load(name)
     one, two = (part.paths[0].q for part in system.configuration_space.components().parts)
-    a, b, c = one[0], two[0], one[40]
+    a = one[0]
+    b = two[0]
+    c = one[40]
     none = system.configuration_space.path(a, b)
     assert none.code is Status.NONE_EXISTS and "proven" in none.status
     assert connects(system, system.configuration_space.path(a, c), a, c)
@@ -155,7 +162,8 @@ def test_late_and_wrong_budgets():
 @pytest.mark.slow
 def test_random_loops_of_bars_are_joined_where_the_theorem_allows(hunt):
     """Two random configurations are on one side, and a way is found, or on two, and it is proven that there is none."""
-    rng, seen = hunt.rng(), set()
+    rng = hunt.rng()
+    seen = set()
     for _ in range(hunt.cases(12)):
         system = polygon(rng.uniform(0.1, 1.0, 5).tolist())
         loop = polygon_of(system)

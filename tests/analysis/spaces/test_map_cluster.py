@@ -89,7 +89,9 @@ def test_with_loops_too(cluster, monkeypatch):
 
 @pytest.mark.slow
 def test_a_killed_worker_and_a_late_one(cluster, tmp_path):
-    n, rng, path = 80 * 500_000, np.random.default_rng(1), tmp_path / "map.zarr"
+    n = 80 * 500_000
+    rng = np.random.default_rng(1)
+    path = tmp_path / "map.zarr"
     local, client = cluster
     killed = []
 
@@ -202,7 +204,8 @@ def test_a_client_that_was_closed(cluster):
 def test_that_no_workers_are_left_is_said_once_each_time(monkeypatch):
     monkeypatch.setattr(maps_cluster, "PATIENCE", -1.0)
     monkeypatch.setattr(maps_cluster, "refuse_workers", lambda client, new: None)
-    threads, scheduler = {"tcp://10.0.0.2:1": 2}, SimpleNamespace(address="tcp://10.0.0.1:8786")
+    threads = {"tcp://10.0.0.2:1": 2}
+    scheduler = SimpleNamespace(address="tcp://10.0.0.1:8786")
     workers = maps_cluster.ClusterWorkers(SimpleNamespace(nthreads=lambda: dict(threads), scheduler=scheduler))
     for _ in range(2):
         workers._look()
@@ -218,7 +221,10 @@ def test_that_no_workers_are_left_is_said_once_each_time(monkeypatch):
 
 @pytest.mark.slow
 def test_workers_killed_twenty_times(tmp_path):
-    n, rng, kills, whole = 400 * 500_000, np.random.default_rng(0), [], []
+    n = 400 * 500_000
+    rng = np.random.default_rng(0)
+    kills = []
+    whole = []
     with running(2) as (local, client):
 
         def disturb(samples, _):

@@ -74,7 +74,8 @@ def test_an_interrupt_at_any_line(tmp_path, hunt, on_disk):
         whole = made(tmp_path / "whole.zarr" if on_disk else None, n, budget=Budget(threads=2))
     assert none.lines > 300
     for at in hunt.rng().permutation(none.lines)[: hunt.cases(100 if on_disk else 300)]:
-        path, workspace = tmp_path / f"{at}.zarr" if on_disk else None, None
+        path = tmp_path / f"{at}.zarr" if on_disk else None
+        workspace = None
         with Interrupt(1 + at, *MODULES):
             workspace = made(path, n, budget=Budget(threads=2))
         if workspace is not None and workspace.samples:
@@ -86,7 +87,9 @@ def test_an_interrupt_at_any_line(tmp_path, hunt, on_disk):
 
 def test_an_interrupt_where_a_thread_is_begun(monkeypatch):
     """The future of a piece is lost while a thread that nobody else waits for counts it: it is in the map."""
-    begun, counted, handed_out = threading.Event(), recipe.Recipe.count, []
+    begun = threading.Event()
+    counted = recipe.Recipe.count
+    handed_out = []
 
     def count(*arguments):
         begun.set()
@@ -120,7 +123,9 @@ def test_a_map_depends_on_its_seed_only(hunt):
     rng = hunt.rng()
     for _ in range(hunt.cases(12)):
         system = shell(*rng.uniform(0.1, 1.0, 2)) if rng.random() < 0.5 else two_bars(*rng.uniform(0.1, 1.0, 2))
-        n, seed, cells = int(rng.integers(1, 300_000)), int(rng.integers(10**6)), int(rng.integers(2, 60))
+        n = int(rng.integers(1, 300_000))
+        seed = int(rng.integers(10**6))
+        cells = int(rng.integers(2, 60))
         recipe_ = recipe.recipe_of(system, "tip", seed, cells, None)
         cuts = [0, *sorted(rng.integers(0, n, 5).tolist()), n]
         parts = sum(recipe.counted(recipe_, a, b).astype(np.uint64) for a, b in itertools.pairwise(cuts))
@@ -221,7 +226,9 @@ def test_what_is_said_of_a_map_is_guarded_like_its_counts(tmp_path, what):
 
 
 def test_a_full_disk_midway_loses_nothing(tmp_path, monkeypatch):
-    path, write, written = tmp_path / "map.zarr", np.save, []
+    path = tmp_path / "map.zarr"
+    write = np.save
+    written = []
 
     def full(stream, counts):
         written.append(1)
@@ -348,7 +355,8 @@ WORK = """
 @pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGINT])
 def test_a_process_that_is_ended_at_any_moment(tmp_path, hunt, ending):
     """Six times, each in the next twelfth of the work at most."""
-    path, rng = tmp_path / "map.zarr", hunt.rng()
+    path = tmp_path / "map.zarr"
+    rng = hunt.rng()
     lines = ended(ending, 0, MODULES, WORK.format(path=str(tmp_path / "whole.zarr")))
     for _ in range(6):
         at = int(rng.integers(1, lines // 12))

@@ -73,7 +73,8 @@ def test_two_disks_at_two_points_of_a_rod():
     Without turning the middle fills a disk of radius r, and it leaves that nowhere, being the mean of two points that
     do not leave theirs.
     """
-    r, d = 0.3, 1.0
+    r = 0.3
+    d = 1.0
     legs = [("RRR", (s * d / 2, 0.0), (s * d / 2, 0.0), (r / 2, r / 2), FREE) for s in (-1.0, 1.0)]
     w = planar_workspace(platform(legs), "tool")
     p = np.random.default_rng(0).uniform(-0.4, 0.4, (4000, 2))
@@ -120,7 +121,8 @@ def test_three_legs_against_a_row_of_angles(name):
     assert any(p.kind == "coupler curve" for p in w.boundary)
     assert abs(sum(p.at(1.0) - p.at(0.0) for p in w.boundary)) < 1e-9 * w.region.size  # closed curves
     many = np.random.default_rng(2).uniform(low, high, (200_000, 2))
-    box, share = np.prod(high - low), w.contains(many).mean()
+    box = np.prod(high - low)
+    share = w.contains(many).mean()
     assert w.area == pytest.approx(box * share, abs=4.0 * box * np.sqrt(share * (1.0 - share) / len(many)))
 
 
@@ -128,7 +130,9 @@ def test_it_moves_with_its_base_and_scales():
     """Turned, moved and enlarged as a whole, and with legs in another order, it has the same area, times a square."""
     legs, tool = THREE["3-RPR, tool aside"]
     before = planar_workspace(platform(legs, tool), "tool")
-    u, by, scale = np.exp(0.7j), 3.0 - 2.0j, 1000.0
+    u = np.exp(0.7j)
+    by = 3.0 - 2.0j
+    scale = 1000.0
     moved = [(k, np.array([z.real, z.imag]), np.multiply(a, scale), np.multiply(n, scale), x)
              for k, b, a, n, x in legs[::-1] for z in [scale * (u * complex(*b) + by)]]  # fmt: skip
     after = planar_workspace(platform(moved, np.multiply(tool, scale)), "tool")
@@ -144,7 +148,8 @@ def test_it_moves_with_its_base_and_scales():
 def counted_alike(w, rng, n):
     """The area of each number of solutions is that part of a box whose points have it, by n random points."""
     low, high = w.extent
-    counts, box = w.solutions(rng.uniform(low, high, (n, 2))), float(np.prod(high - low))
+    counts = w.solutions(rng.uniform(low, high, (n, 2)))
+    box = float(np.prod(high - low))
     for region in w.regions:
         share = float((counts == region.solutions).mean())
         assert region.area == pytest.approx(box * share, abs=5.0 * box * np.sqrt((share * (1.0 - share) + 1.0 / n) / n))
@@ -181,7 +186,8 @@ def pantograph(unit=1.0):
 def test_areas_times_solutions_are_an_integral():
     """Of |det J| of the pen over the angles of its side, times the ways of the other side, by 3000 x 3000 midpoints."""
     w = planar_workspace(pantograph(), "pen")
-    n, pen = 3000, 0.36 + 0.02j
+    n = 3000
+    pen = 0.36 + 0.02j
     first = 0.5 + 2.5 * (np.arange(n) + 0.5) / n
     total = 0.0
     for rows in np.array_split(TURN * (np.arange(n) + 0.5) / n, 20):
@@ -198,7 +204,8 @@ def test_areas_times_solutions_are_an_integral():
 
 def test_curves_that_touch_are_cut_once():
     """Where a joint comes to its limit two coupler curves touch: no slivers are left of that, in any unit."""
-    small, large = planar_workspace(pantograph(), "pen"), planar_workspace(pantograph(1000.0), "pen")
+    small = planar_workspace(pantograph(), "pen")
+    large = planar_workspace(pantograph(1000.0), "pen")
     for w in (small, large):
         assert len(w.voids) == 2 and len(w.boundary) == 27
         assert min(piece.length for piece in w.boundary) > 1e-3 * w.region.size
@@ -216,7 +223,9 @@ def test_joints_that_limits_hold_turn_the_legs():
         for k, (base, at, angle) in enumerate(
             [((0, 0), (-0.2, 0), 0.7), ((1, 0), (0.2, 0), -0.5), ((0.4, 0.9), (0, 0.2), -0.5)]
         ):
-            a, b, c = m.body(f"a{k}"), m.body(f"b{k}"), m.body(f"c{k}")
+            a = m.body(f"a{k}")
+            b = m.body(f"b{k}")
+            c = m.body(f"c{k}")
             shift = 0.0 if held else angle
             m.revolute(f"w{k}", m.ground, a, at=base, limits=(angle - shift, angle - shift))
             m.revolute(f"x{k}", a, b, limits=(shift - 2.0, shift + 2.0))
@@ -225,7 +234,8 @@ def test_joints_that_limits_hold_turn_the_legs():
         m.frame("tool", body, at=(0.05, 0.02))
         return planar_workspace(m.build(), "tool")
 
-    one, two = three(True), three(False)
+    one = three(True)
+    two = three(False)
     assert one.area == pytest.approx(two.area, rel=1e-9) and one.area > 0.05
     points = np.random.default_rng(5).uniform(*one.extent, (2000, 2))
     assert np.array_equal(one.contains(points), two.contains(points))
@@ -248,8 +258,10 @@ def test_what_is_left_a_curve_is_refused():
 
 def bars():
     """Four-bars of all pairs of pieces: arcs and segments, cranks that go round and such that do not."""
-    arc, small = PlanePiece(0j, 0.5, 0.3, 4.0), PlanePiece(1.0 + 0.2j, 0.8, 0.0, TURN)
-    line, other = PlanePiece(-0.4 + 0.1j, 0.0, way=1.2 + 0.3j), PlanePiece(0.6 - 0.7j, 0.0, way=0.1 + 1.4j)
+    arc = PlanePiece(0j, 0.5, 0.3, 4.0)
+    small = PlanePiece(1.0 + 0.2j, 0.8, 0.0, TURN)
+    line = PlanePiece(-0.4 + 0.1j, 0.0, way=1.2 + 0.3j)
+    other = PlanePiece(0.6 - 0.7j, 0.0, way=0.1 + 1.4j)
     pairs = [(arc, small), (small, arc), (arc, line), (small, other), (line, other)]
     return [(bar, pair) for pair in pairs for bar in four_bars(*pair, 0.1 + 0.2j, -0.5 + 0.6j)]
 
@@ -262,7 +274,8 @@ def test_points_of_a_four_bar_are_on_both_curves(number):
     curve = CouplerCurve(bar, 0.3 - 0.1j)
     for point, piece in ((bar.a, first), (bar.b, second)):
         assert np.abs(piece.off(curve.of(point).at(t))).max() < 2e-9
-    x, h = np.linspace(0.01, 0.99, 60), 1e-6
+    x = np.linspace(0.01, 0.99, 60)
+    h = 1e-6
     differences = (curve.at(x + h) - curve.at(x - h)) / (2.0 * h)
     assert curve.velocity(x) == pytest.approx(differences, abs=1e-6 * np.abs(differences).max())
     backwards = curve.part(1.0, 0.0)
@@ -276,7 +289,8 @@ def test_points_of_a_four_bar_are_on_both_curves(number):
 
 def test_a_trammel_draws_an_ellipse():
     """Of Archimedes: points on two lines at right angles, and one between them at 0.3 and 0.5 of them."""
-    x, y = PlanePiece(-2.0 + 0j, 0.0, way=4.0 + 0j), PlanePiece(-2.0j, 0.0, way=4.0j)
+    x = PlanePiece(-2.0 + 0j, 0.0, way=4.0 + 0j)
+    y = PlanePiece(-2.0j, 0.0, way=4.0j)
     (bar,) = four_bars(x, y, 0.3 + 0j, -0.5 + 0j)
     curve = CouplerCurve(bar)
     assert abs(curve.moment) == pytest.approx(np.pi * 0.3 * 0.5, abs=1e-12)
@@ -288,12 +302,15 @@ def test_a_trammel_draws_an_ellipse():
 
 def test_coupler_curves_meet_each_other_and_themselves():
     """Two ellipses in four points; a coupler curve with a double point in that, by its two parameters."""
-    x, y = PlanePiece(-2.0 + 0j, 0.0, way=4.0 + 0j), PlanePiece(-2.0j, 0.0, way=4.0j)
+    x = PlanePiece(-2.0 + 0j, 0.0, way=4.0 + 0j)
+    y = PlanePiece(-2.0j, 0.0, way=4.0j)
     one, two = (CouplerCurve(next(four_bars(x, y, a, a - 0.8))) for a in (0.3 + 0j, 0.5 + 0j))
     assert len(np.unique(np.round(one.meets(two), 8))) == 4
-    rng, met = np.random.default_rng(0), 0
+    rng = np.random.default_rng(0)
+    met = 0
     for _ in range(40):
-        radii, (c, d, point) = rng.uniform(0.3, 1.5, 2), rng.uniform(-1.0, 1.0, (3, 2)) @ [1.0, 1j]
+        radii = rng.uniform(0.3, 1.5, 2)
+        (c, d, point) = rng.uniform(-1.0, 1.0, (3, 2)) @ [1.0, 1j]
         for bar in four_bars(PlanePiece(0j, radii[0], 0.0, TURN), PlanePiece(c, radii[1], 0.0, TURN), 0j, d):
             curve = CouplerCurve(bar, 2.0 * point)
             t = curve.meets(curve)
@@ -312,9 +329,11 @@ def random_platform(rng):
     for k in range(int(rng.integers(2, 4))):
         few = k == 0 and rng.random() < 0.4
         kind = str(rng.choice(["RR", "PR"] if few else ["RRR", "RPR", "PRR"]))
-        base, at = rng.uniform(-1.0, 1.0, 2), rng.uniform(-0.5, 0.5, 2)
+        base = rng.uniform(-1.0, 1.0, 2)
+        at = rng.uniform(-0.5, 0.5, 2)
         if rng.random() < 0.2:
-            base, at = np.round(base), np.round(at, 1)
+            base = np.round(base)
+            at = np.round(at, 1)
         first = float(rng.choice([0.5, rng.uniform(0.2, 0.8)]))
         second = (
             first + float(rng.uniform(0.2, 1.0)) if kind == "RPR" else float(rng.choice([0.5, rng.uniform(0.2, 1)]))
@@ -338,7 +357,8 @@ def turned_about(boundary, points):
 
 def test_hunt_for_platforms_that_are_decided_wrongly(hunt: Hunt):
     """Points by common angles of the legs, by the boundary, and by the inverse model; the area by counting."""
-    rng, reached = hunt.rng(), 0
+    rng = hunt.rng()
+    reached = 0
     for _ in range(hunt.cases(20, least=3)):
         system = random_platform(rng)
         w = planar_workspace(system, "tool")
@@ -349,7 +369,8 @@ def test_hunt_for_platforms_that_are_decided_wrongly(hunt: Hunt):
         low, high = w.extent
         pad = 0.1 * (high - low)
         points = rng.uniform(low - pad, high + pad, (1000, 2))
-        inside, clear = w.contains(points), w.distance(points) > 1e-4
+        inside = w.contains(points)
+        clear = w.distance(points) > 1e-4
         round_it = turned_about(w.boundary, points[:, 0] + 1j * points[:, 1])
         assert np.array_equal(inside[clear], round_it[clear])
         some = np.flatnonzero(clear)[:25]
@@ -357,7 +378,8 @@ def test_hunt_for_platforms_that_are_decided_wrongly(hunt: Hunt):
         assert np.array_equal(inside[some], found)
         if w.region.counted:
             counted_alike(w, rng, 600)
-        box, share = float(np.prod(high - low + 2.0 * pad)), inside.mean()
+        box = float(np.prod(high - low + 2.0 * pad))
+        share = inside.mean()
         assert w.area == pytest.approx(box * share, abs=5.0 * box * np.sqrt(share * (1.0 - share) / 1000) + 1e-6)
     assert reached > 0
 

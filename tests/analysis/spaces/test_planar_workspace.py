@@ -46,7 +46,9 @@ def test_an_annulus_of_two_links_without_limits():
 @pytest.mark.parametrize(("low", "high"), [(0.0, np.pi), (0.3, 2.0), (-2.5, -0.4)])
 def test_a_sector_of_an_annulus(low, high):
     """Two links, the second turned to one side only: area by integrating a b |sin q2| over the limits."""
-    a, b, first = 0.6, 0.4, (-1.0, 0.5)
+    a = 0.6
+    b = 0.4
+    first = (-1.0, 0.5)
     w = planar_workspace(arm(("R", 0.0, first), ("R", a, (low, high))), "tool")
     expected = (first[1] - first[0]) * a * b * abs(np.cos(low) - np.cos(high))
     assert w.area == pytest.approx(expected, abs=1e-10)
@@ -55,7 +57,10 @@ def test_a_sector_of_an_annulus(low, high):
 
 def test_how_many_solutions_there_are_where():
     """Areas, counted with their solutions, are the integral of |det J| = a b |sin q2| over all configurations."""
-    a, b, first, second = 0.6, 0.4, (-1.0, 1.3), (-2.0, 1.4)
+    a = 0.6
+    b = 0.4
+    first = (-1.0, 1.3)
+    second = (-2.0, 1.4)
     system = arm(("R", 0.0, first), ("R", a, second))
     w = planar_workspace(system, "tool")
     folded = sum(1.0 - np.cos(x) for x in second)
@@ -84,7 +89,8 @@ def test_slides():
     reached = 2.0 * 0.8 + np.pi * 0.4**2
     assert stadium.area == pytest.approx(reached, abs=1e-10)  # both ways of bending cover all of it
     m = kempe.Mechanism("gantry", dim=2)
-    first, second = m.body("first"), m.body("second")
+    first = m.body("first")
+    second = m.body("second")
     m.prismatic("x", m.ground, first, axis=(1.0, 0.0), limits=(0.0, 2.0))
     m.prismatic("y", first, second, axis=(0.6, 0.8), limits=(0.0, 0.5))
     m.frame("tool", second)
@@ -163,7 +169,8 @@ def test_what_cannot_be_done_is_said():
 
 def random_arm(rng, wrist):
     """Two to four joints, of which some have one axis, are held by limits, or do not move the tool."""
-    count, joints = int(rng.integers(2, 5)), []
+    count = int(rng.integers(2, 5))
+    joints = []
     for k in range(count):
         turns = wrist and k == count - 1 or rng.random() < 0.7
         limits = tuple(np.sort(rng.uniform(-3.0, 3.0, 2) if turns else rng.uniform(-1.0, 1.0, 2)).tolist())
@@ -186,7 +193,9 @@ def exact_or_none(system, given):
 ])  # fmt: skip
 def test_hunt_for_points_that_are_decided_wrongly(hunt: Hunt, kind):
     """What the boundary goes round is what the inverse model reaches, and configurations within limits are inside."""
-    rng, wrist, areas = hunt.rng(), kind != "reachable", 0
+    rng = hunt.rng()
+    wrist = kind != "reachable"
+    areas = 0
     turns = {"constant-orientation": 1, "some angles": 3}
     for _ in range(hunt.cases(24, least=12)):
         system = random_arm(rng, wrist)
@@ -256,8 +265,11 @@ def test_a_platform_on_three_legs_with_limits_in_given_orientations(monkeypatch)
     Merlet, Gosselin, Mouly, "Workspaces of planar parallel manipulators", Mechanism and Machine Theory 33 (1998). In
     twelve orientations they are 36 annuli, of which not each curve is cut by each.
     """
-    low, high, angle = 0.35, 0.95, 0.4
-    base, platform = np.array([0.0, 1.0 + 0.1j, 0.3 + 0.9j]), np.array([0.0, 0.35 - 0.05j, 0.1 + 0.3j])
+    low = 0.35
+    high = 0.95
+    angle = 0.4
+    base = np.array([0.0, 1.0 + 0.1j, 0.3 + 0.9j])
+    platform = np.array([0.0, 0.35 - 0.05j, 0.1 + 0.3j])
     m = kempe.Mechanism("3-RPR", dim=2)
     plate = m.body("platform")
     for k, (a, b) in enumerate(zip(base, platform, strict=True)):
@@ -272,7 +284,8 @@ def test_a_platform_on_three_legs_with_limits_in_given_orientations(monkeypatch)
     assert np.array_equal(w.contains(points), ((far > low) & (far < high)).all(axis=1))
     assert w.area == pytest.approx(_area_of_annuli(centres, low, high), rel=1e-5)
     assert m.build().workspace("tool", orientation=angle).area[0] == pytest.approx(w.area, abs=1e-12)
-    cuts, meets = [], PlanePiece.meets
+    cuts = []
+    meets = PlanePiece.meets
     monkeypatch.setattr(PlanePiece, "meets", lambda *given: cuts.append(0) or meets(*given))
     turns = np.linspace(0.2, 0.6, 12)
     several = m.build().reach.planar("tool", kind="dexterous", orientation=turns)

@@ -12,7 +12,9 @@ from kempe.calls import until_interrupt
 from kempe.errors import InputError, UnknownNameError
 from kempe.status import Status
 
-PUMA, UR, TWO = kempe.load("puma560"), kempe.load("ur5"), kempe.load("two_link")
+PUMA = kempe.load("puma560")
+UR = kempe.load("ur5")
+TWO = kempe.load("two_link")
 RNG = np.random.default_rng(3)
 Q = PUMA.random(RNG, 12)
 X = PUMA.fk(Q, "tool")
@@ -28,7 +30,8 @@ def test_poses_that_are_reached_and_that_are_not():
         a = PUMA.ik_all(X[i], "tool")
         q = a.q[a.inside]
         assert study.solutions[i] == len(q) > 0
-        lo, hi = PUMA.lower, PUMA.upper
+        lo = PUMA.lower
+        hi = PUMA.upper
         margins = (np.minimum(q - lo, hi - q) / (0.5 * (hi - lo))).min(axis=1)
         assert study.margin[i] == pytest.approx(margins.max(), abs=1e-9)
         dets = np.abs(np.linalg.det(PUMA.jacobian(q, "tool")))
@@ -139,7 +142,9 @@ def test_a_capability_map_with_rolls_counts_solutions():
 def test_a_planar_capability_map_is_inside_the_exact_workspace():
     """Of the arm of three turns: a cell is reached in all directions if the wrist gets to a circle about it."""
     m = kempe.Mechanism("three", dim=2)
-    a, b, c = m.body("a"), m.body("b"), m.body("c")
+    a = m.body("a")
+    b = m.body("b")
+    c = m.body("c")
     m.revolute("q1", m.ground, a)
     m.revolute("q2", a, b, at=(0.5, 0.0))
     m.revolute("q3", b, c, at=(0.4, 0.0))

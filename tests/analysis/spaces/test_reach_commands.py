@@ -17,7 +17,8 @@ from kempe.views.terminal import leave
 @pytest.mark.slow
 def test_singularities_as_text_and_json():
     run = Result("singularities", "puma560", "--frame", "tool", "--at", "q5=0.2", "--json")
-    data, answer = run.json(), kempe.load("puma560").singularities("tool")
+    data = run.json()
+    answer = kempe.load("puma560").singularities("tool")
     assert run.code == 0 and [s["name"] for s in data["sets"]] == [s.name for s in answer.sets]
     assert data["nearest"]["distances"]["wrist (q5 = 0)"] == pytest.approx(0.2, abs=1e-6)
     text = Result("singularities", "two_link", "--frame", "e", "--at", "q2=10", "--deg")
@@ -71,7 +72,8 @@ def test_many_starts_and_places_are_not_prepared_at_once(monkeypatch):
 
 
 def test_poses_of_a_file(tmp_path):
-    arm, path = kempe.load("ur5"), tmp_path / "weld.csv"
+    arm = kempe.load("ur5")
+    path = tmp_path / "weld.csv"
     path.write_text("x,y,z,roll,pitch,yaw\n0.4,0.1,0.5,180,0,0\n0.5,0.1,0.4,180,0,0\n3,0,0,0,0,0\n")
     run = Result("reach", "ur5", path, "--frame", "tool", "--deg", "--json")
     data = run.json()
@@ -92,7 +94,8 @@ def test_poses_of_a_file(tmp_path):
 def test_what_is_reached_is_drawn(tmp_path):
     """Every place is inside the axes, marked by whether it is reached; so are the map of the base, and an arm."""
     pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra view)")
-    path, files = tmp_path / "points.csv", [tmp_path / f"{k}.svg" for k in range(4)]
+    path = tmp_path / "points.csv"
+    files = [tmp_path / f"{k}.svg" for k in range(4)]
     path.write_text("x,y\n0.5,0.3\n3,0.3\n-0.2,0.4\n")
     run = Result("reach", "two_link", path, "--frame", "e", "--plot", files[0])
     assert run.code == 1 and f"written to {files[0]}" in run.err

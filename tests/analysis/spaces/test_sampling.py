@@ -44,7 +44,8 @@ def test_rotations_have_haars_measure():
     """The angle of a uniform rotation has the density (1 - cos) / pi, its axis is uniform on the sphere."""
     q = kempe.load("joint_spherical").configuration_space.sample(5000, 3).q
     q = q[:, :4] * np.sign(q[:, :1])
-    angle, edges = 2.0 * np.arccos(np.clip(q[:, 0], -1.0, 1.0)), np.linspace(0.0, np.pi, 11)
+    angle = 2.0 * np.arccos(np.clip(q[:, 0], -1.0, 1.0))
+    edges = np.linspace(0.0, np.pi, 11)
     assert fits(angle, edges, np.diff(edges - np.sin(edges)))
     height = q[:, 3] / np.linalg.norm(q[:, 1:], axis=1)
     assert fits(height, np.linspace(-1.0, 1.0, 11), np.ones(10))
@@ -55,7 +56,8 @@ def test_one_sided_constraints_reject():
     m.translation("T", m.ground, m.body("b"), limits={n: (-1.0, 1.0) for n in "xyz"})
     m.inequality("above", "T.z - T.x")
     sample = m.build().configuration_space.sample(2000, 4)
-    x, z = sample.q[:, 0], sample.q[:, 2]
+    x = sample.q[:, 0]
+    z = sample.q[:, 2]
     assert (z >= x).all() and sample.exact and sample.taken == pytest.approx(0.5, abs=0.05)
     edges = np.linspace(-1.0, 1.0, 9)  # the density of x is (1 - x) / 2
     assert fits(x, edges, -np.diff((1.0 - edges) ** 2))
@@ -63,7 +65,10 @@ def test_one_sided_constraints_reject():
 
 def test_a_four_bars_curve_is_filled_by_arc_length():
     """Expected shares from a fine polygon through closed forms: two circles for the rocker's pin."""
-    a, b, c, d = 0.1, 0.5, 0.4, 0.4
+    a = 0.1
+    b = 0.5
+    c = 0.4
+    d = 0.4
     system = four_bar(a, b, c, d)
     sample = system.configuration_space.sample(6000, 5)
     assert sample.exact and sample.judged.holds.all()
@@ -98,7 +103,8 @@ def test_a_walk_on_a_sphere_is_uniform():
 @pytest.mark.slow
 def test_a_walk_on_a_torus_has_more_outside_than_inside():
     """Its area by the angle v around the tube goes as R + r cos v (Diaconis, Holmes, Shahshahani, 2013)."""
-    R, r = 1.0, 0.6
+    R = 1.0
+    r = 0.6
     text = f"(sqrt(T.x*T.x + T.y*T.y) - {R})**2 + T.z*T.z = {r * r}"
     q = surface(text).configuration_space.sample(1000, 7).q
     around = np.arctan2(q[:, 2], np.hypot(q[:, 0], q[:, 1]) - R)
@@ -115,7 +121,8 @@ def test_a_walk_among_rotations_keeps_haars_measure():
     m.equation("flat", "T.z = 0")
     m.equation("circle", "T.x*T.x + T.y*T.y = 1")
     sample = m.build().configuration_space.sample(1000, 8)
-    angle, edges = 2.0 * np.arccos(np.clip(abs(sample.q[:, 0]), 0.0, 1.0)), np.linspace(0.0, np.pi, 7)
+    angle = 2.0 * np.arccos(np.clip(abs(sample.q[:, 0]), 0.0, 1.0))
+    edges = np.linspace(0.0, np.pi, 7)
     assert fits(angle, edges, np.diff(edges - np.sin(edges)))
     k = sample.system.coordinate_names.index("T.x")
     assert fits(np.arctan2(sample.q[:, k + 1], sample.q[:, k]), np.linspace(-np.pi, np.pi, 9), np.ones(8))
@@ -124,7 +131,9 @@ def test_a_walk_among_rotations_keeps_haars_measure():
 @pytest.mark.slow
 def test_a_five_bars_surface_is_filled_by_area():
     """Shares of the first crank's angle from the areas of a fine net of triangles through closed forms."""
-    a, b, d = 0.2, 0.3, 0.2
+    a = 0.2
+    b = 0.3
+    d = 0.2
     system = kempe.load("five_bar")
     sample = system.configuration_space.sample(1000, 9)
     n = 600
@@ -144,7 +153,8 @@ def test_a_five_bars_surface_is_filled_by_area():
         s = np.diff(q, axis=k)
         return s - 2.0 * np.pi * np.round(s / (2.0 * np.pi))
 
-    e, f = step(0)[:, :-1], step(1)[:-1]
+    e = step(0)[:, :-1]
+    f = step(1)[:-1]
     area = np.sqrt(np.maximum(np.sum(e * e, -1) * np.sum(f * f, -1) - np.sum(e * f, -1) ** 2, 0.0))
     fine = far <= 2.0 * b
     area *= fine[:-1, :-1] & fine[1:, :-1] & fine[:-1, 1:] & fine[1:, 1:]

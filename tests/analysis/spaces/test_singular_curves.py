@@ -22,10 +22,12 @@ def away(p: np.ndarray, curves) -> np.ndarray:
 
 def arm_of(lengths) -> kempe.System:
     m = kempe.Mechanism("arm", dim=2)
-    at, body = 0.0, m.ground
+    at = 0.0
+    body = m.ground
     for k, length in enumerate(lengths):
         m.revolute(f"q{k}", body, m.body(f"b{k}"), at=(at, 0))
-        at, body = length, f"b{k}"
+        at = length
+        body = f"b{k}"
     m.frame("tip", body, at=(at, 0))
     return m.build()
 
@@ -50,7 +52,9 @@ def five():
 def test_type_1_of_a_five_bar_lies_on_circles_about_its_pivots(five):
     """Radii a + b and b - a about (0, 0) and (d, 0), wherever the other leg reaches, and nowhere else."""
     curves = [c for c in five if c.kinds == ("type 1",)]
-    a, b, pivots = 0.2, 0.3, np.array([[0.0, 0.0], [0.2, 0.0]])
+    a = 0.2
+    b = 0.3
+    pivots = np.array([[0.0, 0.0], [0.2, 0.0]])
     turn = np.linspace(0.0, 2.0 * np.pi, 721)
     for c in curves:
         radii = np.linalg.norm(c.p[:, None, :2] - pivots, axis=-1)
@@ -71,15 +75,20 @@ def test_type_2_of_a_five_bar_is_a_coupler_curve():
     curves = [
         c for c in ours.singularities("tip", "position", budget=Budget(starts=24)).curves() if c.kinds == ("type 2",)
     ]
-    a, b, d = 0.2, 0.3, 0.3
+    a = 0.2
+    b = 0.3
+    d = 0.3
     for c in curves:
-        B, C = ours.fk(c.q, "arm1")[:, :2, 3], ours.fk(c.q, "crank2") @ np.array([a, 0.0, 0.0, 1.0])
-        u, v = c.p[:, :2] - B, c.p[:, :2] - C[:, :2]
+        B = ours.fk(c.q, "arm1")[:, :2, 3]
+        C = ours.fk(c.q, "crank2") @ np.array([a, 0.0, 0.0, 1.0])
+        u = c.p[:, :2] - B
+        v = c.p[:, :2] - C[:, :2]
         assert np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).max() < 1e-9
     angle = np.linspace(-np.pi, np.pi, 400)  # of the first crank; the other crank's end is on two circles
     B = a * np.column_stack([np.cos(angle), np.sin(angle)])
     to = np.array([d, 0.0]) - B
-    far, coupler = np.linalg.norm(to, axis=1), 2.0 * b
+    far = np.linalg.norm(to, axis=1)
+    coupler = 2.0 * b
     along = (far**2 + coupler**2 - a**2) / (2.0 * far)
     ok = coupler**2 > along**2
     for sign in (1.0, -1.0):
@@ -89,7 +98,8 @@ def test_type_2_of_a_five_bar_is_a_coupler_curve():
         assert ok.sum() > 100 and away(0.5 * (B[ok] + C), curves).max() < 0.02
 
 
-BASE, PLATFORM = np.array([[0.0, 0.0], [1.0, 0.1], [0.3, 0.9]]), np.array([[0.0, 0.0], [0.35, -0.05], [0.1, 0.3]])
+BASE = np.array([[0.0, 0.0], [1.0, 0.1], [0.3, 0.9]])
+PLATFORM = np.array([[0.0, 0.0], [0.35, -0.05], [0.1, 0.3]])
 
 
 def three_rpr(limits=(0.15, 1.6)) -> kempe.System:
@@ -110,7 +120,8 @@ def determinant(p: np.ndarray, angle: float) -> np.ndarray:
     Sefrioui and Gosselin, "On the quadratic nature of the singularity curves of planar three-degree-of-freedom parallel
     manipulators", Mechanism and Machine Theory 30 (1995): a polynomial of degree two in x and y.
     """
-    c, s = np.cos(angle), np.sin(angle)
+    c = np.cos(angle)
+    s = np.sin(angle)
     arm = PLATFORM @ np.array([[c, s], [-s, c]])
     u = p[:, None] + arm - BASE
     return np.linalg.det(np.dstack([u, arm[:, 0] * u[..., 1] - arm[:, 1] * u[..., 0]]))
@@ -143,7 +154,8 @@ def test_type_2_of_a_3_rpr_at_one_orientation_is_a_conic(angle, starts):
     value = (terms(p) @ conic).reshape(401, 401)
     cross = np.sign(value[1:]) != np.sign(value[:-1])
     points = 0.5 * (p.reshape(401, 401, 2)[1:] + p.reshape(401, 401, 2)[:-1])[cross]
-    c, s = np.cos(angle), np.sin(angle)
+    c = np.cos(angle)
+    s = np.sin(angle)
     legs = np.linalg.norm(points[:, None] + PLATFORM @ np.array([[c, s], [-s, c]]) - BASE, axis=-1)
     reached = ((legs > 0.16) & (legs < 1.59)).all(axis=1)
     assert reached.sum() > 50 and (starts < 64 or away(points[reached], curves).max() < 0.05)

@@ -12,7 +12,9 @@ from kempe.errors import InputError, TimeLimitError, UnknownNameError
 from kempe.kinematics.closure_rows import residual
 
 PUMA = kempe.load("puma560")
-A2, A3, D4 = 0.4318, 0.0203, 0.4318
+A2 = 0.4318
+A3 = 0.0203
+D4 = 0.4318
 """Link lengths of the Puma in metres."""
 FEW = Budget(starts=24)
 
@@ -55,7 +57,8 @@ def test_what_is_lost_is_out_of_the_jacobians_image(puma):
 def test_the_shoulder_is_where_the_wrist_is_across_from_axis_1(puma):
     """The wrist centre then moves along axis 2 only as axis 1 turns: its distance across is zero."""
     for q in named(puma, "shoulder").q:
-        p, X = PUMA.fk(q, "link4")[:3, 3], PUMA.fk(q, "link1")
+        p = PUMA.fk(q, "link4")[:3, 3]
+        X = PUMA.fk(q, "link1")
         axis2 = PUMA.jacobian(q, "tool")[3:, 1]
         assert abs(np.cross([0.0, 0.0, 1.0], axis2) @ (p - X[:3, 3])) < 1e-7
 
@@ -75,7 +78,8 @@ def test_distances_to_the_nearest(puma):
     axis2 = PUMA.jacobian(q, "tool")[3:, 1]
     ahead = np.cross([0.0, 0.0, 1.0], axis2)
     # turning by q2 about axis 2 leads the wrist centre to above it where its part ahead is zero
-    part, up = p @ ahead, p[:, 2]
+    part = p @ ahead
+    up = p[:, 2]
     turn = np.arctan2(part, up)
     options = []
     for sign in (1.0, -1.0):
@@ -148,7 +152,8 @@ def three_rrr():
 
 def lines_of(arm, q):
     """Points and directions of the three links that carry the platform of the planar robot."""
-    B, C = (np.array([arm.fk(q, f"link{k}")[:2, 3] for k in (1, 2, 3)]), [])
+    B = np.array([arm.fk(q, f"link{k}")[:2, 3] for k in (1, 2, 3)])
+    C = []
     C = np.array([(arm.fk(q, f"link{k}") @ [0.3, 0.0, 0.0, 1.0])[:2] for k in (1, 2, 3)])
     return B, C - B
 
@@ -326,7 +331,8 @@ def test_a_gimbal_loses_a_direction_of_its_axis_where_that_is_along_the_first_tu
     (only,) = found.sets
     assert only.coordinates == ("U.ry",) and np.abs(np.cos(only.values)).max() < 1e-6
     for q, lost in zip(only.q, only.lost, strict=True):
-        z, second = found.system.fk(q, "camera")[:3, 2], np.array([0.0, np.cos(q[0]), np.sin(q[0])])
+        z = found.system.fk(q, "camera")[:3, 2]
+        second = np.array([0.0, np.cos(q[0]), np.sin(q[0])])
         assert lost.shape == (1, 6) and np.abs(lost[0, 3:] @ np.cross(z, second)) == pytest.approx(1.0, abs=1e-6)
         assert np.abs(lost[0, :3]).max() < 1e-9
     planes = m.build().singularities("camera", "orientation", budget=Budget(starts=4))
@@ -353,7 +359,8 @@ def test_of_a_platform_with_short_strokes_those_inside_the_limits_are_found():
     m = kempe.Mechanism("3-RPS")
     m.body("platform")
     for i, turn in enumerate(2.0 * np.pi / 3.0 * np.arange(3)):
-        c, s = np.cos(turn), np.sin(turn)
+        c = np.cos(turn)
+        s = np.sin(turn)
         m.revolute(f"R{i}", m.ground, m.body(f"sleeve{i}"), at=(0.3 * c, 0.3 * s, 0.0), rpy=(0, 0, turn), axis="y")
         m.prismatic(f"P{i}", f"sleeve{i}", m.body(f"rod{i}"), axis="z", actuated=True, limits=(0.25, 0.45))
         m.spherical(f"S{i}", f"rod{i}", "platform", child_at=(0.2 * c, 0.2 * s, 0.0))
@@ -370,7 +377,8 @@ def test_of_a_platform_with_short_strokes_those_inside_the_limits_are_found():
         assert abs(np.linalg.det(np.array(lines))) < 1e-9
         assert all(0.25 <= system.q_dict(q)[f"P{i}"] <= 0.45 for i in range(3))
     for q, lost in zip(found.q, found.lost, strict=True):
-        X, legs = system.fk(q, "platform"), [system.q_dict(q)[f"P{i}"] for i in range(3)]
+        X = system.fk(q, "platform")
+        legs = [system.q_dict(q)[f"P{i}"] for i in range(3)]
         assert abs(abs(X[2, 2]) - 1.0) < 1e-9 and np.abs(X[:2, 3]).max() < 1e-9
         assert legs == pytest.approx([np.hypot(0.1, X[2, 3])] * 3) and 0.25 <= legs[0] <= 0.45
         assert np.linalg.matrix_rank(lost[:, :2]) == 2 and np.abs(lost[:, 2]).max() < 1e-9
@@ -378,7 +386,9 @@ def test_of_a_platform_with_short_strokes_those_inside_the_limits_are_found():
 
 def test_the_nearest_singular_configuration_is_hardly_ever_farther_than_one_on_a_grid(hunt):
     """Arms of three skew hinges with limits: against changes of sign of the determinant along the lines of a grid."""
-    rng, far, count = hunt.rng(), 0, 0
+    rng = hunt.rng()
+    far = 0
+    count = 0
     side = np.linspace(-2.5, 2.5, 41)
     grid = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1)
     for _ in range(hunt.cases(5)):
@@ -390,10 +400,12 @@ def test_the_nearest_singular_configuration_is_hardly_ever_farther_than_one_on_a
             last = f"b{k}"
         m.frame("e", last, at=tuple(rng.uniform(-0.6, 0.6, 3)))
         system = m.build()
-        found, points = system.singularities("e", "position"), [np.zeros((0, 3))]
+        found = system.singularities("e", "position")
+        points = [np.zeros((0, 3))]
         d = np.linalg.det(np.asarray(system.jacobian(grid, "e"))[..., :3, :])
         for axis in range(3):
-            a, b = np.take(d, range(40), axis), np.take(d, range(1, 41), axis)
+            a = np.take(d, range(40), axis)
+            b = np.take(d, range(1, 41), axis)
             at = np.argwhere(a * b < 0)
             p = side[at]
             p[:, axis] += (a / np.where(a == b, 1.0, a - b))[tuple(at.T)] * (side[1] - side[0])

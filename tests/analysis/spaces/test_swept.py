@@ -32,7 +32,9 @@ def best(system: kempe.System) -> CurveSweep:
 @pytest.mark.slow
 @pytest.mark.parametrize("narrow", [False, True])
 def test_dyads_are_counted_as_a_grid_counts_them(hunt, narrow):
-    rng, complete, seen = hunt.rng(), 0, set()
+    rng = hunt.rng()
+    complete = 0
+    seen = set()
     for _ in range(hunt.cases(8, least=8)):
         system = crank_and_dyads(rng)
         system = limited(system, rng) if narrow else system
@@ -43,14 +45,16 @@ def test_dyads_are_counted_as_a_grid_counts_them(hunt, narrow):
             (count,) = proven
             assert all(s.count <= count for s in found)
             assert count in (counted_on_a_grid(system, 3000), counted_on_a_grid(system, 40_000)), system
-            complete, seen = complete + 1, seen | proven
+            complete = complete + 1
+            seen = seen | proven
     assert complete > 3 and len(seen) > 1
 
 
 @pytest.mark.slow
 def test_curves_that_are_traced_keep_their_component(hunt):
     """The tracer knows nothing of branches: all along a curve it is in one component, and in each there is a curve."""
-    rng, several = hunt.rng(), 0
+    rng = hunt.rng()
+    several = 0
     for _ in range(hunt.cases(4, least=4)):
         system = crank_and_dyads(rng)
         sweep = best(system) if not isinstance(dyad_branches(system), str) else None
@@ -67,7 +71,8 @@ def test_curves_that_are_traced_keep_their_component(hunt):
 
 def test_slider_cranks_are_counted_by_their_lengths(hunt):
     """Crank r, rod l, offset e: the sine of the crank's angle is at least (e - l) / r and at most (e + l) / r."""
-    rng, seen = hunt.rng(), set()
+    rng = hunt.rng()
+    seen = set()
     for _ in range(hunt.cases(12)):
         r, rod, e = rng.uniform(0.1, 1.0, 3)
         m = Mechanism("slider-crank", dim=2)
@@ -75,7 +80,8 @@ def test_slider_cranks_are_counted_by_their_lengths(hunt):
         m.revolute("B", "crank", m.body("rod"), at=(r, 0))
         m.revolute("C", "rod", m.body("slider"), at=(rod, 0))
         m.prismatic("S", m.ground, "slider", at=(0, e), axis=(1, 0))
-        low, high = (e - rod) / r, (e + rod) / r
+        low = (e - rod) / r
+        high = (e + rod) / r
         gaps = int(low > -1.0) + int(high < 1.0)
         count = 0 if low > 1.0 else 2 if gaps in (0, 2) else 1
         found = m.build().configuration_space.components(budget=Budget(time_limit=60))
@@ -87,7 +93,8 @@ def test_slider_cranks_are_counted_by_their_lengths(hunt):
 @pytest.mark.slow
 def test_small_gaps_are_gaps(hunt):
     """Loops of four bars near their change points, against Grashof's rule: proven, or an honest lower bound."""
-    rng, proven = hunt.rng(), 0
+    rng = hunt.rng()
+    proven = 0
     for _ in range(hunt.cases(10, least=10)):
         a, b, c = rng.uniform(0.2, 1.0, 3)
         off = rng.choice([-1.0, 1.0]) * 10.0 ** rng.uniform(-10.0, -2.0)
@@ -95,7 +102,8 @@ def test_small_gaps_are_gaps(hunt):
         if lengths[0] < 0.05:
             continue
         system = polygon(lengths)
-        loop, found = polygon_of(system), best(system)
+        loop = polygon_of(system)
+        found = best(system)
         assert not isinstance(loop, str)
         assert found.count == loop.count if found.complete else found.count <= loop.count, lengths
         proven += found.complete
@@ -161,7 +169,8 @@ def on_the_sphere(arcs: list[float], n: int = 400) -> int:
 
     ground, crank, coupler, rocker = arcs
     t = 2.0 * np.pi * np.arange(n + 1) / n
-    c, s = np.cos(t), np.sin(t)
+    c = np.cos(t)
+    s = np.sin(t)
     # directions of the coupler's axes; the second crank turns about an axis in the y-z plane
     u = np.stack([np.sin(crank) * s, -np.sin(crank) * c, np.cos(crank) * np.ones_like(t)])
     v = np.stack([np.sin(rocker) * s, -np.sin(rocker) * c, np.cos(rocker) * np.ones_like(t)])
@@ -173,7 +182,8 @@ def on_the_sphere(arcs: list[float], n: int = 400) -> int:
 
 
 def test_spherical_loops_are_counted_as_a_grid_counts_them(hunt):
-    rng, seen = hunt.rng(), set()
+    rng = hunt.rng()
+    seen = set()
     for _ in range(hunt.cases(15)):
         arcs = rng.uniform(0.2, 1.5, 4).tolist()
         found = best(spherical(arcs))
@@ -188,10 +198,13 @@ def test_spherical_loops_are_counted_as_a_grid_counts_them(hunt):
 
 def test_a_rod_between_a_crank_and_a_slide(hunt):
     """By brute force: values of the slide at which the rod fits, over the crank's angle."""
-    rng, seen = hunt.rng(), set()
+    rng = hunt.rng()
+    seen = set()
     for _ in range(hunt.cases(12)):
-        r, rod = rng.uniform(0.2, 0.6), rng.uniform(0.2, 1.2)
-        at, axis = rng.uniform(-0.6, 0.6, 3), rng.normal(size=3)
+        r = rng.uniform(0.2, 0.6)
+        rod = rng.uniform(0.2, 1.2)
+        at = rng.uniform(-0.6, 0.6, 3)
+        axis = rng.normal(size=3)
         m = Mechanism("RSSP")
         m.revolute("A", m.ground, m.body("crank"))
         m.spherical("B", "crank", m.body("rod"), at=(r, 0, 0))

@@ -75,7 +75,11 @@ def test_volumes_with_limits_of_the_first_joint(limits):
 
 def test_a_turn_beside_the_axis_by_hand():
     """A bar at a distance d beside the axis, x from a to b and from -b to -a: sectors of rings, their overlaps once."""
-    d, a, b, height, wide = 0.3, 0.2, 0.8, 0.4, 2.5
+    d = 0.3
+    a = 0.2
+    b = 0.8
+    height = 0.4
+    wide = 2.5
     system = chain(("revolute", "z", (0, 0, 0), (-0.5, wide - 0.5)), ("prismatic", "x", (0, d, 0), (-b, b)),
                    ("prismatic", "z", (0, 0, 0), (0.0, height)), tool=(0, 0, 0))  # fmt: skip
     x = (np.arange(2_000_000) + 0.5) * b / 2_000_000
@@ -128,7 +132,8 @@ def random_chain(rng):
 
 def test_hunt_for_places_in_space_that_are_decided_wrongly(hunt: Hunt):
     """Places by the solid, by the inverse model, by distance, and by forward samples; the volume by counting."""
-    rng, kinds = hunt.rng(), set()
+    rng = hunt.rng()
+    kinds = set()
     for _ in range(hunt.cases(40, least=8)):
         system = random_chain(rng)
         solid = swept_solid(system, "tip")
@@ -153,7 +158,8 @@ def test_hunt_for_places_in_space_that_are_decided_wrongly(hunt: Hunt):
         some = np.flatnonzero(clear)[:40]
         found = system.ik(points[some], "tip", task="position").success
         assert np.array_equal(inside[some], found)
-        box, share = float(np.prod(high - low + 0.2)), inside.mean()
+        box = float(np.prod(high - low + 0.2))
+        share = inside.mean()
         assert solid.measure == pytest.approx(box * share, abs=5.0 * box * math.sqrt(share * (1.0 - share) / 4000))
     assert len(kinds) == 3
 
@@ -161,7 +167,8 @@ def test_hunt_for_places_in_space_that_are_decided_wrongly(hunt: Hunt):
 def test_the_wrist_of_a_puma_with_its_limits():
     """What three joints with limits reach beside the axis: exact, and what the inverse model finds at random places."""
     puma = kempe.load("puma560")
-    solid, rng = swept_solid(puma, "tool"), np.random.default_rng(1)
+    solid = swept_solid(puma, "tool")
+    rng = np.random.default_rng(1)
     assert isinstance(solid, Turned) and solid.beside == pytest.approx(0.15005)
     low, high = solid.extent
     points = rng.uniform(low, high, (4000, 3))

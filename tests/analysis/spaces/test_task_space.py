@@ -53,7 +53,8 @@ def test_tasks_are_counted_together():
 
 
 def test_wrong_calls():
-    arm, bar = kempe.load("two_link"), kempe.load("four_bar")
+    arm = kempe.load("two_link")
+    bar = kempe.load("four_bar")
     with pytest.raises(UnknownNameError):
         arm.task_space("nowhere")
     with pytest.raises(InputError, match="task is 'size'"):
@@ -73,10 +74,12 @@ def test_what_is_no_task_is_refused(wrong):
 def arm(size: float, held: bool = False, offset: float = 0.0, at: float = 0.0) -> kempe.System:
     """A chain of three hinges in the plane of this size, far from the origin by `at`, whose wrist may be held."""
     m = kempe.Mechanism("arm", dim=2)
-    last, place = m.ground, (at, 0.3 * at)
+    last = m.ground
+    place = (at, 0.3 * at)
     for k in range(3):
         m.revolute(f"j{k}", last, m.body(f"L{k}"), at=place)
-        last, place = f"L{k}", (size, 0.2 * size)
+        last = f"L{k}"
+        place = (size, 0.2 * size)
     m.frame("end", last, at=(0.7 * size, offset * size))
     m.frame("hub", "L0", at=(offset * size, 0.0))
     if held:
@@ -106,11 +109,14 @@ def test_a_frame_beside_its_axis_moves(size, offset):
 
 def scaled(rng: np.random.Generator, f: float) -> tuple[kempe.System, int]:
     """A random chain in space of hinges and slides, its lengths times f, and the rank of its pose by numpy."""
-    m, last, drawn = kempe.Mechanism("chain"), "ground", []
+    m = kempe.Mechanism("chain")
+    last = "ground"
+    drawn = []
     n = int(rng.integers(1, 7))
     for k in range(n):
         kind = "prismatic" if rng.random() < 0.3 else "revolute"
-        at, axis = rng.choice([0.0, 0.3, 0.5], 3), rng.choice(["x", "y", "z"])
+        at = rng.choice([0.0, 0.3, 0.5], 3)
+        axis = rng.choice(["x", "y", "z"])
         m.joint(f"j{k}", kind, m.ground if k == 0 else last, m.body(f"b{k}"), at=tuple(f * at), axis=axis,
                 limits=(-f, f) if kind == "prismatic" else None)  # fmt: skip
         last = f"b{k}"

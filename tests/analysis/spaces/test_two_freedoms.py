@@ -22,17 +22,20 @@ from kempe.analysis.spaces.configuration import two_freedoms as spaces
 from kempe.constraints.flat_tasks import FlatTask, flat_task
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 
-PLANE, DIRECTION = FlatTask("xy", 2), FlatTask("direction", 3)
+PLANE = FlatTask("xy", 2)
+DIRECTION = FlatTask("direction", 3)
 
 
 def test_modes_and_ways_of_spherical_five_bars_are_those_of_triangles(hunt):
     """At all nodes: each leg closes a spherical triangle in two ways or in none, and so do the rods."""
-    rng, met = hunt.rng(), set[int]()
+    rng = hunt.rng()
+    met = set[int]()
     for _ in range(hunt.cases(8)):
         arcs = rng.uniform(0.3, 1.5, 5)
         space = spaces.two_freedoms(spherical_five_bar(*arcs), "tip", DIRECTION)
         modes = space.over_grid(31)[1].sum(axis=-1)
-        x, y = np.linspace(-3.1, 3.0, 31), np.linspace(-1.5, 1.55, 29)
+        x = np.linspace(-3.1, 3.0, 31)
+        y = np.linspace(-1.5, 1.55, 29)
         ways = space.reach_grid(x, y)
         z = directions(*np.meshgrid(x, y, indexing="ij"))
         assert space.names == ("A", "D")
@@ -47,7 +50,8 @@ def test_a_planar_five_bar_in_space_has_the_numbers_of_that_in_the_plane(plane, 
     flat = spaces.two_freedoms(five_bar(None), "tip", PLANE)
     deep = spaces.two_freedoms(five_bar(plane), "tip", FlatTask(task, 3))
     modes = [s.over_grid(37)[1].sum(axis=-1) for s in (flat, deep)]
-    x, y = np.linspace(-0.7, 0.9, 37), np.linspace(-0.71, 0.7, 35)
+    x = np.linspace(-0.7, 0.9, 37)
+    y = np.linspace(-0.71, 0.7, 35)
     ways = [s.reach_grid(x, y) for s in (flat, deep)]
     assert flat.complete and not deep.complete and set(modes[0].ravel()) == {0, 1, 2} and len(np.unique(ways[0])) > 2
     assert np.array_equal(*modes) and np.array_equal(*ways)
@@ -56,11 +60,13 @@ def test_a_planar_five_bar_in_space_has_the_numbers_of_that_in_the_plane(plane, 
 def test_lengths_in_millimetres_do_not_matter():
     """The tip is reached from each slide in two ways; slides are within their limits."""
     space = spaces.two_freedoms(slider_pair(3), "tip", FlatTask("xy", 3))
-    modes, values = space.over_grid(33)[1].sum(axis=-1), space.grid(33)
+    modes = space.over_grid(33)[1].sum(axis=-1)
+    values = space.grid(33)
     far = values[..., 1] - values[..., 0]
     clear = (np.abs(far - 550.0) > 1e-6) & (np.abs(far - 50.0) > 1e-6)
     assert np.array_equal(modes[clear], (2 * ((far > 50.0) & (far < 550.0)))[clear])
-    x, y = np.linspace(-400.0, 420.0, 33), np.linspace(-277.0, 270.0, 31)
+    x = np.linspace(-400.0, 420.0, 33)
+    y = np.linspace(-277.0, 270.0, 31)
     expected = np.zeros((33, 31), dtype=int)
     X, Y = np.meshgrid(x, y, indexing="ij")
     for s1, s2 in ((a, b) for a in (-1.0, 1.0) for b in (-1.0, 1.0)):
@@ -81,7 +87,8 @@ def test_modes_of_a_pointer_on_two_legs_are_the_roots_of_their_lengths(lower, up
     q, mask = space.over_grid(16)
     assert space.names == ("s0", "s1")
     at = [space.system.coordinate_names.index(n) for n in ("U.rx", "U.ry", "s0", "s1")]
-    U, s = q[mask][:, at[:2]], q[mask][:, at[2:]]
+    U = q[mask][:, at[:2]]
+    s = q[mask][:, at[2:]]
     assert lengths_of_pointer(U) == pytest.approx(s, abs=1e-9)
     values = space.grid(16).reshape(-1, 2)
     expected = [roots_of_pointer(x) for x in values[::23]]
@@ -108,14 +115,16 @@ def test_a_gimbal_reaches_each_direction_in_two_ways_but_for_its_axis():
     m.universal("U", m.ground, m.body("camera"))
     space = spaces.two_freedoms(m.build(), "camera", DIRECTION)
     space.over_grid(40)
-    x, y = np.linspace(-3.0, 3.0, 30), np.linspace(-1.5, 1.5, 30)
+    x = np.linspace(-3.0, 3.0, 30)
+    y = np.linspace(-1.5, 1.5, 30)
     assert (space.reach_grid(x, y) == 2).all()
     limited = spaces.two_freedoms(
         m.build().with_limits({"U.rx": (-1.0, 1.0), "U.ry": (-0.5, 0.5)}), "camera", DIRECTION
     )
     limited.over_grid(40)
     z = directions(*np.meshgrid(x, y, indexing="ij"))
-    b, a = np.arcsin(z[..., 0]), np.arctan2(-z[..., 1], z[..., 2])
+    b = np.arcsin(z[..., 0])
+    a = np.arctan2(-z[..., 1], z[..., 2])
     assert np.array_equal(limited.reach_grid(x, y), (np.abs(b) < 0.5) & (np.abs(a) < 1.0))
 
 
@@ -137,7 +146,8 @@ def test_places_without_a_closed_form_are_counted_from_node_to_node(monkeypatch)
     found = spaces.two_freedoms(five_bar(None), "tip", PLANE)
     exact.over_grid(30)
     found.over_grid(30)
-    x, y = np.linspace(-0.7, 0.9, 31), np.linspace(-0.71, 0.7, 29)
+    x = np.linspace(-0.7, 0.9, 31)
+    y = np.linspace(-0.71, 0.7, 29)
     assert np.array_equal(exact.reach_grid(x, y), found.reach_grid(x, y))
 
 
@@ -167,7 +177,8 @@ def test_places_beside_singular_lines_are_reached_in_as_many_ways_as_they_are():
     space = spaces.two_freedoms(torus(0.5, 0.2, False), "tip", FlatTask("xy", 3))
     values = space.grid(60)
     q, mask = space.over_grid(60)
-    x, y = np.linspace(-0.75, 0.75, 60), np.linspace(-0.74, 0.74, 59)
+    x = np.linspace(-0.75, 0.75, 60)
+    y = np.linspace(-0.74, 0.74, 59)
     space.reach_grid(x, y)
     clear = np.abs(np.sin(values[..., 1])) > 1e-6
     assert mask.all() and clear.mean() > 0.9 and (space.ways(q[..., 0, :])[clear] == 2).all()

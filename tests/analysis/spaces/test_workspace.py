@@ -163,7 +163,8 @@ def test_cells_that_lack_samples_are_no_boundary(n, most):
 def test_what_is_reached_is_inside_and_what_is_not_finite_is_nowhere():
     workspace = shell(0.5, 0.3).workspace("tip", n=500)
     points = np.random.default_rng(0).uniform(-1.0, 1.0, (60, 3))
-    inside, far = workspace.contains(points), workspace.distance(points)
+    inside = workspace.contains(points)
+    far = workspace.distance(points)
     assert (far[inside] >= 0.0).all() and (far[~inside] < 0.0).all() and inside.any() and not inside.all()
     points[3, 0], points[4, 1] = np.nan, np.inf
     far[3:5] = np.nan, -np.inf
@@ -174,7 +175,8 @@ def test_the_measure_in_a_huge_box_is_between_its_bounds():
     """What lengths and limits prove to be empty does not count in the error."""
     for edge in (100.0, 1e4):
         workspace = shell(0.5, 0.3).workspace("tip", n=1e4, box=[(-edge, edge)] * 3)
-        (value, error), (low, high) = workspace.volume, workspace.bounds
+        (value, error) = workspace.volume
+        (low, high) = workspace.bounds
         assert low <= SHELL <= high and abs(value - SHELL) <= error <= high
     for n in (1, 10):
         workspace = shell(0.5, 0.3).workspace("tip", n=n)
@@ -196,7 +198,8 @@ def test_boundaries():
 
 def test_an_axis_along_which_nothing_moves_is_left_out():
     m = Mechanism()
-    a, b = m.body("a"), m.body("b")
+    a = m.body("a")
+    b = m.body("b")
     m.revolute("A", m.ground, a, at=(0, 0, 0.7), axis="z")
     m.revolute("B", a, b, at=(0.5, 0, 0), axis="z")
     m.frame("tip", b, (0.3, 0, 0))
@@ -257,7 +260,8 @@ def test_the_time_limit_ends_it_with_what_was_done(looks):
 
 def free_slide():
     m = Mechanism("lift")
-    a, b = m.body("a"), m.body("b")
+    a = m.body("a")
+    b = m.body("b")
     m.prismatic("rail", m.ground, a, axis="x")
     m.revolute("arm", a, b)
     m.frame("tip", b, (0.3, 0, 0))
@@ -322,5 +326,7 @@ def test_a_workspace_under_a_narrow_constraint():
 
 
 def _tip_distance(x):
-    a, b, c = x["j0"], x["j0"] + x["j1"], x["j0"] + x["j1"] + x["j2"]
+    a = x["j0"]
+    b = x["j0"] + x["j1"]
+    c = x["j0"] + x["j1"] + x["j2"]
     return (np.cos(a) + np.cos(b) + np.cos(c) - 1.5) ** 2 + (np.sin(a) + np.sin(b) + np.sin(c)) ** 2

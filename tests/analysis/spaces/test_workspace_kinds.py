@@ -20,14 +20,18 @@ from kempe.analysis.spaces.workspace.cell_map import Grid
 from kempe.analysis.spaces.workspace.outer_bounds import outer_measure
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 
-A, B, H = 0.5, 0.3, 0.1
+A = 0.5
+B = 0.3
+H = 0.1
 """Links of the planar arm of three turns, the last one of which carries the tool."""
 
 
 @cache
 def three_bars(limits=None):
     m = Mechanism("three bars", dim=2)
-    first, second, third = m.body("first"), m.body("second"), m.body("third")
+    first = m.body("first")
+    second = m.body("second")
+    third = m.body("third")
     m.revolute("q1", m.ground, first)
     m.revolute("q2", first, second, at=(A, 0), limits=limits)
     m.revolute("q3", second, third, at=(B, 0))
@@ -59,7 +63,8 @@ def turn(x):
 def test_a_hexapod_in_one_orientation():
     """Each leg leaves a spherical shell: Gosselin, "Determination of the workspace of 6-DOF parallel manipulators",
     J. Mechanical Design 112 (1990)."""  # fmt: skip
-    system, R = hexapod(), turn(0.2)
+    system = hexapod()
+    R = turn(0.2)
     low, high = joints_of(system)
     w = system.workspace("tool", orientation=R, box=[(-0.2, 0.2), (-0.2, 0.2), (0.2, 0.5)], n=400, cells=12)
     points = np.random.default_rng(0).uniform((-0.2, -0.2, 0.2), (0.2, 0.2, 0.5), (200_000, 3))
@@ -75,7 +80,8 @@ def test_a_hexapod_in_one_orientation():
 def test_a_planar_parallel_robot_in_one_orientation():
     """Three annuli meet: Gosselin, Angeles, "The optimum kinematic design of a planar three-degree-of-freedom parallel
     manipulator", J. Mechanisms 110 (1988)."""  # fmt: skip
-    robot, angle = kempe.load("three_rrr"), 0.2
+    robot = kempe.load("three_rrr")
+    angle = 0.2
     thirds = 2.0 * math.pi / 3.0 * np.arange(3)
     low = 0.5 * np.column_stack([np.cos(thirds), np.sin(thirds)])
     high = 0.15 * np.column_stack([np.cos(thirds + angle), np.sin(thirds + angle)])
@@ -83,7 +89,8 @@ def test_a_planar_parallel_robot_in_one_orientation():
     points = np.random.default_rng(1).uniform(-0.4, 0.4, (500_000, 2))
     far = np.linalg.norm(points[:, None] + high - low, axis=-1)
     inside = ((far > 0.05) & (far < 0.55)).all(axis=1)
-    truth, off = 0.64 * inside.mean(), 0.64 * 4.0 * 0.5 / math.sqrt(500_000)
+    truth = 0.64 * inside.mean()
+    off = 0.64 * 4.0 * 0.5 / math.sqrt(500_000)
     assert abs(w.area[0] - truth) < off and abs(w.estimate[0] - truth) < off + 1.5 * w.estimate[1]
     assert np.array_equal(w.contains(points[:400], check=True), inside[:400])
 
@@ -148,7 +155,9 @@ def test_orientations_at_a_place():
 def test_orientations_in_space():
     """Two turns of a wrist about axes at right angles reach a surface of orientations, three turns all of them."""
     m = Mechanism("wrist")
-    a, b, c = m.body("a"), m.body("b"), m.body("c")
+    a = m.body("a")
+    b = m.body("b")
+    c = m.body("c")
     m.revolute("q1", m.ground, a, axis="z", limits=(0.0, math.pi))
     m.revolute("q2", a, b, axis="y", limits=(0.0, math.pi))
     m.revolute("q3", b, c, axis="z")
@@ -173,7 +182,8 @@ def test_of_a_system_with_loops_leg_by_leg_is_as_by_all_equations():
     w = robot.workspace("tool", orientation=0.1, cells=8)
     p = np.random.default_rng(5).uniform(-0.2, 0.2, (60, 2))
     X = np.tile(np.eye(4), (60, 1, 1))
-    X[:, :2, 3], X[:, :3, :3] = p, turn(0.1)
+    X[:, :2, 3] = p
+    X[:, :3, :3] = turn(0.1)
     assert np.array_equal(w.contains(p, check=True), robot.ik(X, "tool").success)
 
 
@@ -189,7 +199,8 @@ def test_what_is_not_made_of_legs(name):
 def test_a_box_stands_for_limits_of_slides():
     """On a rail without end the arm reaches a strip."""
     m = Mechanism("rail", dim=2)
-    cart, arm = m.body("cart"), m.body("arm")
+    cart = m.body("cart")
+    arm = m.body("arm")
     m.prismatic("rail", m.ground, cart, axis="x")
     m.revolute("turn", cart, arm)
     m.frame("tip", arm, (0.3, 0))
@@ -204,7 +215,8 @@ def test_a_box_stands_for_limits_of_slides():
 
 def test_an_axis_that_stays_where_it_is_need_not_be_in_the_middle_of_a_box():
     m = Mechanism()
-    a, b = m.body("a"), m.body("b")
+    a = m.body("a")
+    b = m.body("b")
     m.revolute("A", m.ground, a, at=(0, 0, 0.7), axis="z")
     m.revolute("B", a, b, at=(0.5, 0, 0), axis="z")
     m.frame("tip", b, (0.3, 0, 0))
@@ -223,7 +235,8 @@ def random_chain(rng):
     m = Mechanism("random", dim=int(rng.integers(2, 4)))
     body = m.ground
     for k in range(int(rng.integers(1, 7))):
-        at, child = rng.normal(size=m.dim), m.body(f"b{k}")
+        at = rng.normal(size=m.dim)
+        child = m.body(f"b{k}")
         limits = np.sort(rng.uniform(-3.0, 3.0, 2))
         rpy = {} if m.dim == 2 else {"rpy": rng.uniform(-3.0, 3.0, 3)}
         if rng.random() < 0.65:
@@ -254,7 +267,8 @@ def test_hunt_for_places_outside_their_bounds(hunt: Hunt):
 
 @pytest.mark.parametrize("make", [three_bars, hexapod, lambda: kempe.load("puma560"), lambda: kempe.load("stanford")])
 def test_places_beyond_all_lengths_need_no_inverse_model(make, monkeypatch):
-    system, tried = make(), []
+    system = make()
+    tried = []
     workspace = system.workspace("tool", n=4096, cells=10)
     monkeypatch.setattr(
         WorkspaceKind,
@@ -282,7 +296,8 @@ def test_bounds_of_loops_are_those_of_each_leg():
 
 def test_maps_of_other_kinds_are_kept_and_gone_on_with(tmp_path):
     pytest.importorskip("zarr")
-    path, said = tmp_path / "map.zarr", []
+    path = tmp_path / "map.zarr"
+    said = []
     arm = three_bars()
     first = arm.workspace("tool", orientation=0.4, cells=20, path=path, n=200)
     again = arm.workspace("tool", orientation=0.4, cells=20, path=path, n=400,
@@ -348,11 +363,13 @@ def test_turns_that_a_constraint_tells_apart_have_no_end():
     m.revolute("b", "A", m.body("B"), at=(0.4, 0))
     m.frame("tip", "B", at=(0.3, 0))
     m.constrain(constraints.Inequality("1.2 - a - b"), "c")
-    system, p = m.build(), 0.69 * np.array([np.cos(2.0), np.sin(2.0)])
+    system = m.build()
+    p = 0.69 * np.array([np.cos(2.0), np.sin(2.0)])
     assert system.configuration_space.shape == "R^2"
     with pytest.raises(InputError, match="'a' and 'b' have no limits, and a constraint tells their whole turns apart"):
         system.workspace("tip")
-    found, every = system.ik(p, "tip"), system.ik_all(p, "tip", limits=True)
+    found = system.ik(p, "tip")
+    every = system.ik_all(p, "tip", limits=True)
     assert found.success and found.q[0] < -np.pi
     assert not len(every) and not every.complete and not every.code.proof
     assert "at other whole turns of 'a' and 'b' they may not" in every.status

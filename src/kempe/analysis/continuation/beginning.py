@@ -35,7 +35,8 @@ SAME_RATIO = 1e-12
 """How near a factor must be to a ratio of whole numbers to be that ratio."""
 RESTS = 1e-6
 """Share of the driver in a direction below which it rests."""
-SEED, STARTS = 1837, 16
+SEED = 1837
+STARTS = 16
 """Random starts from which a configuration within one-sided constraints is looked for."""
 LOW_RANK = 0.1
 """Length of a curve on both sides of the start over which the rank is low, if it is low all along."""
@@ -132,7 +133,8 @@ def _within(system: System, hold: Mapping[str, float], fixed: Closure, near: Arr
     """A closed configuration (nq,) that one-sided constraints allow, where nobody says which; else q as it is."""
     from kempe.solvers.assembly.assembly import assemble
 
-    rows, rng = one_sided_rows(system), np.random.default_rng(SEED)
+    rows = one_sided_rows(system)
+    rng = np.random.default_rng(SEED)
     for start in (near, *random(system, rng, (STARTS,))):
         answer = assemble(system, dict(hold), start)
         found = close(fixed, answer.q) if answer.success else None
@@ -177,7 +179,8 @@ def _turning(system: System, limits: bool) -> tuple[Array, list[WoundFollower]]:
     c = system.structure.coordinates
     whole = np.where(c.turning & ((np.isinf(c.lower) & np.isinf(c.upper)) | (not limits)), 1, 0).astype(object)
     number = {name: i for i, name in enumerate(system.structure.velocity_names)}
-    mechanism, couplings = system.mechanism, system.structure.couplings
+    mechanism = system.mechanism
+    couplings = system.structure.couplings
     never: list[WoundFollower] = []
     for joint in mechanism.joints.values() if couplings else ():
         names = coordinate_names(mechanism, joint)
@@ -199,7 +202,8 @@ def _turning(system: System, limits: bool) -> tuple[Array, list[WoundFollower]]:
 
 def _distinct(system: System, period: Array) -> np.ndarray:
     """Which velocity coordinates (nv,) declared one-sided rows have other values of after a period."""
-    rows, out = one_sided_rows(system), np.zeros(system.nv, dtype=bool)
+    rows = one_sided_rows(system)
+    out = np.zeros(system.nv, dtype=bool)
     if rows.declared:
         q = random(system, np.random.default_rng(0), 3)
         before = rows.values(q, declared=True)

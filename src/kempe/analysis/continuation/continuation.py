@@ -55,9 +55,12 @@ class Closure(Curve):
     least = LEAST
 
     def __init__(self, system: System, held: Sequence[int] = (), at: Array | None = None):
-        self.system, self.held, self.tree = system, tuple(held), own_tree(system)
+        self.system = system
+        self.held = tuple(held)
+        self.tree = own_tree(system)
         self._held = np.array(self.held, dtype=np.int64)
-        layout, turning = system.structure.layout, system.structure.coordinates.turning
+        layout = system.structure.layout
+        turning = system.structure.coordinates.turning
         length = closure_rows.characteristic_length(system)
         self.rounding = 4.0 * np.finfo(float).eps * float(np.linalg.norm(origin_of(system))) / length
         self.unit = np.where(turning, 1.0, length)
@@ -100,7 +103,9 @@ class Closure(Curve):
         """`values` and `matrix` in one pass; the latter is all zero unless requested. Of further equations only the
         first so many are written, where their number is given."""  # fmt: skip
         self.budget.check()
-        F, J, m = np.zeros(self.rows), np.zeros((self.rows, self.n)), len(self.weight)
+        F = np.zeros(self.rows)
+        J = np.zeros((self.rows, self.n))
+        m = len(self.weight)
         if m:
             F[:m], columns = self.loops(x, with_matrix)
             if with_matrix:
@@ -123,8 +128,10 @@ class Closure(Curve):
     def many(self, x: Array, with_matrix: bool = True) -> tuple[Array, Array]:
         """`both` of many points (k, nq): (k, rows) and (k, rows, n); the latter has no rows unless requested."""
         self.budget.check()
-        k, m = len(x), len(self.weight)
-        F, J = np.zeros((k, self.rows)), np.zeros((k, self.rows if with_matrix else 0, self.n))
+        k = len(x)
+        m = len(self.weight)
+        F = np.zeros((k, self.rows))
+        J = np.zeros((k, self.rows if with_matrix else 0, self.n))
         if m:
             values, columns = closure_rows.evaluate(self.tree, x, with_matrix)
             F[:, :m] = self.weight * values
@@ -171,8 +178,10 @@ class DrivenClosure(Closure):
 
     def __init__(self, closure: Closure, inputs: Sequence[int], origin: Array, direction: Array):
         vars(self).update(vars(closure))
-        self.base, self.inputs = closure, list(inputs)
-        self.origin, self.direction = origin, direction
+        self.base = closure
+        self.inputs = list(inputs)
+        self.origin = origin
+        self.direction = direction
         self.n = closure.n + 1
         self.rows = max(self.real + len(self.inputs), self.n)
 
@@ -182,12 +191,18 @@ class DrivenClosure(Closure):
 
     def both(self, x: Array, with_matrix: bool = True, further: int | None = None) -> tuple[Array, Array]:
         """`values` and `matrix` in one pass; the latter is all zero unless requested."""
-        F, J, k = np.zeros(self.rows), np.zeros((self.rows, self.n)), self.real
+        F = np.zeros(self.rows)
+        J = np.zeros((self.rows, self.n))
+        k = self.real
         inner, columns = self.base.both(x[:-1], with_matrix, further)
-        F[:k], J[:k, :-1] = inner[:k], columns[:k]
-        at, unit, place = x[self.place[self.inputs]], self.unit[self.inputs], k + np.arange(len(self.inputs))
+        F[:k] = inner[:k]
+        J[:k, :-1] = columns[:k]
+        at = x[self.place[self.inputs]]
+        unit = self.unit[self.inputs]
+        place = k + np.arange(len(self.inputs))
         F[place] = (at - self.origin) / unit - self.direction * x[-1]
-        J[place, self.inputs], J[place, -1] = 1.0, -self.direction
+        J[place, self.inputs] = 1.0
+        J[place, -1] = -self.direction
         return F, J
 
     def move(self, x: Array, y: Array) -> Array:

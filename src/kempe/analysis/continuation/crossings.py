@@ -41,16 +41,22 @@ REACH = 0.1
 """Distance from a singular point within which a curve may be hidden by rounding, or steps become too short."""
 RADII = (0.02, 0.06, 0.2, 0.4)
 """Radii of the spheres, in radians and characteristic lengths: branches that touch closely part farther out."""
-INWARDS, LEAST_SAMPLES = 0.8 ** np.arange(12), 6
+INWARDS = 0.8 ** np.arange(12)
+LEAST_SAMPLES = 6
 """Parts of the radius at which a half-branch is sampled, and the least number of samples of one that is used."""
 PARTED = 5e-7
 """Singular value, relative to the largest and to 1, above which a sample is regular: rounding of equations moves points
 of the curve by less than the distance of another branch then."""
-CIRCLE, CHORDS, HALVINGS = 128, 40, 24
+CIRCLE = 128
+CHORDS = 40
+HALVINGS = 24
 """Directions on a circle in the null space, most steps of a chord iteration, and halvings of an interval."""
-STARTS, MOST_STARTS, LOOKS = 32, 512, 3
+STARTS = 32
+MOST_STARTS = 512
+LOOKS = 3
 """Starts on a sphere in the null space, times 2 to the power of its dimension, most of them, and repetitions."""
-VALLEY, CLUSTER = 32, 0.4
+VALLEY = 32
+CLUSTER = 0.4
 """Places along a valley, and the part of its length within which roots belong to the point at its center."""
 MOST_NUMBERS = 10**7
 """Most numbers of the Jacobians of one such batch."""
@@ -62,7 +68,8 @@ CLEAR = 5.0
 """How many times better two halves of a branch must fit than other pairs do."""
 ALONG = 0.5
 """Cosine between the tangents of two halves that continue each other, or leave side by side."""
-SURE, ALIKE = 0.3, 0.1
+SURE = 0.3
+ALIKE = 0.1
 """Distance of a point from its half-branch, as parts of that from the next one and of that from the center."""
 RESTS = 1e-6
 """Entries of the tangent of a cusp below this are zero."""
@@ -88,7 +95,9 @@ def locate(equations: Closure, x: Array, nullity: int, reach: float, tries: int 
     n = equations.n
     left: Array = np.asarray(svd(equations.matrix(x))[0][:, n - nullity :], dtype=float)
     rows, k = left.shape
-    fixed, start, nq = left, x, len(x)
+    fixed = left
+    start = x
+    nq = len(x)
 
     def both(z: Array) -> tuple[Array, Array]:
         F, J = equations.both(z[:nq])
@@ -96,7 +105,8 @@ def locate(equations: Closure, x: Array, nullity: int, reach: float, tries: int 
         return np.concatenate([F, (z[nq:].reshape(k, rows) @ J).ravel()]) if near else np.full(1, np.inf), J
 
     def newton(z: Array, missing: Array, J: Array) -> Array:
-        x, left = z[:nq], z[nq:].reshape(k, rows).T
+        x = z[:nq]
+        left = z[nq:].reshape(k, rows).T
         A = np.zeros((rows + n * k + k * k, n + rows * k))
         A[:rows, :n] = J
         A[rows : rows + n * k, :n] = second_order(equations, x, left, np.eye(n)).transpose(1, 0, 2).reshape(n * k, n)
@@ -133,7 +143,8 @@ def cone(equations: Closure, x: Array) -> tuple[Array, bool]:
     d = _nullity(s)
     if d <= 1:
         return Vt[n - d :], False
-    null_space, left = Vt[n - d :].T, U[:, n - d :]
+    null_space = Vt[n - d :].T
+    left = U[:, n - d :]
     forms = np.einsum("nd,nke->kde", null_space, second_order(equations, x, left, null_space))
     forms = 0.5 * (forms + forms.transpose(0, 2, 1))
     size = np.abs(forms).max()
@@ -247,7 +258,8 @@ def passage(
         if np.linalg.norm(equations.between(moved.x, points[-1])) < np.linalg.norm(germ.samples[:, -1], axis=1).max():
             if (found := _going_on(equations, moved, points)) is not None:
                 return found
-    here, along = points[-1], equations.between(points[-2], points[-1])
+    here = points[-1]
+    along = equations.between(points[-2], points[-1])
     for nullity in (2, 3, 4):
         x = locate(equations, here, nullity, REACH) if nullity <= equations.n else None
         germ = None if x is None else germ_at(equations, x, nullity)
@@ -444,8 +456,10 @@ class _Sphere:
         """
         t = self.null_space.T @ tangent
         t /= np.linalg.norm(t)
-        a, b = reach * np.cos(np.pi * (np.arange(VALLEY) + 0.5) / VALLEY), np.zeros(VALLEY)
-        h, axes = 1e-3 * reach, np.stack([t, [-t[1], t[0]]])
+        a = reach * np.cos(np.pi * (np.arange(VALLEY) + 0.5) / VALLEY)
+        b = np.zeros(VALLEY)
+        h = 1e-3 * reach
+        axes = np.stack([t, [-t[1], t[0]]])
 
         def values(a: Array, b: Array) -> Array:
             return self.reduced(np.stack([a, b], axis=1) @ axes @ self.null_space.T)[1]
@@ -508,29 +522,39 @@ class _Sphere:
 
         Between samples of one sign the least one may be beside two zeros: it is followed to where the sign changes.
         """
-        step, ahead = float(angles[1] - angles[0]), np.roll(values, -1)
+        step = float(angles[1] - angles[0])
+        ahead = np.roll(values, -1)
         change = np.flatnonzero((values > 0.0) != (ahead > 0.0))
-        starts, first = [angles[change]], [values[change]]
-        ends, last = [angles[change] + step], [ahead[change]]
-        size, behind = np.abs(values), np.roll(values, 1)
+        starts = [angles[change]]
+        first = [values[change]]
+        ends = [angles[change] + step]
+        last = [ahead[change]]
+        size = np.abs(values)
+        behind = np.roll(values, 1)
         same = ((values > 0.0) == (ahead > 0.0)) & ((values > 0.0) == (behind > 0.0))
         dip = np.flatnonzero(same & (size <= np.abs(ahead)) & (size <= np.abs(behind)))
-        center, sign = angles[dip], np.sign(values[dip])
-        low, high = center - step, center + step
+        center = angles[dip]
+        sign = np.sign(values[dip])
+        low = center - step
+        high = center + step
         for _ in range(HALVINGS):
             if not len(center):
                 break
             third = (high - low) / 3.0
-            a, b = low + third, high - third
-            fa, fb = sign * function(a), sign * function(b)
+            a = low + third
+            b = high - third
+            fa = sign * function(a)
+            fb = sign * function(b)
             k = np.minimum(fa, fb) < 0.0
             for side in (-step, step):
                 starts.append(center[k] + side)
                 first.append(sign[k])
                 ends.append(np.where(fa < fb, a, b)[k])
                 last.append(-sign[k])
-            low, high = np.where(fa > fb, a, low)[~k], np.where(fa > fb, high, b)[~k]
-            center, sign = center[~k], sign[~k]
+            low = np.where(fa > fb, a, low)[~k]
+            high = np.where(fa > fb, high, b)[~k]
+            center = center[~k]
+            sign = sign[~k]
         return (np.concatenate(starts), np.concatenate(first)), (np.concatenate(ends), np.concatenate(last))
 
     def search(self, radius: float) -> list[Array] | None:
@@ -538,8 +562,10 @@ class _Sphere:
 
         None where the points are not isolated: more than a curve leads there.
         """
-        e, (n, d) = self.equations, self.null_space.shape
-        rng, out = np.random.default_rng(0), list[Array]()
+        e = self.equations
+        (n, d) = self.null_space.shape
+        rng = np.random.default_rng(0)
+        out = list[Array]()
 
         def both(x: Array, _: np.ndarray) -> tuple[Array, Array]:
             return e.many(x)
@@ -583,11 +609,13 @@ class _Sphere:
     def _corrected(self, z: Array) -> tuple[Array, Array] | None:
         """The tangent vector to the regular point of the curve in the plane across z (n,), and the curve's direction
         there; or None."""  # fmt: skip
-        e, size = self.equations, float(np.linalg.norm(z))
+        e = self.equations
+        size = float(np.linalg.norm(z))
         there = correct(e, e.move(self.x, z), z / size)
         if there is None:
             return None
-        found, (_, s, Vt) = e.between(self.x, there.x), svd(there.J)
+        found = e.between(self.x, there.x)
+        (_, s, Vt) = svd(there.J)
         near = np.linalg.norm(found - z) < 0.5 * size
         return (found, Vt[-1]) if near and s[e.n - 2] > PARTED * max(float(s[0]), 1.0) else None
 
@@ -596,14 +624,17 @@ class _Sphere:
 
         The next one is looked for on the parabola through the center and the last one, with the direction there.
         """
-        out, radius, there = list[Array](), float(np.linalg.norm(z)), self._corrected(z)
+        out = list[Array]()
+        radius = float(np.linalg.norm(z))
+        there = self._corrected(z)
         while there is not None:
             z, t = there
             out.append(z)
             if len(out) == len(INWARDS):
                 break
             size = float(np.linalg.norm(z))
-            along, rate = float(t @ z) / size, z / size
+            along = float(t @ z) / size
+            rate = z / size
             rate = t / along if abs(along) > 0.1 else rate
             part = INWARDS[len(out)] * radius / size
             there = self._corrected((2.0 * part - part * part) * z - (part - part * part) * size * rate)
@@ -622,8 +653,10 @@ def _fit(A: Array, B: Array) -> Array:
 
 def _paired(x: Array, samples: Array, null_space: Array) -> Germ | None:
     """The germ of half-branches (k, m, n): those two are one branch that one polynomial describes, or None."""
-    size, turned = np.linalg.norm(samples, axis=2), (-1.0) ** np.arange(1, DEGREE + 1)
-    k, radius = len(samples), float(size.max())
+    size = np.linalg.norm(samples, axis=2)
+    turned = (-1.0) ** np.arange(1, DEGREE + 1)
+    k = len(samples)
+    radius = float(size.max())
     rates = samples[:, -1] / size[:, -1, None]
     fits: list[tuple[float, int, int, int, Array]] = []
     for i in range(k):
@@ -631,13 +664,17 @@ def _paired(x: Array, samples: Array, null_space: Array) -> Germ | None:
             cosine = float(rates[i] @ rates[j])
             for root in () if abs(cosine) < ALONG else (2,) if cosine > 0.0 else (1, 3):
                 there = np.vstack([_powers(size[i], root), _powers(size[j], root) * turned])
-                scale, both = np.abs(there).max(axis=0), np.vstack([samples[i], samples[j]])
+                scale = np.abs(there).max(axis=0)
+                both = np.vstack([samples[i], samples[j]])
                 c = np.zeros((DEGREE, samples.shape[2]))
                 fitted = _fit((there / scale)[:, root - 1 :], both)
                 c[root - 1 :] = fitted / scale[root - 1 :, None]
                 fits.append((float(np.abs(there @ c - both).max()) / radius, i, j, root, c))
-    partner, roots, left = [-1] * k, [1] * k, set(range(k))
-    curves, tangents = np.zeros((k, DEGREE, samples.shape[2])), np.array(rates)
+    partner = [-1] * k
+    roots = [1] * k
+    left = set(range(k))
+    curves = np.zeros((k, DEGREE, samples.shape[2]))
+    tangents = np.array(rates)
     for off, i, j, root, c in sorted(fits, key=lambda fit: fit[0]):
         if i not in left or j not in left or off > UNLIKE:
             continue
@@ -645,7 +682,10 @@ def _paired(x: Array, samples: Array, null_space: Array) -> Germ | None:
         if off * CLEAR > min(others, default=np.inf):
             return None  # too near to tell: farther out branches have parted
         left -= {i, j}
-        partner[i], partner[j], roots[i], roots[j] = j, i, root, root
+        partner[i] = j
+        partner[j] = i
+        roots[i] = root
+        roots[j] = root
         curves[i], curves[j] = c, c * turned[:, None]
         t = null_space @ (null_space.T @ c[root - 1])
         t /= np.linalg.norm(t)

@@ -33,7 +33,9 @@ class RankEquations:
         U, s, Vt = svd(J)
         self.nullity = J.shape[1] - int(np.sum(s > RANK * s.max(initial=1e-300)))
         rank = J.shape[1] - self.nullity
-        self._left, self._null_space, self._before = U[:, rank:], Vt[rank:].T, len(equations.more)
+        self._left = U[:, rank:]
+        self._null_space = Vt[rank:].T
+        self._before = len(equations.more)
 
     @property
     def count(self) -> int:
@@ -44,10 +46,13 @@ class RankEquations:
         """Write the residuals of these equations and their derivatives into F and J (., n) from row `at` on."""
         own = J[:at] if with_matrix else equations.both(x, True, self._before)[1][:at]
         U, _, Vt = svd(own)
-        rank, here = own.shape[1] - self.nullity, slice(at, at + self.count)
-        left, null_space = self._near(U[:, rank:], self._left), self._near(Vt[rank:].T, self._null_space)
+        rank = own.shape[1] - self.nullity
+        here = slice(at, at + self.count)
+        left = self._near(U[:, rank:], self._left)
+        null_space = self._near(Vt[rank:].T, self._null_space)
         if min(_least(left.T @ self._left), _least(null_space.T @ self._null_space)) < ALIGNED:
-            self._left, self._null_space = left, null_space
+            self._left = left
+            self._null_space = null_space
         F[here] = (left.T @ own @ null_space).ravel()
         if with_matrix:
             padded = np.zeros((equations.rows, left.shape[1]))
@@ -67,7 +72,8 @@ class _Before(Closure):
 
     def __init__(self, equations: Closure, further: int):
         vars(self).update(vars(equations))
-        self._equations, self._further_ones = equations, further
+        self._equations = equations
+        self._further_ones = further
 
     def matrix(self, x: Array) -> Array:
         """Derivative (rows, n) of these equations at `x`."""
@@ -95,7 +101,9 @@ def hold_rank(
 
 def _goes_on(curve: Closure, a: Node, length: float) -> bool:
     """Whether the curve can be followed from a node over a length, by steps that double."""
-    h, gone, here = PROBE, 0.0, a
+    h = PROBE
+    gone = 0.0
+    here = a
     while gone < length:
         there = step(curve, here, h)
         if there is None:

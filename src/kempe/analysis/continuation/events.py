@@ -67,14 +67,17 @@ def walk(equations: Closure, a: Node, longest: float, periods: Array) -> Iterato
             b = step(equations, a, 1.3 * h) or b
         return checked(equations, a, b)
 
-    h, known = 0.25 * longest, [a.germ] if isinstance(a, SingularNode) else []
+    h = 0.25 * longest
+    known = [a.germ] if isinstance(a, SingularNode) else []
     while True:
         if isinstance(a, SingularNode):
             there = a.germ.first(equations, a.half)
             h = min(longest, 0.5 * float(np.linalg.norm(equations.between(a.x, there.x))))
             a = there
             yield a
-        last, singular, sigma = deque([a.x], maxlen=RECENT), None, a.sigma
+        last = deque([a.x], maxlen=RECENT)
+        singular = None
+        sigma = a.sigma
         for b in tracing.walk(a, taken, longest, h):
             before = last[-1]
             last.append(b.x)
@@ -176,7 +179,8 @@ def home(equations: Closure, a: Node, b: Node, start: Node, periods: Array) -> N
             return None
     if np.linalg.norm(equations.between(b.x, there)) < (HOME if start.lines is None else HOME_CROSSING):
         return replace(start, x=there) if start.t @ b.t > ARRIVED else None
-    z, chord = equations.between(a.x, there), equations.between(a.x, b.x)
+    z = equations.between(a.x, there)
+    chord = equations.between(a.x, b.x)
     along = float(a.t @ z)
     if not 1e-9 < along <= float(a.t @ chord) or np.linalg.norm(z) > 2.0 * np.linalg.norm(chord):
         return None
@@ -226,7 +230,8 @@ def hidden_crossings(equations: Closure, nodes: list[Node]) -> list[Node]:
         if not (m.sigma <= a.sigma and m.sigma <= b.sigma) or any(n.lines is not None for n in (a, m, b)):
             out.append(m)
             continue
-        before, after = equations.between(a.x, m.x), equations.between(m.x, b.x)
+        before = equations.between(a.x, m.x)
+        after = equations.between(m.x, b.x)
         h = max(float(np.linalg.norm(before)), float(np.linalg.norm(after)))
         found = None
         if m.sigma < 2.0 * max(a.sigma - m.sigma, b.sigma - m.sigma):
@@ -237,7 +242,8 @@ def hidden_crossings(equations: Closure, nodes: list[Node]) -> list[Node]:
             out.append(m)
             continue
         y = equations.between(m.x, found.x)
-        size, along = float(np.linalg.norm(y)), float(y @ m.t)
+        size = float(np.linalg.norm(y))
+        along = float(y @ m.t)
         if size < 1e-6:
             out.append(found)
         elif abs(along) < AHEAD * size or size > 1.5 * h or bend(m, found) > BEND:

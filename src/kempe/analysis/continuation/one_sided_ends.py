@@ -97,7 +97,8 @@ class OneSidedEnds:
     """What is one-sided in a system, as ends of a walk: declared rows, and with `limits` those of its coordinates."""
 
     def __init__(self, equations: Closure, limits: bool = True):
-        system, rows = equations.system, one_sided_rows(equations.system)
+        system = equations.system
+        rows = one_sided_rows(equations.system)
         self.limits = limits
         """Whether limits of coordinates count."""
         self.all: list[OneSidedEnd] = []
@@ -141,7 +142,8 @@ def _reached(equations: Closure, a: Node, b: Node, bound: OneSidedEnd) -> Node |
     def over(n: Node) -> float:
         return bound.over(n.x)
 
-    before, after = over(a), over(b)
+    before = over(a)
+    after = over(b)
     if before > -TOUCH:
         if (rate := bound.rate(a)) > RESTING:
             return a
@@ -149,7 +151,8 @@ def _reached(equations: Closure, a: Node, b: Node, bound: OneSidedEnd) -> Node |
             return None
         if rate >= -RESTING:
             return a  # at rest on the bound, and then beyond it
-    last, low = b, 0.0
+    last = b
+    low = 0.0
     if before <= -TOUCH and after <= TOUCH and (bound.rate(a) <= RESTING or bound.rate(b) >= -RESTING):
         return None  # inside at both ends, and no largest value in between; rates of what rests are rounding
     if after <= TOUCH or before > -TOUCH:

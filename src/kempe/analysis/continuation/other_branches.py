@@ -27,7 +27,8 @@ def elsewhere(path: Path) -> tuple[str, Array]:
     from kempe.solvers.dyads.dyads import Incomplete, closed_form
     from kempe.solvers.modes.modes import assembly_modes
 
-    system, nothing = path.system, ("", np.zeros((0, path.system.nq)))
+    system = path.system
+    nothing = ("", np.zeros((0, path.system.nq)))
     if not system.structure.closures or not path.success or len(path.track.s) < 2:
         return nothing
     start = q_dict(system, path.q[0])
@@ -44,7 +45,8 @@ def elsewhere(path: Path) -> tuple[str, Array]:
 
 def _passes(path: Path, q: Array) -> bool:
     """Whether a path may pass q: on the way from one node to the next it is no farther from one than these are."""
-    track, e = path.track, path.track.equations
+    track = path.track
+    e = path.track.equations
     y = np.array([e.between(node, q) for node in track.q]) * e.unit
     turning = path.system.structure.coordinates.turning
     y = np.where(turning, y - 2.0 * np.pi * np.round(y / (2.0 * np.pi)), y) / e.unit

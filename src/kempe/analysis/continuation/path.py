@@ -90,8 +90,11 @@ class Track:
         k = np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 2)
         size = (self.s[k + 1] - self.s[k])[:, None]
         u = (s - self.s[k])[:, None] / np.where(size > 0.0, size, 1.0)  # a cusp is two nodes at one place
-        e, t = self.equations, self.t
-        y, a, b = e.between(self.q[k], self.q[k + 1]), size * t[k], size * t[k + 1]
+        e = self.equations
+        t = self.t
+        y = e.between(self.q[k], self.q[k + 1])
+        a = size * t[k]
+        b = size * t[k + 1]
         x = e.move(self.q[k], u * (1 - u) ** 2 * a + u * u * (3 - 2 * u) * y - u * u * (1 - u) * b)
         across = (1 - u) * t[k] + u * t[k + 1]
 
@@ -125,7 +128,8 @@ class Motion(Configurations):
 
     def _columns(self, first: str, column: Array, frames: Iterable[FrameLike]) -> tuple[list[str], Array]:
         """Names and columns (n, k): one of its own, all coordinates, x, y (and z) of frames."""
-        names, columns = [first, *self.system.coordinate_names], [column[:, None], self.q]
+        names = [first, *self.system.coordinate_names]
+        columns = [column[:, None], self.q]
         axes = "xyz"[: self.system.dim]
         for frame in [frames] if isinstance(frames, str) else frames:
             names += [f"{self.system.structure.frame_name(frame)}.{axis}" for axis in axes]
@@ -228,7 +232,8 @@ class Path(Motion):
         spend = USUAL.of(budget)
         if not is_whole(n) or not 2 <= n <= MOST:
             raise InputError(f"n is {shown(n)}; it must be a whole number, at least 2 and at most {MOST}")
-        time, broken = TimeLimit(spend.time_limit), None
+        time = TimeLimit(spend.time_limit)
+        broken = None
         done: list[tuple[Array, Array]] = []
         time.put_in_order()  # there is nothing to do afterwards
         try:
@@ -248,7 +253,8 @@ class Path(Motion):
         if broken is None:
             return replace(self, q=q, s=s)
         more = "; ".join(filter(None, [self.remark, f"{len(q)} of {counted(n, 'point')} at equal distances"]))
-        late, interrupted = isinstance(broken, TimeUp), isinstance(broken, KeyboardInterrupt)
+        late = isinstance(broken, TimeUp)
+        interrupted = isinstance(broken, KeyboardInterrupt)
         ends = (self.ends[0], time.reason(broken))
         return replace(self, q=q, s=s, closed=False, ends=ends, success=False, late=late, interrupted=interrupted,
                        remark=more)  # fmt: skip
@@ -275,7 +281,8 @@ class Path(Motion):
 
     def _cells(self) -> Cells:
         """The range of each coordinate."""
-        low, high = self.q.min(axis=0), self.q.max(axis=0)
+        low = self.q.min(axis=0)
+        high = self.q.max(axis=0)
         each = zip(self.system.coordinate_names, low.tolist(), high.tolist(), strict=True)
         return ("coordinate", "least", "largest"), [(n, f"{a:.6g}", f"{b:.6g}") for n, a, b in each]
 

@@ -102,7 +102,8 @@ class Velocities:
         wanted = np.concatenate([b, np.zeros(len(J)), np.ones(len(self.clock)), u])
         size = np.linalg.norm(M, axis=1)
         size = np.where(size > 1e-12, size, 1.0)
-        M, wanted = M / size[:, None], wanted / size
+        M = M / size[:, None]
+        wanted = wanted / size
         U, s, Vt = svd(M, full_matrices=True)
         s = np.concatenate([s, np.zeros(max(0, len(scale) - len(s)))])
         rank = int(np.sum(s > RANK))
@@ -147,7 +148,8 @@ class Velocities:
     def slope(self, t: float, q: Array) -> Array:
         """The rates (nq,) of the coordinates, those of quaternions included."""
         layout = self.system.structure.layout
-        v, out = self.at(q, t), np.zeros(len(q))
+        v = self.at(q, t)
+        out = np.zeros(len(q))
         out[layout.vector_q] = v[layout.vector_v]
         for i, k in zip(layout.quaternion_q.tolist(), layout.quaternion_v.tolist(), strict=True):
             turn = np.concatenate([[0.0], v[k : k + 3]])
@@ -156,9 +158,11 @@ class Velocities:
 
     def closed(self, q: Array, t: float) -> Array:
         """The configuration (nq,) nearest to q that meets the position constraints at time t."""
-        layout, q = self.system.structure.layout, q.copy()
+        layout = self.system.structure.layout
+        q = q.copy()
         if self.times:
-            q[-1], self.closure.targets = t, np.array([t])
+            q[-1] = t
+            self.closure.targets = np.array([t])
         for i in layout.quaternion_q.tolist():
             q[i : i + 4] = unit(q[i : i + 4])
         if not self.loops:
@@ -196,7 +200,8 @@ def roll(
     from scipy import integrate
 
     motion = Velocities(system, inputs)
-    begin, system = float(times[0]), motion.system
+    begin = float(times[0])
+    system = motion.system
     if motion.times:
         q = np.append(q, begin)
     F = motion.closure.values(q)
@@ -204,7 +209,8 @@ def roll(
     if not gap < OPEN:
         raise InputError(f"the position constraints are off by {gap:.3g} at the start (radians or characteristic "
                          "lengths); assemble it first")  # fmt: skip
-    rows, q = one_sided_rows(system), motion.closed(q, begin)
+    rows = one_sided_rows(system)
+    q = motion.closed(q, begin)
     if (over := rows.beyond(q)).any():
         k = int(np.argmax(over))
         raise InputError(f"the start violates {rows.names[k]!r} by {over[k]:.6g}")
@@ -212,8 +218,12 @@ def roll(
         first = motion.at(q, begin)
     except RollingStop as stop:
         raise UnsupportedError(f"{system.name}: {stop}") from None
-    out_q, out_v, reason, broken = [q], [first], "", None
-    k, end = 1, float(times[-1])
+    out_q = [q]
+    out_v = [first]
+    reason = ""
+    broken = None
+    k = 1
+    end = float(times[-1])
     most = max((end - begin) / PARTS, 1e-300)
     solver: Any = cast(Any, integrate).DOP853(motion.slope, begin, q, end, rtol=max(tolerance, 3e-14),
                                               atol=tolerance, max_step=most)  # fmt: skip
@@ -223,7 +233,8 @@ def roll(
             said: Any = solver.step()
             if str(solver.status) == "failed":
                 raise RollingStop(f"at time {solver.t:.6g} the velocities change too fast: {said}")
-            dense, last = solver.dense_output(), solver.t
+            dense = solver.dense_output()
+            last = solver.t
             stop = _limit(system, dense, float(solver.t_old or 0.0), last)
             while k < len(times) and times[k] <= (last if stop is None else stop[0]):
                 x = motion.closed(dense(times[k]), float(times[k]))
@@ -242,8 +253,11 @@ def roll(
         reason = str(stop)
     except BROKEN_OFF as error:
         broken = error
-    n, more = len(out_v), int(motion.times)  # without the clock
-    q, v = np.array(out_q[:n]), np.array(out_v)
+    # without the clock
+    n = len(out_v)
+    more = int(motion.times)
+    q = np.array(out_q[:n])
+    v = np.array(out_v)
     return Rolled(times[:n], q[:, : q.shape[1] - more], v[:, : v.shape[1] - more], reason, broken)
 
 
@@ -255,7 +269,8 @@ def _limit(system: System, dense: Callable[[Any], Array], t0: float, t1: float) 
     if not violated.any():
         return None
     first = int(np.argmax(violated))
-    a, b = float(looks[first]), float(looks[first + 1])
+    a = float(looks[first])
+    b = float(looks[first + 1])
 
     def over(t: float) -> Array:
         """By how many times what is allowed each row is outside, above 1 where it is violated."""
@@ -267,7 +282,8 @@ def _limit(system: System, dense: Callable[[Any], Array], t0: float, t1: float) 
         m = 0.5 * (a + b)
         beyond = over(m)
         if beyond.max() > 1.0:
-            b, k = m, int(np.argmax(beyond))
+            b = m
+            k = int(np.argmax(beyond))
         else:
             a = m
     what = "its limit" if k >= rows.declared else "its bound"

@@ -36,7 +36,9 @@ class Spins:
     """
 
     def __init__(self, system: System, bodies: Iterable[str], lines: Array, q: Array):
-        self.bodies, self.lines, self.q = list(bodies), lines, q
+        self.bodies = list(bodies)
+        self.lines = lines
+        self.q = q
         self._queries = [query(system, b) for b in self.bodies]
         self.seen = self.at(q[None])
         self._choose([_across(d) for d in self.seen[0]])
@@ -96,7 +98,8 @@ def spins_held(equations: Closure) -> Spins | None:
 def hold_spins(equations: Closure, q: Array, requested: Iterable[int]) -> bool:
     """Hold the idle spins from a closed configuration on, but those that move held or `requested` velocities; whether
     there are others."""  # fmt: skip
-    keep, tree = [*equations.held, *requested], equations.tree
+    keep = [*equations.held, *requested]
+    tree = equations.tree
     found = [s for s in spins_of(tree, q) if not s.moves[keep].any()]
     if found and spins_held(equations) is None:
         equations.add(Spins(tree, [s.body for s in found], np.array([s.line for s in found]), q))
@@ -117,6 +120,7 @@ def _sine(a: Array, b: Array) -> Array:
 def _sphere() -> Array:
     """Directions (n, 3) all over the half of a sphere: points of a Fibonacci spiral (Swinbank, Purser, 2006)."""
     k = np.arange(DIRECTIONS) + 0.5
-    z, turn = k / DIRECTIONS, np.pi * (1.0 + np.sqrt(5.0)) * k
+    z = k / DIRECTIONS
+    turn = np.pi * (1.0 + np.sqrt(5.0)) * k
     across = np.sqrt(1.0 - z * z)
     return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)

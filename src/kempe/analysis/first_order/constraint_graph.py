@@ -153,7 +153,8 @@ class Cluster:
         return found[short]
 
     def _sizes(self, s: ConstraintGraph, paths: list[np.ndarray]) -> LoopSizes:
-        most, joints = 0.0, 1
+        most = 0.0
+        joints = 1
         rods: list[int] = []
         for k, path in zip(self.loops, paths, strict=True):
             moving = [c for i in path for c in s.edges[int(i)].columns if c.index >= 0]
@@ -218,7 +219,8 @@ def _structure(system: System) -> ConstraintGraph:
 
 
 def _edges(system: System) -> list[Edge]:
-    m, dim = system.mechanism, system.dim
+    m = system.mechanism
+    dim = system.dim
     number = {b: i for i, b in enumerate(system.body_names)}
     in_q = {n: i for i, n in enumerate(system.coordinate_names)}
     in_v = {n: i for i, n in enumerate(system.structure.velocity_names)}
@@ -240,7 +242,8 @@ def _edges(system: System) -> list[Edge]:
         turning = {k + n for k, p in zip(drives, primitives, strict=True) if p.kind != P
                    for n in range(3 if p.kind == Q else 1)}  # fmt: skip
         for k, name in enumerate(velocities):
-            full, slides = _full(joint.name, name), k not in turning
+            full = _full(joint.name, name)
+            slides = k not in turning
             f = followers.get(full)
             if full in in_v:
                 columns.append(Column(full, in_v[full], 1.0, slides))
@@ -248,7 +251,8 @@ def _edges(system: System) -> list[Edge]:
                 columns.append(Column(full, in_v[f.source], f.multiplier, slides))
             else:
                 columns.append(Column(full, -1, 0.0, slides))
-        X_PF, X_CM = joint.X_PF.evaluate(m.parameters), joint.X_CM.evaluate(m.parameters)
+        X_PF = joint.X_PF.evaluate(m.parameters)
+        X_CM = joint.X_CM.evaluate(m.parameters)
         out.append(Edge(joint.name, joint, number[joint.parent], number[joint.child], X_PF, X_CM, particle,
                         primitives, tuple(values), tuple(columns), drives))  # fmt: skip
     for c in (c for c in m.constraints.values() if c.links):
@@ -271,7 +275,8 @@ def _loops(system: System, edges: list[Edge]) -> list[Loop]:
     out: list[Loop] = []
     closing = [index[n] for n in system.structure.closures] + [i for i, e in enumerate(edges) if not e.joint]
     for k in closing:
-        a, b = edges[k].parent, edges[k].child
+        a = edges[k].parent
+        b = edges[k].child
         from_b: list[tuple[int, float]] = []
         to_a: list[tuple[int, float]] = []
         while a != b:  # back along the tree from the child to the parent
@@ -288,16 +293,19 @@ def _loops(system: System, edges: list[Edge]) -> list[Loop]:
 
 def _laws(system: System) -> tuple[Law, ...]:
     """Couplings with several sources, and what constraints say by expressions and functions."""
-    loops, first = full(system, True), 0
+    loops = full(system, True)
+    first = 0
     found: dict[tuple[int, int], tuple[Relation | Declared, list[int], list[Tie]]] = {}
     order = {c.name: i for i, c in enumerate(system.mechanism.constraints.values())}
     for tie in loops.ties:
         places = list(range(first, first + len(tie.rows)))
         first += len(tie.rows)
         if tie.relation is not None:
-            key, of = (0, system.structure.relations.index(tie.relation)), tie.relation
+            key = (0, system.structure.relations.index(tie.relation))
+            of = tie.relation
         elif tie.written:
-            key, of = (1, order[tie.name]), system.mechanism.constraints[tie.name]
+            key = (1, order[tie.name])
+            of = system.mechanism.constraints[tie.name]
         else:
             continue
         _, own, ties = found.setdefault(key, (of, [], []))

@@ -50,7 +50,8 @@ class Control(InWords):
 
     def __str__(self) -> str:
         who = " and ".join(self.actuated) if len(self.actuated) < 3 else ", ".join(self.actuated)
-        one, useful = len(self.actuated) == 1, counted(self.useful, "freedom")
+        one = len(self.actuated) == 1
+        useful = counted(self.useful, "freedom")
         if not self.actuated:
             return "no joint is actuated" + (f": {useful} not controlled" if self.useful else "")
         if self.complete:

@@ -78,10 +78,13 @@ class Counting(InWords):
 
 def counting(system: System) -> Counting:
     """Gruebler's count of a system with its steps, as the lecture does it: 4 x (3 - 2) - 2 = 2."""
-    s, m, dim = structure(system), system.mechanism, system.dim
+    s = structure(system)
+    m = system.mechanism
+    dim = system.dim
     whole, point = (6, 3) if dim == 3 else (3, 2)
     particles = [m.bodies[b].particle for b in system.body_names[1:]]
-    bodies, points = particles.count(False), particles.count(True)
+    bodies = particles.count(False)
+    points = particles.count(True)
     free = bodies * whole + points * point
     takes = [(*_takes(e, dim), e) for e in s.edges]
     held = _held(s, system)
@@ -188,7 +191,8 @@ def loop_counts(system: System, at: Screws | None) -> tuple[LoopCount, ...]:
     for loop in s.loops:
         inside = [i for i, _ in loop.path]
         freedoms = len({c.index for i in inside for c in s.edges[i].columns if c.index >= 0})
-        equations, motion = loop.rows, ""
+        equations = loop.rows
+        motion = ""
         edge = s.edges[loop.edge]
         if at is not None and edge.joint and not edge.particle:
             equations, turns = group_of(np.concatenate([at.twists[i] for i in inside], axis=1))
@@ -234,7 +238,8 @@ def fills_group(twists: Array, same: float, clear: float) -> bool:
 def _brackets(basis: Array) -> Array:
     """All Lie brackets (6, n (n - 1) / 2) of screws (6, n): [v; w] with [v'; w'] is [w x v' + v x w'; w x w']."""
     i, k = zip(*combinations(range(basis.shape[1]), 2), strict=True)
-    a, b = basis[:, i], basis[:, k]
+    a = basis[:, i]
+    b = basis[:, k]
     out = np.empty_like(a)
     for x, y, z in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         out[x] = a[y + 3] * b[z] - a[z + 3] * b[y] + a[y] * b[z + 3] - a[z] * b[y + 3]

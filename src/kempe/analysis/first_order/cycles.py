@@ -45,13 +45,16 @@ def _simple(loop: Array, parent: np.ndarray, child: np.ndarray) -> bool:
     if np.abs(loop[edges]).max() > 1.0:
         return False
     ahead = loop[edges] > 0.0
-    start, end = np.where(ahead, parent[edges], child[edges]), np.where(ahead, child[edges], parent[edges])
+    start = np.where(ahead, parent[edges], child[edges])
+    end = np.where(ahead, child[edges], parent[edges])
     after = dict(zip(start.tolist(), end.tolist(), strict=True))
     if len(after) < len(edges):
         return False
-    body, steps = int(start[0]), 0
+    body = int(start[0])
+    steps = 0
     while steps < len(edges) and body in after:
-        body, steps = after[body], steps + 1
+        body = after[body]
+        steps = steps + 1
         if body == int(start[0]):
             break
     return steps == len(edges)

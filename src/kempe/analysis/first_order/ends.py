@@ -122,7 +122,8 @@ class _Meeting(NamedTuple):
 
 def _meet(s: ConstraintGraph, at: Screws, series: SeriesLoop, k: int, m: int) -> _Meeting | None:
     """Where the axes of the k-th and the m-th edge, which share a part, meet; None where they do not."""
-    a, b = series.turns[k], series.turns[m]
+    a = series.turns[k]
+    b = series.turns[m]
     if a is None or b is None or not (a.columns and b.columns):
         return None
     (p, u), (r, v) = (line_of(at, series, i) for i in (k, m))
@@ -136,7 +137,8 @@ def _meet(s: ConstraintGraph, at: Screws, series: SeriesLoop, k: int, m: int) ->
             return _Meeting((0.0, 0.0), True) if off(away, u) < ALONE else None
         if abs(away @ normal) > ALONE * size or not (a.whole and b.whole):
             return None
-        x, y = np.cross(away, v) @ normal / size**2, np.cross(away, u) @ normal / size**2
+        x = np.cross(away, v) @ normal / size**2
+        y = np.cross(away, u) @ normal / size**2
         return _Meeting((float(x), float(y)), False)
     if not (a.whole and b.whole):
         return None
@@ -160,14 +162,18 @@ def off(to: Array, axis: Array) -> float:
 
 def line_of(at: Screws, series: SeriesLoop, k: int) -> tuple[Array, Array | None]:
     """Origin of an edge, in the ground, and the direction of its axis if it can turn about one only."""
-    i, own = series.edges[k], series.own(k)
+    i = series.edges[k]
+    own = series.own(k)
     w = at.twists[i][3:, list(own)]
     return at.M[i, :3, 3], w[:, 0] / np.linalg.norm(w) if len(own) == 1 else None
 
 
 def _grow(series: SeriesLoop, meets: Sequence[_Meeting | None], k: int, step: int) -> BallEnd:
     """The edges from the k-th on, in one direction, whose axes meet in one point, until they are as good as a ball."""
-    edges, columns, first, here = [k], len(series.own(k)), 0.0, None
+    edges = [k]
+    columns = len(series.own(k))
+    first = 0.0
+    here = None
     while columns < 3:
         last = edges[-1]
         meet = meets[min(last, last + step)] if 0 <= last + step < len(series.edges) else None
@@ -196,8 +202,10 @@ def _one_of_many(s: ConstraintGraph, at: Screws, series: SeriesLoop, pair: Pair)
     hinge, ball = (pair.left, pair.right) if pair.left.hinge else (pair.right, pair.left)
     if ball.hinge or len(ball.edges) == 1:
         return False
-    point, n = center_of(at, series, ball), len(series.edges)
-    low, high = min(*hinge.edges, *ball.edges), max(*hinge.edges, *ball.edges)
+    point = center_of(at, series, ball)
+    n = len(series.edges)
+    low = min(*hinge.edges, *ball.edges)
+    high = max(*hinge.edges, *ball.edges)
     for k in {(low - 1) % n, (high + 1) % n} - set(range(low, high + 1)):
         edge = series.edges[k]
         T = at.twists[edge][:, [c for c, col in enumerate(s.edges[edge].columns) if not col.slides]]
@@ -224,7 +232,8 @@ def centers_of(at: Screws, of: Pair | HeldStar) -> list[Array]:
 def line_through(at: Screws, of: Pair | HeldStar) -> tuple[Array, Array] | None:
     """A point and the direction of the line through all points that hold a group, and along all hinges that do."""
     centers = centers_of(at, of)
-    a, direction = next((c for c, hold in zip(centers, of.holds, strict=False) if not hold.end.hinge), centers[0]), None
+    a = next((c for c, hold in zip(centers, of.holds, strict=False) if not hold.end.hinge), centers[0])
+    direction = None
     for series, end, _ in of.holds:
         along = line_of(at, series, end.edges[0])[1] if end.hinge else None
         direction = along if direction is None else direction

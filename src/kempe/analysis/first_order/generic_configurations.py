@@ -30,7 +30,8 @@ EXACT = 1e-13
 """Residual, in radians and characteristic lengths, up to which a configuration is closed as it is."""
 NEAR = 1e-6
 """Residual up to which a configuration is closed by a few steps; above, the nearest closed one is searched."""
-POINTS, MORE = 3, 12
+POINTS = 3
+MORE = 12
 """Generic configurations that are looked at, and those besides where several branches may meet."""
 STEP = 0.1
 """Length of the step along the null space to a generic configuration, for each freedom, in radians and mean lengths."""

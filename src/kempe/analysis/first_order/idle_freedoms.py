@@ -111,7 +111,8 @@ def idle_freedoms(
 
     `driven` are the velocities that are known to be driven, besides joints marked so; None where nothing is known.
     """
-    s, known = structure(system), driven is not None or any(e.actuated for e in structure(system).edges)
+    s = structure(system)
+    known = driven is not None or any(e.actuated for e in structure(system).edges)
     frames = None
     found: list[tuple[_SpinCandidate, _Group]] = []
     for spin in _spins(system, s, [r.screws for r in ranks], frozenset(driven or ())):
@@ -199,7 +200,9 @@ def _volume(W: Array) -> float:
 
 def _rates(at: Screws, hold: SignedEnd, point: Array, direction: Array) -> dict[int, Array]:
     """Rates of all columns of an end's edges that turn the group about the axis; edges that rest are left out."""
-    (series, end, sign), A, first = hold, _axes(at, hold), 0
+    (series, end, sign) = hold
+    A = _axes(at, hold)
+    first = 0
     out: dict[int, Array] = {}
     if A.shape[1] == 3 and abs(_volume(A)) > INDEPENDENT:
         z = np.linalg.solve(A, sign * direction)
@@ -224,10 +227,13 @@ def _group(system: System, s: ConstraintGraph, spin: _SpinCandidate, known: bool
     assert isinstance(spin.of, Pair)
     series, left, right = spin.of
     places = [k for k, i in enumerate(series.edges) if i in spin.rates]
-    low, high, part = places[0], places[-1], parts(system)
+    low = places[0]
+    high = places[-1]
+    part = parts(system)
     if part[ends_of(s, series, low)[0]] == part[ends_of(s, series, high)[1]]:
         return None
-    p, q = max(k for k in left.edges if k in places), min(k for k in right.edges if k in places)
+    p = max(k for k in left.edges if k in places)
+    q = min(k for k in right.edges if k in places)
     moving = between(system, series.edges[low], series.edges[high])
     bodies = moving if (p, q) == (low, high) else between(system, series.edges[p], series.edges[q])
     turning = turning_inside(s, series, p, q)
@@ -245,7 +251,9 @@ def _group(system: System, s: ConstraintGraph, spin: _SpinCandidate, known: bool
 def _of_star(system: System, s: ConstraintGraph, rank: Rank, spin: _SpinCandidate) -> _Group | None:
     """The bodies of a star, with links of balls that turn with them; None where they are not idle."""
     assert isinstance(spin.of, HeldStar)
-    star, part, at = spin.of.star, parts(system), rank.screws
+    star = spin.of.star
+    part = parts(system)
+    at = rank.screws
     bodies = set(star.bodies)
     links: set[int] = set()
     outside: list[int] = []
@@ -274,7 +282,10 @@ def _of_star(system: System, s: ConstraintGraph, rank: Rank, spin: _SpinCandidat
 
 def _moves_a_frame(system: System, frames: Sequence[Frame], rank: Rank, spin: _SpinCandidate, group: _Group) -> bool:
     """Whether a frame that somebody named does not stay where it is."""
-    names, at, poses, bodies = system.body_names, rank.screws, None, group.bodies
+    names = system.body_names
+    at = rank.screws
+    poses = None
+    bodies = group.bodies
     moving = bodies | group.links
     for frame in frames:
         body = names.index(frame.body)
@@ -295,7 +306,9 @@ def _moves_a_frame(system: System, frames: Sequence[Frame], rank: Rank, spin: _S
 def _freedom(
     system: System, s: ConstraintGraph, rank: Rank, spin: _SpinCandidate, group: _Group, velocity: Array
 ) -> IdleFreedom:  # fmt: skip
-    at, edges, direction = rank.screws, sorted(group.joints), spin.direction
+    at = rank.screws
+    edges = sorted(group.joints)
+    direction = spin.direction
     places = dict(spin.of.star.points) if isinstance(spin.of, HeldStar) else {}
     origins = np.array([(at.M if places.get(i, True) else at.F)[i, :3, 3] for i in edges])
     point = at.center + at.length * spin.point

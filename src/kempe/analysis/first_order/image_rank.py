@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 FULL = 1e-7
 """Singular value, as a part of the largest, up to which a direction counts as lost."""
-ROUNDED, CLOSED = 1e-13, 1e-9
+ROUNDED = 1e-13
+CLOSED = 1e-9
 """Rate, of rows in radians or characteristic lengths, up to which it is rounding: of trees, and where loops are closed
 within a tolerance. Rounding of places grows with their distance from the origin."""
 
@@ -30,8 +31,11 @@ def image_ranks(system: System, q: Array, rates: Array, metres: np.ndarray) -> t
     `metres` (m,) says which rows are lengths: these are measured in characteristic lengths, so that ranks do not depend
     on the unit of length. A singular value counts where it is above `FULL` times the largest, and above rounding.
     """
-    out, n = list[int](), system.nv
-    loops, N, scale = has_loops(system), np.eye(system.nv), closure_rows.scales(system)
+    out = list[int]()
+    n = system.nv
+    loops = has_loops(system)
+    N = np.eye(system.nv)
+    scale = closure_rows.scales(system)
     length = characteristic_length(system)
     row_unit = np.where(metres, length, 1.0)[:, None]
     far = np.abs(fk(system, q)[..., :3, 3]).max(axis=(-2, -1), initial=0.0) / length

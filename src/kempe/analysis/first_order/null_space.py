@@ -44,7 +44,8 @@ def null_space_from(A: Array, columns: Sequence[int], least: float) -> Array | N
     row, column = np.nonzero(A)
     number = np.full(n, -1)
     number[others] = np.arange(m)
-    entries, place = A[row, column], number[column]
+    entries = A[row, column]
+    place = number[column]
     inner = place >= 0
     try:
         factors = library.linalg.splu(library.csc_matrix((entries[inner], (row[inner], place[inner])), shape=(m, m)))

@@ -26,7 +26,8 @@ SOMETHING = 1e-4
 """Singular values above this part of the largest count as not zero; between the two the widest gap decides."""
 CLEAR_GAP = 1e3
 """Ratio of the last singular value that counts to the first that does not, below which the rank is doubtful."""
-AROUND, POINTS = 0.2, 8
+AROUND = 0.2
+POINTS = 8
 """How far around a configuration, in scaled velocities, and at how many points the sizes of written rows are looked at.
 """
 FLOOR = 1e-15
@@ -144,7 +145,8 @@ def decide(values: Array, size: float = 0.0) -> tuple[int, float]:
 
 def rank_at(system: System, q: Array) -> Rank:
     """The rank of the loop equations at a closed configuration `q` (nq,)."""
-    s, at = structure(system), screws(system, q)
+    s = structure(system)
+    at = screws(system, q)
     units = np.where(s.slides, at.length, 1.0)
     written = written_rows(system, q)
     return Rank(q, tuple(_cluster(system, s, at, c, units, written) for c in s.clusters), at, units)

@@ -137,7 +137,8 @@ def _rows(system: System, rank: Rank, c: ClusterRank) -> list[_JointReaction]:
 
     `c` holds the self-stresses of the cluster, `rank` the screws of all joints at the same configuration.
     """
-    s, at = structure(system), rank.screws
+    s = structure(system)
+    at = rank.screws
     wrenches = np.zeros((len(c.cluster.loops), 6, c.dependent))
     n = 0
     rows: list[_JointReaction] = []

@@ -57,7 +57,9 @@ class Screws:
 
     def _rows_of(self, edge: int, row: Row, dim: int) -> Array:
         """Rows (k, 6) that map the twist of frame M relative to F to the rates of one row of equations."""
-        p, R, S = self.M[edge, :3, 3], self.F[edge, :3, :3], self.M[edge, :3, :3]
+        p = self.M[edge, :3, 3]
+        R = self.F[edge, :3, :3]
+        S = self.M[edge, :3, :3]
         d = p - self.F[edge, :3, 3]
         if row.op in (Op.ROTATION, Op.TILT):
             turns = np.hstack([np.zeros((3, 3)), R.T])
@@ -79,8 +81,12 @@ class Screws:
         out = np.zeros((len(edges), 6, 6))
         out[:, range(6), range(6)] = 1.0
         x, y, z = ((self.M[list(edges), :3, 3] - self.center) / self.length).T
-        out[:, 0, 4], out[:, 0, 5], out[:, 1, 5] = z, -y, x
-        out[:, 1, 3], out[:, 2, 3], out[:, 2, 4] = -z, y, -x
+        out[:, 0, 4] = z
+        out[:, 0, 5] = -y
+        out[:, 1, 5] = x
+        out[:, 1, 3] = -z
+        out[:, 2, 3] = y
+        out[:, 2, 4] = -x
         return out
 
 
@@ -88,7 +94,8 @@ def screws(system: System, q: Array) -> Screws:
     """The screws of all joints at a closed configuration `q` (nq,)."""
     s = structure(system)
     bodies = fk(system, q)
-    F, M = bodies[s.parent] @ s.X_PF, bodies[s.child] @ s.X_CM
+    F = bodies[s.parent] @ s.X_PF
+    M = bodies[s.child] @ s.X_CM
     points = M[:, :3, 3]
     center = points.mean(axis=0) if len(points) else np.zeros(3)
     length = full(system, True).length

@@ -79,7 +79,8 @@ def _uses(system: System, s: ConstraintGraph) -> np.ndarray:
 
 
 def _all_series(system: System, s: ConstraintGraph, driven: frozenset[int]) -> tuple[SeriesLoop, ...]:
-    part, uses = parts(system), _uses(system, s)
+    part = parts(system)
+    uses = _uses(system, s)
     out: list[SeriesLoop] = []
     for c in s.clusters:
         alike: dict[bytes, list[int]] = {}
@@ -139,7 +140,9 @@ class Star:
 
 def stars(system: System, driven: frozenset[int]) -> tuple[Star, ...]:
     """All stars in which every joint can turn, or hold a point; `driven` are velocities that a motor holds."""
-    s, part, uses = structure(system), parts(system), _uses(system, structure(system))
+    s = structure(system)
+    part = parts(system)
+    uses = _uses(system, structure(system))
     group = part.copy()
     for e in s.edges:
         if e.joint and all(c.index < 0 or c.slides for c in e.columns):
@@ -194,7 +197,8 @@ def _outwards(
     path: list[tuple[int, float]] = []
     turns: list[Turns] = []
     here = s.edges[i].child if inside[s.edges[i].parent] else s.edges[i].parent
-    sign, own = 1.0 if inside[s.edges[i].parent] else -1.0, _turns(s.edges[i], uses, driven)
+    sign = 1.0 if inside[s.edges[i].parent] else -1.0
+    own = _turns(s.edges[i], uses, driven)
     while own is not None and len(path) < 3:
         path.append((i, sign))
         turns.append(own)
@@ -259,7 +263,8 @@ def between(system: System, i: int, k: int) -> frozenset[int]:
         if n not in (i, k):
             links.setdefault(e.parent, []).append(e.child)
             links.setdefault(e.child, []).append(e.parent)
-    reached, order = {0}, [0]
+    reached = {0}
+    order = [0]
     for body in order:
         for other in links.get(body, ()):
             if other not in reached:

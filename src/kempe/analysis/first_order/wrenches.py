@@ -148,7 +148,8 @@ class Wrenches:
         for state in _reduced(both, forces):
             found = state[: 6 * len(names)].reshape(-1, 6) / scale
             largest = np.abs(found[:, :3]).max() or np.abs(found).max() or 1.0
-            found, rest = found / largest, state[6 * len(names) :] / largest
+            found = found / largest
+            rest = state[6 * len(names) :] / largest
             rest = {f"{rows[i].of} {rows[i].name}".strip(): float(x) for i, x in zip(plain, rest, strict=True) if x}
             out.append(SelfStress({n: w for n, w in zip(names, found, strict=True) if w.any()}, rest))
         return tuple(out)
@@ -162,7 +163,8 @@ class Wrenches:
         loads, because the mechanism would move.
         """
         held = (held,) if isinstance(held, str) else tuple(held)
-        wanted, names = np.zeros(self._size), self.system.structure.velocity_names
+        wanted = np.zeros(self._size)
+        names = self.system.structure.velocity_names
         for frame, load in loads.items():
             wanted += self._load(frame, load)
         for name in held:
@@ -171,7 +173,8 @@ class Wrenches:
         motors = np.zeros((self._size, len(held)))
         for k, name in enumerate(held):
             motors[self._bodies[-1][1] + names.index(name), k] = 1.0
-        wanted, motors = wanted * self._scale, motors * self._scale[:, None]
+        wanted = wanted * self._scale
+        motors = motors * self._scale[:, None]
         A = np.hstack([self._balance.T, motors])
         found, _, _, _ = np.linalg.lstsq(A, -wanted, rcond=SMALL)
         left = np.linalg.norm(A @ found + wanted)
@@ -180,7 +183,8 @@ class Wrenches:
                 f"nothing balances the loads on {', '.join(map(repr, loads))} with "
                 f"{', '.join(map(repr, held)) or 'no coordinate'} held: {self.system.name} would move; hold more"
             )
-        rows, wrenches = [r for r in self._rows if r.lasting], {n: np.zeros(6) for n in self.names}
+        rows = [r for r in self._rows if r.lasting]
+        wrenches = {n: np.zeros(6) for n in self.names}
         for row, factor, x in zip(rows, self._force_of, found, strict=False):
             wrenches[row.of] += x * factor * self._wrench(row.of, row.rates)
         loose = {n for s in self.stresses for n in s.wrenches}
@@ -218,7 +222,8 @@ class Wrenches:
     @cached_property
     def _bodies(self) -> list[tuple[str, int]]:
         """The bodies, each with the first of its velocities; last, under '', that of the first of the joints."""
-        m, at = self._mechanism, 0
+        m = self._mechanism
+        at = 0
         out: list[tuple[str, int]] = []
         for body in self.system.body_names[1:]:
             out.append((body, at))
@@ -239,7 +244,8 @@ class Wrenches:
         M, Q = self._maximal
         packed = closure_rows.full(M, False)
         out: list[_WrenchRow] = []
-        J, k = closure_rows.evaluate(M, Q, True, loops=packed)[1], 0
+        J = closure_rows.evaluate(M, Q, True, loops=packed)[1]
+        k = 0
         for tie in packed.ties:
             name = tie.name if tie.relation is None else f"coupling of {tie.relation.of}"
             out += [_WrenchRow(name, row, packed.units[k + i], True, J[k + i]) for i, row in enumerate(tie.rows)]
@@ -297,9 +303,11 @@ class Wrenches:
     @cached_property
     def _along_tree(self) -> Array:
         """Rates (velocities of `maximal`, nv): how bodies and joints move where the tree's coordinates do."""
-        system, out = self.system, np.zeros((self._size, self.system.nv))
+        system = self.system
+        out = np.zeros((self._size, self.system.nv))
         for body, at in self._bodies[:-1]:
-            R, J = self._poses[body][:3, :3], jacobian(system, self.q, body)
+            R = self._poses[body][:3, :3]
+            J = jacobian(system, self.q, body)
             motion = np.vstack([J[:3], R.T @ J[3:]]) if system.dim == 3 else J[[0, 1, 5]]
             n = system.dim if self._mechanism.bodies[body].particle else len(motion)
             out[at : at + n] = motion[:n]
@@ -310,7 +318,8 @@ class Wrenches:
 
     def _on(self, body: str, rates: Array) -> Array:
         """The wrench (6,) on a body, at its origin in axes of the ground, of a multiplier of an equation."""
-        system, at = self.system, self._first[body]
+        system = self.system
+        at = self._first[body]
         out = np.zeros(6)
         if self._mechanism.bodies[body].particle:
             out[: system.dim] = rates[at : at + system.dim]
@@ -324,7 +333,8 @@ class Wrenches:
     @cached_property
     def _ends(self) -> dict[str, tuple[str, float, Array]]:
         """Of each joint and constraint of bodies: a body that is not the ground, the sign of its wrench, the point."""
-        m, ground = self._mechanism, self.system.body_names[0]
+        m = self._mechanism
+        ground = self.system.body_names[0]
         out: dict[str, tuple[str, float, Array]] = {}
         for of in (*m.joints.values(), *m.constraints.values()):
             if of.parent:
@@ -345,7 +355,8 @@ class Wrenches:
 
     def _load(self, frame: str, load: Any) -> Array:
         """A load on a frame as generalised forces in maximal coordinates."""
-        system, x = self.system, numbers(load, f"load on {frame!r}")
+        system = self.system
+        x = numbers(load, f"load on {frame!r}")
         name = system.structure.frame_name(frame)
         body = system.structure.frames[name].body if name in system.structure.frames else name
         wrench = np.zeros(6)
@@ -353,7 +364,8 @@ class Wrenches:
         if x.ndim != 1 or len(x) not in allowed:
             raise InputError(f"load on {frame!r} has shape {x.shape}; needed are {allowed[0]} or {allowed[1]} numbers")
         wrench[[0, 1, 5][: len(x)] if system.dim == 2 else slice(0, len(x))] = x
-        out, at = np.zeros(self._size), self._first.get(body)
+        out = np.zeros(self._size)
+        at = self._first.get(body)
         if at is None:  # the ground carries it
             return out
         X = self._poses[body]

@@ -27,11 +27,15 @@ SAME_POINT = 1e-3
 """Points nearer than this part of the radius are one."""
 BLURRED = 0.05
 """The same where the equations touch the solution set: there points are known to few digits."""
-ALONG, TURNED = 0.5, 0.15
+ALONG = 0.5
+TURNED = 0.15
 """Way along the sphere, as a part of its radius, and the turn of the tangent space over it that shows a cone."""
 FELL_BACK = 0.1
 """A start that ends nearer to the configuration than this part of the radius found no motion."""
-BATCH, MOST_STARTS, MOST_KEPT, ENOUGH = 32, 480, 20, 4
+BATCH = 32
+MOST_STARTS = 480
+MOST_KEPT = 20
+ENOUGH = 4
 """Starts at a time and in all, points kept of a family, and hits of each beyond which the search ends."""
 SAME_PLANE = 0.2
 """Tangent spaces nearer to each other (root sum square of sines) belong to one branch."""
@@ -144,7 +148,8 @@ def find(equations: Equations, at: Split, rng: np.random.Generator) -> tuple[lis
     starts = 0
     while starts < MOST_STARTS:
         d = reduction.unit_directions(rng, BATCH, at.delta) @ at.null_space.T
-        starts, known = starts + len(d), len(families)
+        starts = starts + len(d)
+        known = len(families)
         _sort_in(equations, at, families, _spots(equations, at, d))
         _look_across(equations, at, families, families[known:])
         if starts >= 2 * BATCH and all(f.found > ENOUGH for f in families):
@@ -180,7 +185,8 @@ def _joined(families: list[ConeFamily]) -> list[ConeFamily]:
             if near is None or like is None or family.cone or other.cone or near.shape[1] < 2:
                 continue
             if apart(near, like) < SAME_LIMIT:
-                other.spots, other.hits = (other.spots + family.spots)[:MOST_KEPT], other.hits + family.hits
+                other.spots = (other.spots + family.spots)[:MOST_KEPT]
+                other.hits = other.hits + family.hits
                 break
         else:
             out.append(family)
@@ -215,7 +221,8 @@ def _sort_in(
 
 def _turns(equations: Equations, at: Split, spot: Spot) -> bool:
     """Whether the null space turns along the sphere, as it does not on a branch that has a tangent space."""
-    x, K = spot.offsets[0] / RADII[0], spot.split.null_space
+    x = spot.offsets[0] / RADII[0]
+    K = spot.split.null_space
     along = K @ reduction.axes(np.random.default_rng(0), K.shape[1]).T
     along -= x[:, None] * (x @ along)
     d = x + ALONG * along.T / np.maximum(np.linalg.norm(along, axis=0), 1e-3)[:, None]
@@ -251,7 +258,8 @@ def apart(a: Array, b: Array) -> float:
 def measure(equations: Equations, spot: Spot, order: int, rng: np.random.Generator) -> bool:
     """Find dimension and tangent space of the solution set at a point of a branch; whether two ways of it agree."""
     at = spot.split
-    spot.dim, spot.tangent = at.delta, at.null_space
+    spot.dim = at.delta
+    spot.tangent = at.null_space
     if at.corank == 0 or at.delta == 0:
         return True
     k = reduction.obstruction(equations, at, order, rng).order
@@ -284,12 +292,14 @@ def dimensions(equations: Equations, families: list[ConeFamily], order: int, rng
 
     Says whether the ways to find the dimension, and points where equations are smooth, agree.
     """
-    sound, out = True, list[ConeFamily]()
+    sound = True
+    out = list[ConeFamily]()
     for family in families:
         spots = family.spots
         for spot in spots:
             if spot.split.corank == 0:
-                spot.dim, spot.tangent = spot.split.delta, spot.split.null_space
+                spot.dim = spot.split.delta
+                spot.tangent = spot.split.null_space
         rest = [s for s in spots if s.dim is None]
         for spot in rest[:2]:
             sound &= measure(equations, spot, order, rng)
@@ -299,7 +309,8 @@ def dimensions(equations: Equations, families: list[ConeFamily], order: int, rng
             if like is None:
                 sound &= measure(equations, spot, order, rng)
             else:
-                spot.dim, spot.tangent = like.dim, like.tangent if shaky else spot.split.null_space
+                spot.dim = like.dim
+                spot.tangent = like.tangent if shaky else spot.split.null_space
         parts = _parted(family)
         sound &= shaky or len(parts) == 1
         out += parts if shaky else [family]
@@ -309,7 +320,8 @@ def dimensions(equations: Equations, families: list[ConeFamily], order: int, rng
 
 def _within(spot: Spot, other: Spot) -> bool:
     """Whether a point lies in the tangent space of a branch of two or more dimensions, that of another point."""
-    T, x = other.tangent, spot.offsets[0] / RADII[0]
+    T = other.tangent
+    x = spot.offsets[0] / RADII[0]
     return T is not None and T.shape[1] > 1 and float(np.linalg.norm(x - T @ (T.T @ x))) < SAME_PLANE
 
 

@@ -118,8 +118,11 @@ class Prover:
     """Proofs of dimensions at one closed configuration q (nq,)."""
 
     def __init__(self, system: System, equations: Equations, q: Array):
-        self.system, self.equations, self.q = system, equations, q
-        self.structure, self.at = structure(system), screws(system, q)
+        self.system = system
+        self.equations = equations
+        self.q = q
+        self.structure = structure(system)
+        self.at = screws(system, q)
         self.value, self.jacobian = (x[0] for x in equations.linearise(q))
         self.parts = _parts(system, self.structure, self.at, equations, self.jacobian)
         self.manifolds: dict[int, Proof | _Open | None] = {}
@@ -227,7 +230,9 @@ def _prove(
 ) -> Proof | _Open | None:  # fmt: skip
     """The dimension of one cluster, if it is a manifold; None where nothing can be proven."""
     here = leading_forms.split_of(q, J, np.hstack(part.rows), part.columns)
-    A, delta, corank = here.matrix, here.split.delta, here.split.corank
+    A = here.matrix
+    delta = here.split.delta
+    corank = here.split.corank
     own = here.basis.T @ value
     if min(A.shape) and _certified(s, at, part.cluster, here.values, A, float(np.linalg.norm(own)), False).regular:
         why = "all constraints are independent in the groups of motions of their loops"
@@ -283,7 +288,8 @@ def _two_groups(s: ConstraintGraph, at: Screws, c: Cluster) -> bool:
     path = [i for i, _ in s.loops[c.loops[0]].path if at.twists[i].shape[1]]
     if len(path) > LONG or any(s.edges[i].particle or any(x.index < 0 for x in s.edges[i].columns) for i in path):
         return False
-    n, twists = len(path), np.concatenate([at.twists[i] for i in path], axis=1)
+    n = len(path)
+    twists = np.concatenate([at.twists[i] for i in path], axis=1)
     first: list[int] = np.cumsum([0, *(at.twists[i].shape[1] for i in path)]).tolist()
     first += [first[-1] + x for x in first[1:]]
     columns = list(range(first[n])) * 2
@@ -314,6 +320,7 @@ def _side_by_side(twists: Array) -> tuple[np.ndarray, np.ndarray]:
 
     Fewer than six screws fill a group only if all have parallel turns, or all axes meet in one point.
     """
-    v, w = twists[:3].T, twists[3:].T
+    v = twists[:3].T
+    w = twists[3:].T
     turned = np.cross(w[:, None], w[None])
     return np.abs(turned).max(axis=2) < leading_forms.CLEAR, np.abs(v @ w.T + w @ v.T) < leading_forms.CLEAR

@@ -36,7 +36,8 @@ SINGULAR = 1e-12
 that they are not zero, only what holds in both cases is proven."""
 GAP = 1e3
 """Ratio of the last singular value that counts to the first that does not from which the rank is beyond doubt."""
-LINES, MIXTURES = 24, 400
+LINES = 24
+MIXTURES = 400
 """Random lines on which signs are looked at, and random combinations of forms that may be definite."""
 VARIABLES = 5
 """Unknowns of quadratic forms up to which common zeros are excluded by a rank."""
@@ -72,7 +73,8 @@ def split_of(q: Array, J: Array, basis: Array, columns: np.ndarray) -> Here:
     rest = float(sigma[rank]) if rank < len(sigma) else 0.0
     last = float(sigma[rank - 1]) if rank else np.inf
     clear = last > GAP * max(rest, ROUNDING * most)
-    null_space, inverse = np.zeros((nv, n - rank)), np.zeros((nv, m))
+    null_space = np.zeros((nv, n - rank))
+    inverse = np.zeros((nv, m))
     null_space[columns] = Vt[rank:].T
     inverse[columns] = (Vt[:rank].T / sigma[:rank]) @ (basis @ U[:, :rank]).T
     padded = np.concatenate([np.full(nv - n, most), sigma])
@@ -134,7 +136,8 @@ def _directions(at: Split, tangents: Sequence[Array]) -> list[Array]:
 def _one_equation(
     equations: Equations, here: Here, k: int, noise: Array, rng: np.random.Generator, directions: list[Array]
 ) -> tuple[int, int | None, str] | None:  # fmt: skip
-    at, delta = here.split, here.split.delta
+    at = here.split
+    delta = here.split.delta
     if k > 2 and not here.exact:
         return None
     lines = [*reduction.unit_directions(rng, LINES, delta), *directions]

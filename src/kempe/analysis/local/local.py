@@ -40,12 +40,14 @@ KICK = 0.1
 """Size of the kicks away from the configuration, in radians and characteristic lengths."""
 SMALL_KICKS = (0.008, 0.003)
 """Sizes of the kicks around a point that was reached."""
-WALK, FAINT = tuple(0.1 * k for k in range(1, 11)), 1e-6
+WALK = tuple(0.1 * k for k in range(1, 11))
+FAINT = 1e-6
 """Distances to which a motion is followed, and residuals that show, where it ends, that it was none: what is shaky of
 a high order has none to be seen before, while a motion that turns back leaves a large one beyond."""
 STAYS = 0.3
 """Part of the kick that remains, where it was along a motion; the rest has collapsed."""
-CLEAR_GAP, ROUNDING = 1e3, 1e-14
+CLEAR_GAP = 1e3
+ROUNDING = 1e-14
 """Ratio of singular values, on both sides of the rank tolerance, from which the rank is beyond doubt; and the part of
 the largest up to which those that count as zero are rounding, with certainty."""
 
@@ -174,7 +176,8 @@ def _found(
     if found.doubt:
         doubts.append(f"a Taylor coefficient {found.doubt:.1g} is neither zero nor clearly not")
     if k is None:
-        found, smooth = [_whole(equations, at)], True
+        found = [_whole(equations, at)]
+        smooth = True
         why = f"no velocity is obstructed to order {order} (coefficients below {reduction.ZERO:g})"
         why += ": a manifold, to that order"
         reached, faded = _walked(equations, at, rng) if sampling else (0.0, False)
@@ -183,10 +186,12 @@ def _found(
         elif reached:
             why += f"; followed to a distance of {reached:.1g}"
     elif at.delta == 1:
-        found, smooth = [], False
+        found = []
+        smooth = False
         why = f"isolated: the only velocity is obstructed at order {k} (shaky of order {k - 1})"
     else:
-        found, smooth = _branches(equations, at, order, rng, doubts, more), False
+        found = _branches(equations, at, order, rng, doubts, more)
+        smooth = False
         why = f"some velocities are obstructed at order {k}; branches followed on spheres of radius {follow.RADII[0]:g}"
     if proof is None and k is not None:
         proof = prover.dimension(order, [b.tangent / equations.scale[:, None] for b in found])

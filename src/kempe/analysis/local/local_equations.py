@@ -30,14 +30,17 @@ BALL_REST = -(10**9)
 ITERATIONS = 60
 LONGEST = 0.2
 """Longest step of a projection, in scaled coordinates: it is to find what is near."""
-SHARP, BLUNT = 1e-15, 1e-4
+SHARP = 1e-15
+BLUNT = 1e-4
 """Residuals between these (the first for each equation), where a projection ends, may be halved many times."""
 LEAP = 0.6
 """Plain steps longer than this part of the distance from the center are not taken: where the residual is what the
 digits of a description allow, they would run along the motion to where it is less."""
-PLAIN, HOPELESS = 40, 4
+PLAIN = 40
+HOPELESS = 4
 """Most plain steps, and steps without gain that end it."""
-FLAT, STEEP = 1e-13, 1e-3
+FLAT = 1e-13
+STEEP = 1e-3
 """Singular values, as parts of the largest, that plain steps leave out, and those that lead back into the valley."""
 
 
@@ -67,9 +70,12 @@ class Equations:
         found = called(system)
         if found:
             raise UnsupportedError(f"constraint {found[0]!r} {NO_SERIES}, which is needed here")
-        self.m, self.nv, self.nq = len(self.names), system.nv, system.nq
+        self.m = len(self.names)
+        self.nv = system.nv
+        self.nq = system.nq
         self.length = self._loops.length
-        self.ints, self.floats = self._loops.ints, self._loops.floats
+        self.ints = self._loops.ints
+        self.floats = self._loops.floats
         turning = np.array(system.structure.coordinates.turning)
         for iv in system.structure.layout.quaternion_v:
             turning[iv : iv + 3] = True
@@ -90,14 +96,17 @@ class Equations:
 
     def _pack(self) -> tuple[np.ndarray, Array]:
         """The arrays `ties` and `numbers` of `kempe.kernels.series.jet`."""
-        numbers, row = [1.0 / self.length], 0
+        numbers = [1.0 / self.length]
+        row = 0
         heads: list[list[int]] = []
         entries: list[tuple[int, int]] = []
         factors: list[Any] = []
         recorded: list[tuple[np.ndarray, Array, list[int]]] = []
         first = self.system.structure.coordinates.first
         for tie in self._loops.ties:
-            count, size, number = 0, len(tie.rows), tie.number
+            count = 0
+            size = len(tie.rows)
+            number = tie.number
             start = len(entries)
             if tie.relation is not None:
                 unit = 1.0 / self.scale[first[tie.relation.of][1]]
@@ -111,7 +120,8 @@ class Equations:
                 count = len(terms)
             data = -1
             if tie.tape is not None:
-                data, number = len(recorded), 1.0 / self.length if tie.tape.unit == "m" else 1.0
+                data = len(recorded)
+                number = 1.0 / self.length if tie.tape.unit == "m" else 1.0
                 inputs = ([tie.tape.input(n), *first.get(n, (-1, -1))] for n in tie.tape.tape.inputs)
                 recorded.append((*tie.tape.tape.arrays(), [x for item in inputs for x in item]))
             heads.append([tie.mask, LINEAR if tie.relation is not None else tie.turns, size, row, count, start, data])
@@ -158,7 +168,8 @@ class Equations:
 
     def _finish(self, found: Landing, slow: np.ndarray, best: Array, centers: Array, radii: Array) -> None:
         """Take plain Gauss-Newton steps from the points `slow`, and keep in `found` those that are better."""
-        q, since = found.q[slow], np.zeros(len(slow), dtype=int)
+        q = found.q[slow]
+        since = np.zeros(len(slow), dtype=int)
         for _ in range(PLAIN):
             at = self._project(q.copy(), centers, radii, 0)
             left = self._left(at, radii)
@@ -178,7 +189,9 @@ class Equations:
 
     def _step(self, at: Landing, centers: Array, radii: Array, flat: float) -> Array:
         """Where (N, nq) undamped steps lead onto the equations and, where radii > 0, the spheres."""
-        q, value, J = at.q, at.value, at.jacobian
+        q = at.q
+        value = at.value
+        J = at.jacobian
         x = np.where((radii > 0.0)[:, None], self.offset(centers, q), 0.0)
         over = np.where(radii > 0.0, 1.0 / np.where(radii > 0.0, radii, 1.0), 0.0)
         error = 0.5 * (np.sum(x * x, axis=1) - radii**2) * over
@@ -194,7 +207,9 @@ class Equations:
         self.time.check()
         centers = np.ascontiguousarray(np.broadcast_to(centers, q.shape), dtype=float)
         radii = np.array(np.broadcast_to(np.asarray(radius, dtype=float), len(q)))
-        info, value, J = np.zeros((len(q), 3)), np.zeros((len(q), self.m)), np.zeros((len(q), self.m, self.nv))
+        info = np.zeros((len(q), 3))
+        value = np.zeros((len(q), self.m))
+        J = np.zeros((len(q), self.m, self.nv))
         projection.project(
             self.ints, self.floats, self.ties, self.numbers, self.places, self.scale, centers, q, radii, iterations,
             LONGEST, info, value, J,
@@ -239,8 +254,11 @@ class Series:
     def __init__(self, equations: Equations, q: Array, order: int):
         from kempe.kernels.series.jet_layout import POSE_SIZE, scratch_width
 
-        self.equations, self.order = equations, order
-        n, (rows, outputs), depth = len(q), equations.sizes, order + 1
+        self.equations = equations
+        self.order = order
+        n = len(q)
+        (rows, outputs) = equations.sizes
+        depth = order + 1
         self._q = np.ascontiguousarray(q)
         self._poses = np.zeros((n, rows, depth, POSE_SIZE))
         self._extra = np.zeros((n, rows, depth, scratch_width(order)))

@@ -25,7 +25,8 @@ ZERO = 1e-9
 """Taylor coefficients below this count as zero; curves are scaled so that their own coefficients are at most one."""
 NOT_ZERO = 1e-6
 """Taylor coefficients above this count as not zero; between the two nothing is certain."""
-DISTURBANCE, ROUNDING = 1e-8, 1e-10
+DISTURBANCE = 1e-8
+ROUNDING = 1e-10
 """Size of the disturbance that shows how errors grow, and of the errors themselves, with a margin."""
 
 
@@ -118,7 +119,8 @@ class Obstruction:
     @property
     def doubt(self) -> float:
         """The largest coefficient before the first that is not zero that is not surely zero either; 0 if none."""
-        size, noise = self.size[: self.order], self.noise[: self.order]
+        size = self.size[: self.order]
+        noise = self.noise[: self.order]
         return float(np.max(size[size > np.maximum(ZERO, noise)], initial=0.0))
 
 
@@ -188,7 +190,8 @@ def lineality(equations: Equations, at: Split, k: int, rng: np.random.Generator)
     interpolation in k + 1 points. Where the solution set is a manifold that the equations describe with multiplicity
     (they touch it), these are the only directions that can be tangent to it.
     """
-    delta, n = at.delta, at.delta + 2
+    delta = at.delta
+    n = at.delta + 2
     tau = np.cos(np.pi * (np.arange(k + 1) + 0.5) / (k + 1))
     pick = np.linalg.inv(np.vander(tau, increasing=True))[1]
     d = unit_directions(rng, n, delta)

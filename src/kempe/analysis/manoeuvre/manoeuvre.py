@@ -66,18 +66,22 @@ def manoeuvre(
     is on the body; other coordinates may be idle, steer, or follow. All else is refused with the reason.
     Errors: `UnsupportedError`; `InputError`; `UnknownNameError`.
     """
-    q, goals = _one(system, start, "start"), _one(system, goal, "goal")
+    q = _one(system, start, "start")
+    goals = _one(system, goal, "goal")
     if radius is not None and (not is_real(radius) or not 0.0 <= radius < math.inf):
         raise InputError(f"radius is {radius!r}; it must be a length in metres, or 0 for turns on the spot")
     spend = USUAL.of(budget)
-    samples, time = spend.points, TimeLimit(spend.time_limit)
+    samples = spend.points
+    time = TimeLimit(spend.time_limit)
     if not is_whole(samples) or not 2 <= samples <= MOST:
         raise InputError(f"points is {samples!r}; it must be a whole number, at least 2 and at most {MOST}")
     time.put_in_order()  # there is nothing to do afterwards
     with begun_within(USUAL, time):
         car = wheeled(system, q)
         loose = _loose(system, goal, free, car)
-    motion, said, late = None, "", False
+    motion = None
+    said = ""
+    late = False
     try:
         with time:
             for plan in plans(car, q, goals, None if radius is None else float(radius), loose):
@@ -90,7 +94,8 @@ def manoeuvre(
     except Refused as refusal:
         said = str(refusal)
     except TimeUp as error:
-        late, said = True, f"not found: {time.reason(error)} came" + (f"; {said}" if said else "")
+        late = True
+        said = f"not found: {time.reason(error)} came" + (f"; {said}" if said else "")
     zero = np.zeros(1)
     if motion is None:
         return Manoeuvre(system, q[None], zero, zero, (), 0.0, 0, not said, said, (car.pose.body,), late=late)
@@ -164,7 +169,8 @@ def _exact(car: Wheeled, q: Array, goal: Array, plan: Plan) -> ExactManoeuvre | 
         pieces.append(Piece("rest", 0.0, float(np.abs(idle).max()), 0.0, 0.0, 0.0))
     if not pieces:
         return None
-    motion, limits = ExactManoeuvre(car, q, idle, pieces), car.system.structure.velocity_limits
+    motion = ExactManoeuvre(car, q, idle, pieces)
+    limits = car.system.structure.velocity_limits
     if not np.isfinite(limits).any():
         return motion
     return ExactManoeuvre(car, q, idle, _slower(motion, limits))
@@ -184,7 +190,8 @@ def _slower(motion: ExactManoeuvre, limits: Array) -> list[Piece]:
     total = out[-1].start + out[-1].duration
     most = float((np.abs(motion.idle) * motion.total / limits)[idle].max(initial=0.0)) / total
     if most > 1.0:
-        pieces, out = out, []
+        pieces = out
+        out = []
         for p in pieces:
             out.append(_stretched(p, out, most))
     return out
@@ -226,7 +233,8 @@ def _arrive(car: Wheeled, motion: ExactManoeuvre, x: Array, q: Array, goal: Arra
 
     Errors: `UnsupportedError` where the motion does not lead to the goal.
     """
-    system, end = car.system, goal.copy()
+    system = car.system
+    end = goal.copy()
     place = dict(zip(system.structure.layout.vector_v.tolist(), system.structure.layout.vector_q.tolist(), strict=True))
     for v in free:
         end[place[v]] = x[-1, place[v]]
@@ -242,7 +250,8 @@ def _arrive(car: Wheeled, motion: ExactManoeuvre, x: Array, q: Array, goal: Arra
                                    "too large beside the distance for the digits of numbers")  # fmt: skip
         raise UnsupportedError(f"{system.name}: with this radius {name!r} ends {off.max():.6g} away from the goal: let "
                                f"it end anywhere (free={[name]!r}), or turn on the spot (radius=0)")  # fmt: skip
-    x[0], x[-1] = q, end
+    x[0] = q
+    x[-1] = end
     return turns
 
 

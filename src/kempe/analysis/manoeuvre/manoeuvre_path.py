@@ -141,22 +141,30 @@ class ExactManoeuvre:
     """A manoeuvre in closed form: configurations and velocities at any time."""
 
     def __init__(self, car: Wheeled, q: Array, idle: Array, pieces: Sequence[Piece]):
-        self.car, self.pieces, self.q = car, pieces, q
+        self.car = car
+        self.pieces = pieces
+        self.q = q
         self.starts = np.array([p.start for p in pieces])
         self.forward, self.turning, self.steering = (
             np.array([getattr(p, name) for p in pieces]) for name in ("forward", "turning", "steering")
         )
         self.total = pieces[-1].start + pieces[-1].duration
         self.idle = idle / self.total
-        n, layout = len(pieces), car.system.structure.layout
+        n = len(pieces)
+        layout = car.system.structure.layout
         place = dict(zip(layout.vector_v.tolist(), layout.vector_q.tolist(), strict=True))
         self.driven_q = [place[v] for v in car.driven]
-        wheel, steer, driven = np.empty((n, 3)), np.empty(n), np.empty((n, len(car.driven)))
+        wheel = np.empty((n, 3))
+        steer = np.empty(n)
+        driven = np.empty((n, len(car.driven)))
         self.follow = np.empty((n, len(car.driven)))
-        now, angle = np.array(car.wheel(q)), float(q[car.steering_q])
+        now = np.array(car.wheel(q))
+        angle = float(q[car.steering_q])
         phases = q[self.driven_q].astype(float)
         for k, p in enumerate(pieces):
-            wheel[k], steer[k], driven[k] = now, angle, phases
+            wheel[k] = now
+            steer[k] = angle
+            driven[k] = phases
             x = q.copy()
             if car.steering is not None:
                 x[car.steering_q] = angle
@@ -165,13 +173,17 @@ class ExactManoeuvre:
                 raise UnsupportedError(f"{car.system.name}: its velocity constraints do not allow to {p}")
             self.follow[k] = rate
             now = _moved(now[None], np.array([p.length]), np.array([p.angle]))[0]
-            angle, phases = angle + p.steering * p.duration, phases + rate * p.duration
-        self.wheel, self.steer, self.driven = wheel, steer, driven
+            angle = angle + p.steering * p.duration
+            phases = phases + rate * p.duration
+        self.wheel = wheel
+        self.steer = steer
+        self.driven = driven
         self.ends = now, angle, phases
 
     def at(self, t: Array) -> tuple[Array, Array]:
         """Configurations (n, nq) and velocities (n, nv) at times (n,)."""
-        car, system = self.car, self.car.system
+        car = self.car
+        system = self.car.system
         k = np.clip(np.searchsorted(self.starts, t, side="right") - 1, 0, len(self.starts) - 1)
         past = t - self.starts[k]
         wheel = _moved(self.wheel[k], self.forward[k] * past, self.turning[k] * past)
@@ -185,7 +197,8 @@ class ExactManoeuvre:
         v[:, list(car.driven)] = self.follow[k]
         place, heading = car.body(wheel)
         q = car.pose.to_q(q, place, heading)
-        h, w = wheel[:, 2], self.turning[k]
+        h = wheel[:, 2]
+        w = self.turning[k]
         arm = place - wheel[:, :2]
         ahead = np.column_stack([np.cos(h), np.sin(h)]) * self.forward[k][:, None]
         moving = ahead + w[:, None] * np.column_stack([-arm[:, 1], arm[:, 0]])

@@ -19,7 +19,9 @@ from kempe.spatial import Array
 Way = tuple[tuple[float, float], ...]
 """(curvature, signed length) of each piece, for the radius 1."""
 
-L, S, R = 1.0, 0.0, -1.0
+L = 1.0
+S = 0.0
+R = -1.0
 QUARTER = 0.5 * math.pi
 MISS = 1e-6
 """By how much a formula's way may miss the goal before it is corrected: more is another word's domain."""
@@ -75,7 +77,8 @@ def ways(x: float, y: float, heading: float) -> list[Way]:
 
 def _candidates(x: float, y: float, h: float) -> Iterator[Way]:
     """The words of section 8, their mirror images, with time reversed, and from the goal backwards."""
-    c, s = math.cos(h), math.sin(h)
+    c = math.cos(h)
+    s = math.sin(h)
     for a, b, backwards in ((x, y, False), (x * c + y * s, x * s - y * c, True)):
         for time in (1.0, -1.0):
             for side in (1.0, -1.0):
@@ -132,10 +135,12 @@ def _slopes(way: Way) -> Array:
 
 def _csc(x: float, y: float, h: float) -> Iterator[Way]:
     """(8.1), (8.2): an arc, a straight piece, an arc; to the same side, to the other one."""
-    a, b = x - math.sin(h), y - 1.0 + math.cos(h)
+    a = x - math.sin(h)
+    b = y - 1.0 + math.cos(h)
     t = math.atan2(b, a)
     yield (L, t), (S, math.hypot(a, b)), (L, wrapped(h - t))
-    a, b = x + math.sin(h), y - 1.0 - math.cos(h)
+    a = x + math.sin(h)
+    b = y - 1.0 - math.cos(h)
     square = a * a + b * b - 4.0
     if square >= 0.0:
         u = math.sqrt(square)
@@ -145,7 +150,8 @@ def _csc(x: float, y: float, h: float) -> Iterator[Way]:
 
 def _ccc(x: float, y: float, h: float) -> Iterator[Way]:
     """(8.3) to (8.6): three arcs."""
-    a, b = x - math.sin(h), y - 1.0 + math.cos(h)
+    a = x - math.sin(h)
+    b = y - 1.0 + math.cos(h)
     rho = math.hypot(a, b)
     if rho <= 4.0:
         u = -2.0 * math.asin(0.25 * rho)
@@ -155,9 +161,11 @@ def _ccc(x: float, y: float, h: float) -> Iterator[Way]:
 
 def _cccc(x: float, y: float, h: float) -> Iterator[Way]:
     """(8.7), (8.8): four arcs, those in the middle equally long."""
-    a, b = x + math.sin(h), y - 1.0 - math.cos(h)
+    a = x + math.sin(h)
+    b = y - 1.0 - math.cos(h)
     rho = math.hypot(a, b)
-    inner, outer = 0.25 * (2.0 + rho), (20.0 - rho * rho) / 16.0
+    inner = 0.25 * (2.0 + rho)
+    outer = (20.0 - rho * rho) / 16.0
     if inner <= 1.0:
         u = math.acos(inner)
         t, v = _ends(u, -u, a, b, h)
@@ -171,7 +179,8 @@ def _cccc(x: float, y: float, h: float) -> Iterator[Way]:
 def _ends(u: float, v: float, a: float, b: float, h: float) -> tuple[float, float]:
     """Lengths of the first and the last of four arcs, those in the middle being u and v."""
     d = u - v
-    p, r = math.sin(u) - math.sin(d), math.cos(u) - math.cos(d) - 1.0
+    p = math.sin(u) - math.sin(d)
+    r = math.cos(u) - math.cos(d) - 1.0
     t = math.atan2(b * p - a * r, a * p + b * r)
     if 2.0 * (math.cos(d) - math.cos(v) - math.cos(u)) + 3.0 < 0.0:
         t += math.pi
@@ -180,13 +189,15 @@ def _ends(u: float, v: float, a: float, b: float, h: float) -> tuple[float, floa
 
 def _ccsc(x: float, y: float, h: float) -> Iterator[Way]:
     """(8.9), (8.10): an arc, a quarter circle back, a straight piece, an arc."""
-    a, b = x - math.sin(h), y - 1.0 + math.cos(h)
+    a = x - math.sin(h)
+    b = y - 1.0 + math.cos(h)
     rho = math.hypot(a, b)
     if rho >= 2.0:
         r = math.sqrt(rho * rho - 4.0)
         t = wrapped(math.atan2(b, a) + math.atan2(r, -2.0))
         yield (L, t), (R, -QUARTER), (S, 2.0 - r), (L, wrapped(h - QUARTER - t))
-    a, b = x + math.sin(h), y - 1.0 - math.cos(h)
+    a = x + math.sin(h)
+    b = y - 1.0 - math.cos(h)
     rho = math.hypot(a, b)
     if rho >= 2.0:
         t = math.atan2(a, -b)
@@ -195,7 +206,8 @@ def _ccsc(x: float, y: float, h: float) -> Iterator[Way]:
 
 def _ccscc(x: float, y: float, h: float) -> Iterator[Way]:
     """(8.11): an arc, a quarter circle back, a straight piece, a quarter circle, an arc forwards."""
-    a, b = x + math.sin(h), y - 1.0 - math.cos(h)
+    a = x + math.sin(h)
+    b = y - 1.0 - math.cos(h)
     rho = math.hypot(a, b)
     if rho >= 2.0:
         u = 4.0 - math.sqrt(rho * rho - 4.0)

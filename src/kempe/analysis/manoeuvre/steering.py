@@ -45,12 +45,16 @@ class Steering:
     """Values of the steering coordinate at which the axle goes straight, turns, or takes an arc."""
 
     def __init__(self, car: Wheeled, q: Array):
-        self.car, self.q, self.unit = car, q, closure_rows.characteristic_length(car.system)
+        self.car = car
+        self.q = q
+        self.unit = closure_rows.characteristic_length(car.system)
         i = car.steering
         assert i is not None
-        self.name, here = car.system.structure.velocity_names[i], float(q[car.steering_q])
+        self.name = car.system.structure.velocity_names[i]
+        here = float(q[car.steering_q])
         reach = math.pi if car.system.structure.coordinates.turning[i] else FAR * self.unit
-        low, high = float(car.system.lower[i]), float(car.system.upper[i])
+        low = float(car.system.lower[i])
+        high = float(car.system.upper[i])
         low = low if math.isfinite(low) else min(here, high) - reach
         high = high if math.isfinite(high) else max(here, low) + reach
         self.grid = np.linspace(low, high, GRID + 1)
@@ -61,7 +65,8 @@ class Steering:
         x = self.q.copy()
         x[self.car.steering_q] = s
         N = self.car.motions(x)
-        forward, turning = N[0, 0] / self.unit, N[2, 0]
+        forward = N[0, 0] / self.unit
+        turning = N[2, 0]
         return math.atan2(turning, forward) % math.pi
 
     def values(self, curvature: float) -> tuple[float, ...]:
@@ -75,10 +80,12 @@ class Steering:
 
         found: list[float] = []
         for k in range(GRID):
-            a, b = (self.slope[k] - wanted) / math.pi, (self.slope[k + 1] - wanted) / math.pi
+            a = (self.slope[k] - wanted) / math.pi
+            b = (self.slope[k + 1] - wanted) / math.pi
             if math.floor(a) == math.floor(b) and round(a) != a and round(b) != b:
                 continue
-            low, high = float(self.grid[k]), float(self.grid[k + 1])
+            low = float(self.grid[k])
+            high = float(self.grid[k + 1])
             ends = [s for s in (low, high) if abs(off(s)) < EXACT]
             s = ends[0] if ends else None
             if s is None and off(low) * off(high) < 0.0:
@@ -92,7 +99,8 @@ class Steering:
     def tightest(self) -> float:
         """The smallest radius of arcs to both sides within the limits; infinite where there is none."""
         bend = np.tan(self.slope) / self.unit
-        left, right = float(bend.max()), float(-bend.min())
+        left = float(bend.max())
+        right = float(-bend.min())
         return 1.0 / min(left, right) * (1.0 + 1e-12) if min(left, right) > 0.0 else math.inf
 
 
@@ -111,7 +119,8 @@ def plans(car: Wheeled, q: Array, goal: Array, radius: float | None, free: Seque
             said = f"; radius={least:.6g} would do" if math.isfinite(least) else ""
             raise Refused(f"within the limits of {steering.name!r} it does not turn on the spot{said}")
         radius = least
-    start, end = car.wheel(q), car.wheel(goal)
+    start = car.wheel(q)
+    end = car.wheel(goal)
     pose = car.pose
     whole = pose.gear * float(goal[pose.turn_q] - q[pose.turn_q])
     if not radius:
@@ -122,8 +131,10 @@ def plans(car: Wheeled, q: Array, goal: Array, radius: float | None, free: Seque
     if steering is not None and not (left and right):
         raise Refused(f"within the limits of {steering.name!r} it does not take arcs of {radius:.6g} m to both sides; "
                       f"the smallest radius is {steering.tightest():.6g} m")  # fmt: skip
-    c, s = math.cos(start[2]), math.sin(start[2])
-    dx, dy = (end[0] - start[0]) / radius, (end[1] - start[1]) / radius
+    c = math.cos(start[2])
+    s = math.sin(start[2])
+    dx = (end[0] - start[0]) / radius
+    dy = (end[1] - start[1]) / radius
     relative = c * dx + s * dy, c * dy - s * dx, end[2] - start[2]
     for way in reeds_shepp.ways(*relative):
         exact = reeds_shepp.refined(way, *relative)
@@ -153,7 +164,8 @@ def _signed_length(
         out = car.follow(x, forward, turning)
         return np.full(len(bound), np.nan) if out is None else out[bound]
 
-    ahead, about = rate(1.0, 0.0, straight), rate(0.0, 1.0, turn)
+    ahead = rate(1.0, 0.0, straight)
+    about = rate(0.0, 1.0, turn)
     missing = car.system.structure.layout.difference(q, goal)[[car.driven[k] for k in bound]] - about * angle
     names = [car.system.structure.velocity_names[car.driven[k]] for k in bound]
     size = float(ahead @ ahead)
@@ -170,11 +182,15 @@ def _on_the_spot(
     start: tuple[float, float, float], end: tuple[float, float, float], angle: float, signed: float | None
 ) -> Iterator[Plan]:  # fmt: skip
     """Plans of turns on the spot, by `angle` in all, and straight lines, of a `signed` length in all where given."""
-    dx, dy = end[0] - start[0], end[1] - start[1]
-    far, way, h = math.hypot(dx, dy), math.atan2(dy, dx), start[2]
+    dx = end[0] - start[0]
+    dy = end[1] - start[1]
+    far = math.hypot(dx, dy)
+    way = math.atan2(dy, dx)
+    h = start[2]
     size = max(abs(x) for x in (*start[:2], *end[:2], 1e-300))
     if far <= 1e-16 * size:
-        far, way = 0.0, h - reeds_shepp.QUARTER
+        far = 0.0
+        way = h - reeds_shepp.QUARTER
     small = NEAR * max(far, abs(signed or 0.0), 1e-3 * size)
     if signed is None or abs(abs(signed) - far) <= small:
         if not far:
@@ -200,8 +216,10 @@ def _half_turns(angle: float, first: float) -> list[int]:
 
     Of very many those near both ends: all between them cost the same.
     """
-    low, high = min(0.0, angle) - math.pi, max(0.0, angle) + math.pi
-    k, stop = math.floor((low - first) / math.pi), math.ceil((high - first) / math.pi) + 1
+    low = min(0.0, angle) - math.pi
+    high = max(0.0, angle) + math.pi
+    k = math.floor((low - first) / math.pi)
+    stop = math.ceil((high - first) / math.pi) + 1
     if stop - k <= 2 * NEAREST:
         return list(range(k, stop))
     return [*range(k, k + NEAREST), *range(stop - NEAREST, stop)]
@@ -210,7 +228,8 @@ def _half_turns(angle: float, first: float) -> list[int]:
 def _legs(far: float, way: float, signed: float) -> Iterator[list[tuple[float, float]]]:
     """Two straight legs (direction, signed length) that lead `far` in the direction `way`, with a sum of lengths."""
     if abs(signed) >= far:  # by the tip of an isosceles triangle
-        sense, half = math.copysign(1.0, signed), 0.5 * abs(signed)
+        sense = math.copysign(1.0, signed)
+        half = 0.5 * abs(signed)
         for side in (1.0, -1.0):
             tip = side * math.atan2(math.sqrt(max(half * half - 0.25 * far * far, 0.0)), 0.5 * far)
             yield [(way + tip, sense * half), (way - tip, sense * half)]

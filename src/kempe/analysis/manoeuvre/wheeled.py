@@ -116,7 +116,8 @@ def pose_of(system: System) -> PlanarPlace:
         turning = [int(i) for i in moved if np.abs(J[:, 3:, i]).max() > SAME]
         if len(turning) != 1:
             continue
-        turn, slides = turning[0], np.array([i for i in moved if i != turning[0]])
+        turn = turning[0]
+        slides = np.array([i for i in moved if i != turning[0]])
         spin = J[0, 3:, turn]
         gear = float(np.linalg.norm(spin))
         normal = spin / gear
@@ -161,22 +162,26 @@ class Wheeled:
         """The axle's middle and heading (x, y, heading) at a configuration (nq,)."""
         place, heading = self.pose.at(q)
         h = float(heading)
-        c, s = math.cos(h), math.sin(h)
+        c = math.cos(h)
+        s = math.sin(h)
         x, y = self.axle
         return float(place[0]) + c * x - s * y, float(place[1]) + s * x + c * y, h + self.angle
 
     def body(self, wheel: Array) -> tuple[Array, Array]:
         """Places (n, 2) and headings (n,) of the body, of the axle's (n, 3)."""
         h = wheel[:, 2] - self.angle
-        c, s = np.cos(h), np.sin(h)
+        c = np.cos(h)
+        s = np.sin(h)
         x, y = self.axle
         return wheel[:, :2] - np.column_stack([c * x - s * y, s * x + c * y]), h
 
     def motions(self, q: Array) -> Array:
         """Basis (3 + driven, k) of allowed (forward, sideways, turning, driven rates) of the axle at q."""
         own = [*range(3), *(3 + i for i in self.driven)]
-        A, unit = _rows(self.pose, q)[:, own], _unit(self.pose)[own]
-        c, s = math.cos(self.angle), math.sin(self.angle)
+        A = _rows(self.pose, q)[:, own]
+        unit = _unit(self.pose)[own]
+        c = math.cos(self.angle)
+        s = math.sin(self.angle)
         x, y = self.axle
         back = np.eye(A.shape[1])  # of the body's origin, in its axes, by those of the axle
         back[:3, :3] = [[c, -s, y], [s, c, -x], [0.0, 0.0, 1.0]]
@@ -233,12 +238,14 @@ def _middle(pose: PlanarPlace, q: Array, foot: Array, forward: Array) -> tuple[A
     By the ends of velocity constraints that are fixed on the axle: their middle, and the sense of their x axes. Where
     there is none, the middle is the `foot`, next to the body's origin.
     """
-    system, sense = pose.system, 0.0
+    system = pose.system
+    sense = 0.0
     found: list[float] = []
     across = np.array([-forward[1], forward[0]])
     samples = np.concatenate([q[None], random(system, np.random.default_rng(SEED), (2,))])
     place, heading = pose.at(samples)
-    c, s = np.cos(heading), np.sin(heading)
+    c = np.cos(heading)
+    s = np.sin(heading)
 
     def own(x: Array) -> Array:
         """Vectors (n, 3) of the ground in the body's axes (n, 2)."""
@@ -247,7 +254,8 @@ def _middle(pose: PlanarPlace, q: Array, foot: Array, forward: Array) -> tuple[A
 
     for body, X in ends_of_velocity_constraints(system):
         end = fk(system, samples, body) @ X
-        far, ahead = own(end[:, :3, 3] - place @ pose.plane), own(end[:, :3, 0])
+        far = own(end[:, :3, 3] - place @ pose.plane)
+        ahead = own(end[:, :3, 0])
         reach = 1.0 + float(np.abs(far).max()) + float(np.abs(place).max())
         if max(np.abs(far - far[0]).max(), abs(float(forward @ (far[0] - foot)))) < SAME * reach:
             found.append(float(across @ (far[0] - foot)))
@@ -295,7 +303,9 @@ def _projection(A: Array) -> Array:
 
 def _kinds(pose: PlanarPlace, q: Array) -> tuple[tuple[int, ...], tuple[int, ...], int | None]:
     """Driven and idle velocity indices, and the steering. Errors: `UnsupportedError`."""
-    system, unit, rng = pose.system, _unit(pose), np.random.default_rng(SEED)
+    system = pose.system
+    unit = _unit(pose)
+    rng = np.random.default_rng(SEED)
     samples = random(system, rng, (TRIALS,))
     places = {
         int(v): [int(i)]
@@ -346,7 +356,8 @@ def _normal(
 
     Errors: `UnsupportedError` where the twists are too many, too few, or the driven coordinates do not follow.
     """
-    system, unit = pose.system, _unit(pose)
+    system = pose.system
+    unit = _unit(pose)
     own = [*range(3), *(3 + i for i in driven)]
     twists: list[Array] = []
     for k in range(TRIALS if steering is not None else 1):

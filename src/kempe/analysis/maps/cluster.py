@@ -73,7 +73,9 @@ class ClusterWorkers:
     finishes = False
 
     def __init__(self, client: Any, most: int | None = None):
-        self.client, self.fixed, self.most = client, most, most or 2
+        self.client = client
+        self.fixed = most
+        self.most = most or 2
         self.known: set[str] = set()
         self.alone: float | None = None
         self._look()

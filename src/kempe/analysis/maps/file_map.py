@@ -112,8 +112,10 @@ def map_file(
     for its options; `DiskError`; `DamagedError` for a source that cannot be read; `MissingExtraError` without the extra
     [scale].
     """
-    spend, own = USUAL.of(budget), isinstance(client, str)
-    clock, threads = TimeLimit(spend.time_limit), thread_count(spend.threads)
+    spend = USUAL.of(budget)
+    own = isinstance(client, str)
+    clock = TimeLimit(spend.time_limit)
+    threads = thread_count(spend.threads)
     rows = open_rows(source, None if columns is None else listed(columns, "columns"))
     job = job_of(system, verb, frame, options, rows, flag(degrees, "degrees"), seed_number(spend.rng))
     store = RowStore(expanded(path), job, rows, _chunk(job, rows))
@@ -140,7 +142,8 @@ def _chunk(job: RowJob, rows: RowSource) -> int:
 
 def _fill(store: RowStore, client: Any, threads: int, spend: Budget, clock: TimeLimit) -> None:
     """Answer all rows that are not answered. Errors: those of tasks, and what broke it off."""
-    n, pace = store.source.n, Pace(spend.progress, store.source.n)
+    n = store.source.n
+    pace = Pace(spend.progress, store.source.n)
 
     def checked(done: int) -> None:
         pace(done)

@@ -41,9 +41,13 @@ class PartLog:
     """What of the work may differ from what is there."""
 
     def __init__(self, path: Path, said: dict[str, Any], needed: int):
-        self.path, self.folder, self.said, self.needed = path, path.with_name(path.name + ".parts"), said, needed
+        self.path = path
+        self.folder = path.with_name(path.name + ".parts")
+        self.said = said
+        self.needed = needed
         self.done: list[DonePart] = []
-        self.damaged, self.header = 0, said
+        self.damaged = 0
+        self.header = said
         self.keys = [key for key in said if key not in self.loose]
 
     def sound(self, part: DonePart) -> bool:
@@ -58,7 +62,8 @@ class PartLog:
             raise DiskError(f"{self.folder / LIST} cannot be read: {error.strerror}") from error
         torn = lines.pop()
         read: list[Any] = [_read(line) for line in lines]
-        header, rest = read[:1], read[1:]
+        header = read[:1]
+        rest = read[1:]
         whole = header != [None]  # else all is done anew
         self.header = header[0] if whole and header else self.said
         refuse_other(self.header, self.said, str(self.folder), self.keys)
@@ -100,7 +105,8 @@ class PartLog:
 
     def missing(self, n: int, most: int, piece: int) -> list[tuple[int, int]]:
         """Ranges of at most `most`, whole pieces, that are left of the first n."""
-        most, at = max(piece, most // piece * piece), 0
+        most = max(piece, most // piece * piece)
+        at = 0
         out: list[tuple[int, int]] = []
         for first, last in [*sorted((p.first, p.last) for p in self.done), (n, n)]:
             while at < first:

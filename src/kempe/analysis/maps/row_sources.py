@@ -35,7 +35,11 @@ class RowSource:
     def __init__(
         self, path: Path, edges: Any, tail: tuple[int, ...], names: tuple[str, ...] | None, block: Callable[[int], Any]
     ):
-        self.path, self.edges, self.tail, self.names, self._block = path, np.asarray(edges), tail, names, block
+        self.path = path
+        self.edges = np.asarray(edges)
+        self.tail = tail
+        self.names = names
+        self._block = block
         self.n = int(self.edges[-1])
         self._held: tuple[int, Any] = -1, None
 
@@ -53,10 +57,12 @@ class RowSource:
 
     def read(self, first: int, last: int) -> Array:
         """The rows `first` to `last` (n, *tail). Errors: `DamagedError`, `InputError` for text that is no number."""
-        out, at = np.empty((last - first, *self.tail)), first
+        out = np.empty((last - first, *self.tail))
+        at = first
         while at < last:
             k = int(np.searchsorted(self.edges, at, side="right")) - 1
-            low, stop = int(self.edges[k]), min(last, int(self.edges[k + 1]))
+            low = int(self.edges[k])
+            stop = min(last, int(self.edges[k + 1]))
             try:
                 if self._held[0] != k:
                     self._held = k, self._block(k)
@@ -108,7 +114,8 @@ def _of_folder(path: Path) -> Callable[[Path, Sequence[str] | None], RowSource]:
 def _chosen(path: Path, has: Sequence[str], columns: Sequence[str] | None) -> tuple[str, ...]:
     """The columns that count, of those that a file has. Errors: `InputError`, `UnknownNameError`."""
     names = tuple(has if columns is None else columns)
-    given, wanted = Counter(has), Counter(names)
+    given = Counter(has)
+    wanted = Counter(names)
     for name in names:
         if name not in given:
             known("column", name, has, str(path))
@@ -228,13 +235,17 @@ def _parquet(path: Path, columns: Sequence[str] | None) -> RowSource:
 def _csv(path: Path, columns: Sequence[str] | None) -> RowSource:
     """Text, which is gone through once to find where its blocks begin."""
     places: list[tuple[int, int]] = []  # of each block its place in the file, and the number of its first line
-    names, width, n, at = None, 0, 0, 0
+    names = None
+    width = 0
+    n = 0
+    at = 0
     with open(path, "rb") as stream:
         for number, line in enumerate(stream, start=1):
             row = bool(line.strip())
             if row and not width:
                 first = line.decode("utf-8-sig").strip()
-                names, width = header_of(first), first.count(",") + 1
+                names = header_of(first)
+                width = first.count(",") + 1
                 row = names is None
             if row:
                 places += [(at, number)] * (n % BLOCK_ROWS == 0)

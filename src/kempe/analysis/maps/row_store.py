@@ -65,7 +65,9 @@ class RowStore(PartLog):
     def __init__(self, path: Path, job: RowJob, source: RowSource, chunk: int):
         zarr_library()
         refuse_place(path, FORMAT)
-        self.job, self.source, self.chunk = job, source, chunk
+        self.job = job
+        self.source = source
+        self.chunk = chunk
         said = {**job.said(), "rows": source.n, "chunk": chunk, "source": source.identity()}
         super().__init__(path, said, 0)
         written = sum(p.stat().st_size for p in self.folder.rglob("*") if p.is_file())
@@ -159,7 +161,8 @@ class RowStore(PartLog):
             raise not_written(self.folder / ROWS, error) from error
 
     def _describe(self, group: Any) -> None:
-        n, job = self.source.n, self.job
+        n = self.source.n
+        job = self.job
         made = {**self.said, "toml": description_of(job.system)}
         group.attrs.update({"title": f"{job.verb} of {job.frame or job.system.name}", "format": FORMAT,
                             "kempe": json.dumps(made)})  # fmt: skip
@@ -186,7 +189,8 @@ class RowStore(PartLog):
 
     def answers(self, first: int, rows: Any) -> Arrays:
         """Answers to the rows of a chunk that begins at row `first`; after a stop the next call goes on with them."""
-        piece, kept = max(1, VERBS[self.job.verb].rows // PIECES), self.folder / f"begun_{first}.npz"
+        piece = max(1, VERBS[self.job.verb].rows // PIECES)
+        kept = self.folder / f"begun_{first}.npz"
         parts = self._begun(kept, rows)
         at = sum(len(part["code"]) for part in parts)
         try:
@@ -243,7 +247,8 @@ class RowStore(PartLog):
 
     def finish(self) -> None:
         """Write the checksums, and put the group in its place. Errors: `DiskError`."""
-        folder, parts = self.folder / ROWS, sorted(self.done)
+        folder = self.folder / ROWS
+        parts = sorted(self.done)
         try:
             group = zarr_library().open_group(str(folder), mode="r+")
             for name, (of, what) in SUMS.items():

@@ -119,7 +119,8 @@ class RowJob:
 
     def axes(self) -> dict[str, list[str]]:
         """What stands along the axes that have names."""
-        q, unit = list(self.system.coordinate_names), units(self.system)
+        q = list(self.system.coordinate_names)
+        unit = units(self.system)
         return {"coordinate": q, "unit": [unit[name] or "1" for name in q], "body": list(self.system.body_names),
                 "axis": list(PLACE), "component": [*PLACE, *QUATERNION]}  # fmt: skip
 

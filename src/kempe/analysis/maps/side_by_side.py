@@ -23,7 +23,9 @@ class Pace:
     """Says how far the work is: calls `progress(done, total)` now and then."""
 
     def __init__(self, progress: Callable[..., Any] | None, total: int):
-        self.progress, self.total, self.said = progress, total, time.monotonic()
+        self.progress = progress
+        self.total = total
+        self.said = time.monotonic()
 
     def __call__(self, done: int, at_once: bool = False) -> None:
         """Say that so many are done, if it is time, or at once."""
@@ -68,7 +70,8 @@ class ThreadWorkers:
     def __init__(self, threads: int, spare: int = 0, stops: bool = False):
         self.most = threads + spare
         self.pool = ThreadPoolExecutor(threads, thread_name_prefix="kempe")
-        self.stops, self.sign = stops, threading.Event()
+        self.stops = stops
+        self.sign = threading.Event()
 
     def submit(self, work: Callable[..., Any], *args: Any) -> Future[Any]:
         """The future of a call."""

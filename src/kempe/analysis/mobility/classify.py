@@ -35,7 +35,10 @@ from kempe.words import InWords, counted
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-HOLONOMIC, INTEGRABLE, NONHOLONOMIC, UNILATERAL = "holonomic", "integrable", "nonholonomic", "unilateral"
+HOLONOMIC = "holonomic"
+INTEGRABLE = "integrable"
+NONHOLONOMIC = "nonholonomic"
+UNILATERAL = "unilateral"
 
 
 @dataclass(frozen=True)
@@ -171,7 +174,10 @@ class _Classifier:
     """The rows of a system at a closed configuration, and around it."""
 
     def __init__(self, system: System, q: Array, t: float, rng: np.random.Generator, time: TimeLimit):
-        self.system, self.rows, self.rng, self.time = system, tangent_rows(system), rng, time
+        self.system = system
+        self.rows = tangent_rows(system)
+        self.rng = rng
+        self.time = time
         self.of: dict[str, list[int]] = {}
         for i, row in enumerate(self.rows.names):
             self.of.setdefault(row.of, []).append(i)
@@ -193,8 +199,10 @@ class _Classifier:
 
     def found(self) -> Classification:
         """All that was found."""
-        place, system = self.place, self.system
-        whole, around = place.null_space(), random_place(place, self.rng)
+        place = self.place
+        system = self.system
+        whole = place.null_space()
+        around = random_place(place, self.rng)
         positions = whole.dimension - place.extra
         away = whole.dimension if around is None else around.null_space().dimension
         which = self.velocity_rows(self.moving)
@@ -250,8 +258,10 @@ class _Classifier:
         return ReadOnlyDict(each)
 
     def _one(self, place: EvaluationPoint, name: str, own: list[int]) -> ConstraintKind:
-        rows, whole = self.rows.names, place.null_space().dimension
-        names, which = tuple(rows[i].name for i in own), self.velocity_rows([name]) if name in self.moving else []
+        rows = self.rows.names
+        whole = place.null_space().dimension
+        names = tuple(rows[i].name for i in own)
+        which = self.velocity_rows([name]) if name in self.moving else []
         if not which:
             held = [i for i in own if not rows[i].sided]
             others = replace(place, holding=tuple(i for i in place.holding if i not in own))

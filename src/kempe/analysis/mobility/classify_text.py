@@ -67,7 +67,8 @@ def _of_one(c: ConstraintKind) -> str:
         least = f"alone, brackets of its velocities reach at least {counted(c.reaches or 0, 'dimension')}, {growth}"
         return f"{least}; whether it is integrable is beyond the digits of numbers"
     if c.kind == "integrable":
-        held, stay = counted(c.independent, "function"), counted(c.reaches or 0, "dimension")
+        held = counted(c.independent, "function")
+        stay = counted(c.reaches or 0, "dimension")
         alone = f"integrable: alone, brackets of its velocities add nothing, {growth}"
         return f"{alone}: it holds {held} of position, so motions stay in {stay}"
     part = ""

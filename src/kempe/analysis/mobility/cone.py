@@ -87,7 +87,8 @@ def tangent_cone(equal: Array, one_sided: Array, ignore: float = NOTHING) -> Con
 
     Rows below `ignore` count as zero, one-sided ones that are not finite, too; others are scaled to unit length.
     """
-    E, G = np.asarray(equal, dtype=float), np.asarray(one_sided, dtype=float)
+    E = np.asarray(equal, dtype=float)
+    G = np.asarray(one_sided, dtype=float)
     G = np.where(np.isfinite(G).all(axis=1, keepdims=True), G, 0.0)
     n = E.shape[1]
     rank, N = _null_space(_unit(E, ignore)[0])
@@ -102,7 +103,8 @@ def tangent_cone(equal: Array, one_sided: Array, ignore: float = NOTHING) -> Con
     depth, free = _null_space(cut)
     across = _complement(cut, depth)
     B = _unit(cut @ across.T, 0.0)[0]
-    closed, redundant = _closed(B), []
+    closed = _closed(B)
+    redundant = []
     if depth < len(used):
         redundant = _redundant(B)
     wide, across = _kernel_in(B[closed], across)

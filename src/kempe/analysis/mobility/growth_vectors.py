@@ -21,7 +21,8 @@ from kempe.spatial import Array
 
 ROUNDING = 30.0
 """How many times its estimated rounding a direction must be long to count."""
-SEEN, DOUBT = 3.0, 300.0
+SEEN = 3.0
+DOUBT = 300.0
 """Between how many times its rounding a direction is doubtful, whether it counts or not."""
 EXACT = 1e-15
 """How far a configuration is from where it should be, in units, up to which all error of brackets is their rounding."""
@@ -37,7 +38,8 @@ WORK = 4e8
 """Products of series, in numbers, that the longest brackets may take."""
 PIECE = 3e7
 """Products of series between two looks at the clock."""
-VANISHED, ROUNDED = 1e-13, 1e-14
+VANISHED = 1e-13
+ROUNDED = 1e-14
 """Rows of a size below this part of the largest are rounding, as those are that say twice that a motion is flat;
 others have rounding of the other size."""
 CONDITION = 1e-9
@@ -128,8 +130,10 @@ class Words:
     """Random brackets of the fields of a distribution at its point."""
 
     def __init__(self, at: Distribution, rng: np.random.Generator):
-        rows, n = at.rows, len(at.pivots)
-        self.at, self.rng = at, rng
+        rows = at.rows
+        n = len(at.pivots)
+        self.at = at
+        self.rng = rng
         place = {int(row): i for i, row in enumerate(at.chosen)}
         outputs = [k for k, (row, column) in enumerate(rows.entries.tolist()) if row in place and column < n]
         entries = [(place[int(rows.entries[k, 0])], rows.entries[k, 1], rows.tape.outputs[k]) for k in outputs]
@@ -153,9 +157,11 @@ class Words:
 
         Entries of letters that are not free at the point do not count.
         """
-        at, letters = self.at, np.ascontiguousarray(letters)
+        at = self.at
+        letters = np.ascontiguousarray(letters)
         count, length, columns = letters.shape
-        found, noise = np.empty((count, length, columns)), np.empty((count, length))
+        found = np.empty((count, length, columns))
+        noise = np.empty((count, length))
         piece = max(1, int(PIECE / ((len(self.order) + 1) * 3.0**length)))
         for i in range(0, count, piece):
             look()
@@ -188,8 +194,11 @@ class _GrowingSpan:
     """
 
     def __init__(self, basis: Array, rounding: float, least: float):
-        self.basis, self.rounding, self.least = basis, np.full(basis.shape[1], rounding), least
-        self.shares, self.doubtful = [1.0, 1.0], False
+        self.basis = basis
+        self.rounding = np.full(basis.shape[1], rounding)
+        self.least = least
+        self.shares = [1.0, 1.0]
+        self.doubtful = False
 
     def add(self, words: Array, noise: Array, known: bool) -> int:
         """Add what words (columns, k) have beyond the span; returns by how much it grew.
@@ -200,7 +209,8 @@ class _GrowingSpan:
         real = sizes > ROUNDING * np.maximum(noise, self.least)
         if not known and self.least <= EXACT:  # too short to count, and longer than its own rounding
             self.doubtful |= bool(np.any(~real & (sizes > SEEN * noise) & (sizes > 0.0)))
-        words, noise = words[:, real] / sizes[real], noise[real] / sizes[real]
+        words = words[:, real] / sizes[real]
+        noise = noise[real] / sizes[real]
         if not words.size:
             return 0
         inside = self.basis.T @ words
@@ -237,9 +247,12 @@ def growth(at: Distribution, rng: np.random.Generator, enough: int, patient: boo
 
 
 def _growth(at: Distribution, rng: np.random.Generator, enough: int, patient: bool) -> Growth:
-    words, m = Words(at, rng), at.dimension
+    words = Words(at, rng)
+    m = at.dimension
     span = _GrowingSpan(at.basis, at.error * at.condition, at.error)
-    found, length, limit = [m], 1, _limit(words)
+    found = [m]
+    length = 1
+    limit = _limit(words)
     while found[-1] < enough and m > 1 and length < limit:
         length += 1
         made, noise = words(min(enough - found[-1], _most(m, length)) + MORE, length)

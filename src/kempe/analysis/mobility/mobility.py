@@ -191,7 +191,8 @@ USUAL = Usual("mobility", time_limit=SHORT)
 
 def _counted(time: TimeLimit, system: System, q: Any = None, *_: Any, **__: Any) -> Mobility:
     """The count alone: the time was up before more was known."""
-    given, tree = None if q is None else _given(system, q), own_tree(system)
+    given = None if q is None else _given(system, q)
+    tree = own_tree(system)
     why = f"the time limit of {time.limit:g} s came before a closed configuration and its ranks were known"
     at = NearestClosed(home_of(tree) if given is None else given, False, math.nan, math.nan, why)
     return replace(_open(tree, system, at), late=True)
@@ -217,7 +218,8 @@ def mobility(
     """
     time = time_of(USUAL)
     time.put_in_order()  # there is nothing to do afterwards
-    shown, system = system, own_tree(system)
+    shown = system
+    system = own_tree(system)
     driven(system, actuated)  # a wrong name is refused before any work
     given = None if q is None else _given(system, q)
     return _looked_at(system, shown, given, actuated, local, generator(rng), time)
@@ -246,10 +248,12 @@ def _found(
     rng: np.random.Generator, time: TimeLimit,
 ) -> Mobility:  # fmt: skip
     """Everything, at a closed configuration whose coordinates are regular; counted over the tree of `shown`."""
-    s, motors = structure(system), driven(system, actuated)
+    s = structure(system)
+    motors = driven(system, actuated)
     rank = rank_at(system, at.q)
     generic = around(system, rank, motors, rng)
-    truth, late = None, False
+    truth = None
+    late = False
     try:
         truth = _local(system, rank, local, rng, time)
     except TimeUp:

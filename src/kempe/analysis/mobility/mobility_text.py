@@ -87,7 +87,8 @@ def rank_text(m: Mobility) -> str:
     equations = sum(len(c.jacobian) for c in r.clusters)
     if not equations:
         return f"{counted(len(r.units), 'coordinate')}, no equations: {counted(r.nullity, 'freedom')}"
-    many, left = counted(len(r.units), "coordinate"), counted(r.nullity, "freedom")
+    many = counted(len(r.units), "coordinate")
+    left = counted(r.nullity, "freedom")
     text = f"{many} - rank {r.rank} of {counted(equations, 'equation')} = {left}"
     text += " to first order"
     gap = "" if r.gap == float("inf") else f" (singular values fall by a factor of {r.gap:.1g} there)"
@@ -159,7 +160,9 @@ def lines(m: Mobility) -> list[tuple[str, list[str]]]:
 
 def data(m: Mobility) -> dict[str, Any]:
     """All numbers and texts as plain Python, ready for JSON."""
-    r, local, c = m.rank, m.local, m.control
+    r = m.rank
+    local = m.local
+    c = m.control
     return {
         "name": m.name, "dim": m.dim, "sentence": sentence(m), "q": m.q.tolist(), "closed": m.closed,
         "residual": m.residual, "given_residual": m.given_residual, "dof": m.dof, "useful": m.useful, "idle": m.idle,

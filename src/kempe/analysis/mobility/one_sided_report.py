@@ -191,7 +191,8 @@ def if_any(system: System, q: Array) -> OneSidedReport | None:
     if not rows.declared:
         if not len(rows):
             return None
-        x, (low, high) = q[rows.at], rows.well_inside
+        x = q[rows.at]
+        (low, high) = rows.well_inside
         if ((x > low) & (x < high)).all():
             return None
     return one_sided(system, q)
@@ -202,7 +203,8 @@ def _sides(rows: OneSided, values: Array, J: Array, tolerance: float) -> tuple[l
     out: list[Side] = []
     G: list[Any] = []
     for k in range(len(rows)):
-        scale, unit = rows.scale[k], rows.units[k]
+        scale = rows.scale[k]
+        unit = rows.units[k]
         for upper, bound in ((False, rows.low[k]), (True, rows.high[k])):
             if not np.isfinite(bound):
                 continue
@@ -236,7 +238,9 @@ def _equations(system: System, q: Array) -> tuple[Array, bool]:
 
     Where it is not, what they allow are differences of velocities.
     """
-    J, (A, b) = evaluate(system, q, True, True)[1], rates(system, q)
-    loops, names = full(system, True), velocity_rows(system).names
+    J = evaluate(system, q, True, True)[1]
+    (A, b) = rates(system, q)
+    loops = full(system, True)
+    names = velocity_rows(system).names
     lengths = np.where([name.unit.startswith("m") for name in names], 1.0 / loops.length, 1.0)
     return np.concatenate([J, lengths[:, None] * A * loops.scale]), not b.any()

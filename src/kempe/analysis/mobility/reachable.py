@@ -101,8 +101,10 @@ def moved_place(place: EvaluationPoint, which: Sequence[int], rng: np.random.Gen
     from scipy import integrate
 
     rows = place.rows
-    layout, units = rows.layout, rows.units[: rows.layout.nv + place.extra]
-    start, state = place.q, np.append(np.zeros(layout.nv), place.t)
+    layout = rows.layout
+    units = rows.units[: rows.layout.nv + place.extra]
+    start = place.q
+    state = np.append(np.zeros(layout.nv), place.t)
     for _ in range(PIECES):
         wish = rng.normal(size=len(units))
         chosen = place.at(start).null_space(which).chosen
@@ -114,7 +116,8 @@ def moved_place(place: EvaluationPoint, which: Sequence[int], rng: np.random.Gen
             out = np.zeros(layout.nq + 1)
             out[layout.vector_q] = v[layout.vector_v]
             for iq, iv in zip(layout.quaternion_q, layout.quaternion_v, strict=True):
-                (w, x_, y, z), (a, b_, c) = x[iq : iq + 4], v[iv : iv + 3]
+                (w, x_, y, z) = x[iq : iq + 4]
+                (a, b_, c) = v[iv : iv + 3]
                 out[iq : iq + 4] = -x_ * a - y * b_ - z * c, w * a + y * c - z * b_, w * b_ + z * a - x_ * c, \
                     w * c + x_ * b_ - y * a  # fmt: skip
                 out[iq : iq + 4] *= 0.5
@@ -124,7 +127,8 @@ def moved_place(place: EvaluationPoint, which: Sequence[int], rng: np.random.Gen
         begin = np.append(start, state[-1])
         solved = cast(Any, integrate).solve_ivp(rate, (0.0, STEP), begin, "DOP853", rtol=EXACT, atol=EXACT)
         end = solved.y[:, -1]
-        start, state[-1] = layout.integrate(end[:-1], np.zeros(layout.nv)), end[-1]
+        start = layout.integrate(end[:-1], np.zeros(layout.nv))
+        state[-1] = end[-1]
     return replace(place, q=start, t=float(state[-1]), error=DRIFT)
 
 
@@ -132,7 +136,8 @@ def reach(
     place: EvaluationPoint, around: EvaluationPoint | None, which: Sequence[int], rng: np.random.Generator
 ) -> Reach:
     """What motions reach from a place that obey further rows; `around` is a place drawn at random."""
-    extra, whole = place.extra, place.null_space().dimension
+    extra = place.extra
+    whole = place.null_space().dimension
     here = place.null_space(which)
     there = here if around is None else around.null_space(which)
     far = growth(there, rng, whole, False)
@@ -144,10 +149,12 @@ def reach(
     if here.dimension > there.dimension:  # no field of velocities at q goes on smoothly around
         return Reach(here.dimension - extra, None, _less(far, extra), None, most - extra, None, far.doubtful)
     near = growth(here, rng, most, False)
-    doubtful, least = far.doubtful or near.doubtful, most
+    doubtful = far.doubtful or near.doubtful
+    least = most
     if near.dimensions[-1] < most:
         along = growth(moved_place(place, which, rng).null_space(which), rng, most, False)
-        least, doubtful = along.dimensions[-1], doubtful or along.doubtful
+        least = along.dimensions[-1]
+        doubtful = doubtful or along.doubtful
         near = growth(here, rng, least, True) if near.dimensions[-1] < least else near
         doubtful |= near.doubtful
     found = near.dimensions

@@ -211,7 +211,8 @@ def drive(
     turning = system.structure.coordinates.turning
     angles = {n for n, i in zip(names, index, strict=True) if turning[i]}
     clock, samples = _samples(inputs, times, angles)
-    longest, time = longest_step(spend.step), time_of(USUAL, budget)
+    longest = longest_step(spend.step)
+    time = time_of(USUAL, budget)
     time.put_in_order()  # there is nothing to do afterwards
     if rolls(system):
         rolled = driven(system, names, dict(hold or {}), start, clock, samples, limits, time)
@@ -219,7 +220,8 @@ def drive(
     first = dict(zip(names, samples(0, 1)[-1].tolist(), strict=True))
     closure, q = _begin(system, start, dict(hold or {}), first, index)
     if q is None:
-        near, requested = start_of(system, start, dict(hold or {})), {n: np.array([v]) for n, v in first.items()}
+        near = start_of(system, start, dict(hold or {}))
+        requested = {n: np.array([v]) for n, v in first.items()}
         said = why_open(system, start, {**(hold or {}), **first})
         return Drive(system, near[None], clock[:1], requested, np.ones(1, dtype=bool), (), (), (), False, False, said)
     closure.budget = time
@@ -357,7 +359,8 @@ def _run(
     toggles: list[Toggle] = []
     jumps: list[tuple[int, float]] = []
     stuck: Stuck | None = None
-    last, broken = state.u, None
+    last = state.u
+    broken = None
     try:
         with context.closure.budget:
             for k in range(len(clock)):

@@ -42,12 +42,16 @@ class Endless:
     """Whether a walk from a first node on has no end; `limits` are those that may still end it."""
 
     def __init__(self, equations: Closure, first: Node, periods: Array, limits: OneSidedEnds):
-        self.equations, self.first, self.periods, self.limits = equations, first, periods, limits
+        self.equations = equations
+        self.first = first
+        self.periods = periods
+        self.limits = limits
         system = equations.system
         self.away = np.array([i for i in system.structure.layout.vector_v if not periods[i]], dtype=np.int64)
         self.place = equations.place[self.away]
         self.followers = followers(system, limits.limits)
-        self.next, self.requested = FAR, False
+        self.next = FAR
+        self.requested = False
 
     def reason(self, b: Node, length: float) -> str:
         """Why the curve has no end, as the place where it ends; empty as long as nothing speaks for that."""
@@ -72,7 +76,8 @@ class Endless:
         i = max(whole.tolist(), key=lambda i: self._turned(b, i), default=-1)
         if i < 0 or self._turned(b, i) < 2.0 * math.pi:
             return ""
-        name, turns = self.equations.system.structure.velocity_names[i], round(self.periods[i] / (2.0 * math.pi))
+        name = self.equations.system.structure.velocity_names[i]
+        turns = round(self.periods[i] / (2.0 * math.pi))
         done = f"{self._turned(b, i) / (2.0 * math.pi):.4g}"
         after = f"{done} {plural(float(done), 'turn')} of {name!r}"
         return f", after {after}: by its gear ratios all is as before after {turns}"
@@ -108,7 +113,9 @@ class Endless:
 
     def _runs_away(self, b: Node) -> str:
         """Look ahead in longer and longer steps; what runs away, empty where anything turns back or ends."""
-        equations, h, gone = self.equations, 1.0, 0.0
+        equations = self.equations
+        h = 1.0
+        gone = 0.0
         rest = [i for i in self.away if abs(b.t[i]) > 1e-3]
         if not rest or self.limits.may_end(b, rest):
             return ""
@@ -120,7 +127,8 @@ class Endless:
                     return ""
                 h *= 0.5
                 continue
-            gone, a = gone + h, c
+            gone = gone + h
+            a = c
             h = min(2.0 * h, max(gone, 1.0))
         names = equations.system.structure.velocity_names
         shown = [f"{names[i]!r} = {a.x[equations.place[i]]:.3g}" for i in sorted(rest, key=lambda i: -abs(a.t[i]))[:3]]

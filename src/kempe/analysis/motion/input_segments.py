@@ -110,7 +110,9 @@ class SegmentContext:
             if not ways:
                 return state, self._stuck(way, a, "no configuration with these inputs", length)
             a = max(ways, key=lambda n: float(n.t[:-1] @ self.wish))
-        regular, was, h = a, a, 0.25 * self.longest
+        regular = a
+        was = a
+        h = 0.25 * self.longest
         while True:
             left = length - float(a.x[-1])
             landing = a.t[-1] > STEEP and h * a.t[-1] >= left

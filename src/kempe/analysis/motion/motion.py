@@ -91,7 +91,8 @@ def _not_begun(
 ) -> Path:  # fmt: skip
     """The path where the time was up before a closed configuration was known: it stays where `start` is, or at home."""
     near = home_of(system) if start is None or isinstance(start, str) or is_mapping(start) else as_q(system, start)
-    options, held = _options(system, driver, ways, limits, USUAL.of(budget)), [*(hold or ())]
+    options = _options(system, driver, ways, limits, USUAL.of(budget))
+    held = [*(hold or ())]
     equations = Closure(system, [angle_or_slide(system, n) for n in held], near)
     said = f"it was not followed: {time.reason(TimeUp())} came before a closed configuration was known"
     return replace(_failed(equations, options, said, near), late=True)
@@ -196,7 +197,8 @@ def _options(system: System, driver: str | None, ways: str, limits: bool, spend:
         raise InputError(f"ways is {ways!r}; it must be one of {', '.join(map(repr, WAYS))}")
     if driver is not None:
         angle_or_slide(system, driver)
-    longest, points = longest_step(spend.step), spend.points
+    longest = longest_step(spend.step)
+    points = spend.points
     if not is_whole(points) or points < 2:
         raise InputError(f"points is {points!r}; it must be a whole number, at least 2")
     return _Options(driver, ways, longest, limits, int(points), spend.progress, periods(system, limits),
@@ -223,7 +225,9 @@ def _one_way(
     equations: Closure, first: Node, options: _Options, most: int
 ) -> tuple[list[Node], str, bool, BaseException | None]:  # fmt: skip
     """Nodes from the first on, why they end, whether they came home, and what broke the walk off, if anything did."""
-    nodes, limits, length = [first], OneSidedEnds(equations, options.limits), 0.0
+    nodes = [first]
+    limits = OneSidedEnds(equations, options.limits)
+    length = 0.0
     endless = Endless(equations, first, options.periods, limits)
     try:
         for b in walk(equations, first, options.longest, options.periods):
@@ -260,11 +264,13 @@ def _path(
     broken: BaseException | None,
 ) -> Path:  # fmt: skip
     """The answer from the nodes of a branch."""
-    system, remark = equations.system, ""
+    system = equations.system
+    remark = ""
     found: list[Event] = []
     options.time.put_in_order()
     indices = [int(i) for i in system.structure.layout.vector_v if i not in equations.held]
-    s, k = None, 0
+    s = None
+    k = 0
     try:
         nodes = hidden_crossings(equations, nodes)
         s = _lengths(equations, nodes)
@@ -326,7 +332,9 @@ def _failed(equations: Closure, options: _Options, reason: str, q: Array, succes
 
 def _with_others(equations: Closure, path: Path, options: _Options) -> Path:
     """The path with the branches that leave it at its bifurcations, and those that leave these."""
-    found, waiting, broken = [path], list(path.singular_points), None
+    found = [path]
+    waiting = list(path.singular_points)
+    broken = None
     try:
         while waiting and all(found):
             event = waiting.pop(0)
@@ -353,7 +361,8 @@ def _branches_of(equations: Closure, event: Event) -> list[Node]:
         germ = event.node.germ
         return [germ.node(i) for i, j in enumerate(germ.partner) if i < j]
     assert event.directions is not None
-    at, lines = node(equations, event.q), event.directions / equations.unit
+    at = node(equations, event.q)
+    lines = event.directions / equations.unit
     return [Node(event.q, t, at.sigma, max(at.nullity, 2), at.matrix, at.image, lines) for t in lines]
 
 

@@ -68,7 +68,8 @@ class RelativeMotion(Report):
         return {name: getattr(self, name) for name in ("body", "to", "dof", "slides", "twists", "origin", "around")}
 
     def _single(self) -> str:
-        v, w = self.twists[:3, 0], self.twists[3:, 0]
+        v = self.twists[:3, 0]
+        w = self.twists[3:, 0]
         if self.slides:
             return f"a slide along {_direction(v)}"
         speed = float(np.linalg.norm(w))
@@ -104,11 +105,13 @@ def relative_motion(
     for name in names:
         if system.structure.table.at[name][2]:
             raise UnsupportedError(f"{name!r} is on a particle, which has no orientation")
-    closure, size = Closure(system), characteristic_length(system)
+    closure = Closure(system)
+    size = characteristic_length(system)
     basis, origin = _basis(closure, found, names, size)
     around = [_basis(closure, r.q, names, size)[0].shape[1]
               for r in nearby(system, rank_at(system, found), np.random.default_rng(0))]  # fmt: skip
-    dof, turning = basis.shape[1], column_space(basis[3:], ZERO, 1.0).shape[1]
+    dof = basis.shape[1]
+    turning = column_space(basis[3:], ZERO, 1.0).shape[1]
     twists = basis * np.repeat([size, 1.0], 3)[:, None]
     return RelativeMotion(names[0], names[1], dof, dof - turning, twists, origin, max([dof, *around]), size)
 
@@ -118,8 +121,10 @@ def _basis(closure: Closure, q: Array, names: list[str], size: float) -> tuple[A
     system = closure.system
     rates = closure.unit[:, None] * allowed(closure, q)
     moved, base = (jacobian(system, q, name) @ rates for name in names)
-    X, Y = fk(system, q, names[0]), fk(system, q, names[1])
-    back, arm = Y[:3, :3].T, X[:3, 3] - Y[:3, 3]
+    X = fk(system, q, names[0])
+    Y = fk(system, q, names[1])
+    back = Y[:3, :3].T
+    arm = X[:3, 3] - Y[:3, 3]
     linear = moved[:3] - base[:3] - np.cross(base[3:], arm, axis=0)
     return column_space(np.concatenate([back @ linear / size, back @ (moved[3:] - base[3:])]), ZERO, 1.0), back @ arm
 

@@ -58,7 +58,10 @@ def driven(
     q = _first(system, start, hold, names, samples(0, 1)[-1])
     if q is None:
         return None
-    out, reason, broken, rows = [q], "", None, one_sided_rows(system)
+    out = [q]
+    reason = ""
+    broken = None
+    rows = one_sided_rows(system)
     before = samples(0, 1)[-1]
     try:
         for k in range(1, len(clock)):
@@ -101,9 +104,13 @@ class _Follow:
     def __init__(
         self, system: System, index: list[int], names: Sequence[str], hold: Mapping[str, float], time: TimeLimit
     ) -> None:  # fmt: skip
-        self.system, self.index, self.closure = system, index, Closure(system)
+        self.system = system
+        self.index = index
+        self.closure = Closure(system)
         self.time = time
-        self.names, self.held, self.slips = names, [0.0] * len(hold), False
+        self.names = names
+        self.held = [0.0] * len(hold)
+        self.slips = False
         self.loops = len(self.closure.weight)
 
     def at(self, q: Array, t: float, speeds: Array) -> Array:
@@ -113,7 +120,8 @@ class _Follow:
         A = A * unit
         size = np.linalg.norm(A, axis=1)
         size = np.where(size > 0.0, size, 1.0)
-        A, b = A / size[:, None], b / size
+        A = A / size[:, None]
+        b = b / size
         J = self.closure.matrix(q)[: self.loops]
         M = np.concatenate([J, np.eye(len(unit))[self.index]])
         wanted = np.concatenate([np.zeros(len(J)), np.append(speeds, self.held) / unit[self.index]])
@@ -145,11 +153,13 @@ class _Follow:
 
     def to(self, q: Array, t0: float, t1: float, u: Array, samples: Callable[[int], list[Array]]) -> Array | None:
         """The configuration (nq,) at the next sample, of times t0 to t1 and inputs u to those of the `samples`."""
-        end, h = samples(1)[-1], t1 - t0
+        end = samples(1)[-1]
+        h = t1 - t0
         speed = float(np.linalg.norm(self.at(q, t0, (end - u) / h)))
         parts = min(max(1, math.ceil(speed * h / STEP)), MOST)
         values = [u, *samples(2 * parts)]
-        self.slips, x = False, q
+        self.slips = False
+        x = q
         for k in range(parts):
             self.time.check()
             x = self._runge_kutta(x, t0 + k * h / parts, h / parts, values[2 * k : 2 * k + 3])
@@ -162,7 +172,9 @@ class _Follow:
     def _runge_kutta(self, q: Array, t: float, h: float, values: list[Array]) -> Array:
         """One step of the classical method, along the parabola through three values of the inputs."""
         a, m, b = values
-        first, middle, last = (4 * m - 3 * a - b) / h, (b - a) / h, (a - 4 * m + 3 * b) / h
+        first = (4 * m - 3 * a - b) / h
+        middle = (b - a) / h
+        last = (a - 4 * m + 3 * b) / h
         k1 = self.at(q, t, first)
         k2 = self.at(self.closure.move(q, 0.5 * h * k1), t + 0.5 * h, middle)
         k3 = self.at(self.closure.move(q, 0.5 * h * k2), t + 0.5 * h, middle)

@@ -75,7 +75,8 @@ class LoopJacobian(Report):
         return out
 
     def _sentence(self, code: Any, rank: int, nullity: int) -> str:
-        names, motions = " and ".join(map(repr, self.inputs)), counted(nullity, "first-order motion")
+        names = " and ".join(map(repr, self.inputs))
+        motions = counted(nullity, "first-order motion")
         if code == Status.SOLVED:
             return f"{names} determine{'s' * (len(self.inputs) == 1)} the outputs ({motions})"
         if code == Status.DEAD_POINT:
@@ -119,8 +120,10 @@ def loop_jacobian(
     write "joint:name" or "frame:name". Errors: `InputError` for a configuration that is not closed or an unclear
     name, `UnknownNameError`.
     """
-    inputs, outputs = _listed(inputs), _listed(outputs)
-    q, closure = as_q(system, q), Closure(system)
+    inputs = _listed(inputs)
+    outputs = _listed(outputs)
+    q = as_q(system, q)
+    closure = Closure(system)
     index = [angle_or_slide(system, n) for n in inputs]
     kinds = [_output(system, n) for n in outputs]
     rows = tuple(r for kind, name in kinds for r in ([name] if kind == "joint" else [f"{name}.{t}" for t in TWIST]))
@@ -165,7 +168,8 @@ def _output(system: System, name: str) -> tuple[str, str]:
     kind, colon, rest = str(name).partition(":")
     if colon and kind in ("joint", "frame"):
         return kind, rest if kind == "joint" else system.structure.frame_name(rest)
-    coordinate, frame = name in system.structure.velocity_names, name in system.frame_names
+    coordinate = name in system.structure.velocity_names
+    frame = name in system.frame_names
     if coordinate and frame:
         raise InputError(f"{name!r} is a coordinate and a frame; write 'joint:{name}' or 'frame:{name}'")
     if not coordinate and not frame:
@@ -212,8 +216,10 @@ def mechanical_advantage(
     is a coordinate, or a frame with a `direction` (3,) in the ground frame in which it pushes. `still` names other
     inputs that do not move. `tolerance` and errors are as those of `loop_jacobian`.
     """
-    q, closure = as_q(system, q), Closure(system)
-    i, others = angle_or_slide(system, input), [angle_or_slide(system, n) for n in listed(still, "still")]
+    q = as_q(system, q)
+    closure = Closure(system)
+    i = angle_or_slide(system, input)
+    others = [angle_or_slide(system, n) for n in listed(still, "still")]
     kind, name = _output(system, output)
     if (kind == "frame") != (direction is not None):
         raise InputError(f"output {name!r} is a {kind}; a frame needs a direction, a coordinate none")
@@ -231,7 +237,8 @@ def mechanical_advantage(
         s, Vt = svd(np.vstack([motion[i] / closure.unit[i], far]))[1:]
         if not len(s) or s[0] < RANK or (len(s) > 1 and s[1] > RANK * max(s[0], 1.0)):
             continue
-        near, far = motion[i] @ Vt[0], far @ Vt[0]
+        near = motion[i] @ Vt[0]
+        far = far @ Vt[0]
         out[k] = near / far if abs(far) > 1e-13 * abs(near) else math.inf
     return float(out) if out.ndim == 0 else out
 
@@ -258,9 +265,11 @@ def pressure_angle(
     """
     far, near = _dyad(system, joint, coupler, output)
     q = as_q(system, q)
-    p, a = _at(system, q, joint)[..., :3, 3], _at(system, q, far)[..., :3, 3]
+    p = _at(system, q, joint)[..., :3, 3]
+    a = _at(system, q, far)[..., :3, 3]
     base = _at(system, q, near)
-    axis, kind = base[..., :3, 2], _kind(system, near)
+    axis = base[..., :3, 2]
+    kind = _kind(system, near)
     way = axis if kind == P else np.cross(axis, p - base[..., :3, 3])
     pull = p - a
     across = np.linalg.norm(np.cross(pull, way), axis=-1)

@@ -103,12 +103,16 @@ class Flight:
     """The motion of the centre in coordinates (k,) that have the metric of space, above `planes`."""
 
     def __init__(self, planes: Sequence[Plane], gravity: Array, restitution: float):
-        self.planes, self.gravity, self.restitution = planes, gravity, restitution
+        self.planes = planes
+        self.gravity = gravity
+        self.restitution = restitution
         self.N = np.array([p.normal for p in planes]).reshape(len(planes), len(gravity))
         self.offsets = np.array([p.offset for p in planes])
         self.arcs: list[Parabola] = []
         self.impacts: list[Impact] = []
-        self.broken, self._largest, self.known = False, 0.0, 0.0
+        self.broken = False
+        self._largest = 0.0
+        self.known = 0.0
 
     def gaps(self, y: Array) -> Array:
         """How far (m,) a place (k,) is above each plane."""
@@ -116,7 +120,8 @@ class Flight:
 
     def run(self, y: Array, v: Array, duration: float) -> None:
         """Compute arcs and impacts from a place and a velocity (k,) on, for a duration [s]; `known` up to a time."""
-        time, again = 0.0, 0
+        time = 0.0
+        again = 0
         touching = set(np.flatnonzero(self.gaps(y) <= TOUCH).tolist())
         while True:
             v = self._impact(time, y, v, touching, again > AGAIN)
@@ -129,15 +134,19 @@ class Flight:
             if settling is not None and time + settling[0] < duration:
                 rest, i, tangent, pull = settling
                 self.arcs[-1] = Parabola(time, y, tangent, pull)
-                y, v = y + rest * (tangent + 0.5 * rest * pull), tangent + rest * pull
-                time, touching = time + rest, self._touched(y, held | {i})
+                y = y + rest * (tangent + 0.5 * rest * pull)
+                v = tangent + rest * pull
+                time = time + rest
+                touching = self._touched(y, held | {i})
                 self.impacts.append(Impact("settles", time, (i,), 0.0, 0.0, y, v))
             elif not time + step < duration or len(self.impacts) >= MOST:
                 self.broken = time + step < duration
                 return
             else:
                 again = again + 1 if step <= 0.0 else 0
-                time, y, v = time + step, y + step * (v + 0.5 * step * a), v + step * a
+                time = time + step
+                y = y + step * (v + 0.5 * step * a)
+                v = v + step * a
                 y = self._onto(y, hit | held)
                 touching = self._touched(y, hit | held)
 
@@ -179,7 +188,8 @@ class Flight:
         held = {i for i in still if self.N[i] @ a <= strength * np.linalg.norm(self.N[i])}
         flat = self.N[sorted(held)]
         if len(flat):
-            v, a = v - np.linalg.pinv(flat) @ (flat @ v), a - np.linalg.pinv(flat) @ (flat @ a)
+            v = v - np.linalg.pinv(flat) @ (flat @ v)
+            a = a - np.linalg.pinv(flat) @ (flat @ a)
             a = np.where(np.linalg.norm(a) <= strength, 0.0, a)
             v = np.where(np.linalg.norm(v) <= slow and not a.any(), 0.0, v)
         return v, a, held
@@ -203,12 +213,14 @@ class Flight:
         if len(hops) != 1 or self.restitution >= 1.0:
             return None
         n = self.N[hops[0]]
-        rate, pull = float(n @ v), -float(n @ a)
+        rate = float(n @ v)
+        pull = -float(n @ a)
         small = rate < FADED * self._largest * np.linalg.norm(n)
         if not small or any(abs(self.N[j] @ n) > 1e-12 * np.linalg.norm(self.N[j]) * np.linalg.norm(n) for j in held):
             return None
         rest = 2.0 * rate / (pull * (1.0 - self.restitution))
-        tangent, along = v - n * (rate / (n @ n)), a + n * (pull / (n @ n))
+        tangent = v - n * (rate / (n @ n))
+        along = a + n * (pull / (n @ n))
         others = set(range(len(self.planes))) - held - set(hops)
         gaps = self.gaps(y)
         for j in others:
@@ -261,7 +273,8 @@ def nearest_inside(v: Array, N: Array, w: Array) -> Array | None:
         return v
     if not lengths.all():
         return None
-    unit, w = N / lengths[:, None], w / lengths
+    unit = N / lengths[:, None]
+    w = w / lengths
     size = float(np.linalg.norm(v)) + float(np.abs(w).max())
     for count in range(1, len(v) + 1):
         for some in itertools.combinations(range(len(N)), count):
@@ -294,14 +307,21 @@ class MovingFlight:
     """
 
     def __init__(self, planes: MovingPlanes, gravity: Array, restitution: float, time: TimeLimit):
-        self.planes, self.gravity, self.restitution, self.budget = planes, gravity, restitution, time
+        self.planes = planes
+        self.gravity = gravity
+        self.restitution = restitution
+        self.budget = time
         self.stretches: list[Stretch] = []
         self.impacts: list[Impact] = []
-        self.reason, self.known, self._largest = "", 0.0, 0.0
+        self.reason = ""
+        self.known = 0.0
+        self._largest = 0.0
 
     def run(self, y: Array, v: Array, duration: float) -> None:
         """Compute stretches and impacts from a place and a velocity (k,) on, for a duration [s]."""
-        t, again, leaving = 0.0, 0, set[int]()
+        t = 0.0
+        again = 0
+        leaving = set[int]()
         touching = set(np.flatnonzero(self._gaps(0.0, y) <= TOUCH).tolist())
         while t < duration:
             self.budget.check()
@@ -335,7 +355,8 @@ class MovingFlight:
         """Places and velocities (n, k) at times (n,) up to `known`."""
         starts = np.array([s.time for s in self.stretches])
         which = np.clip(np.searchsorted(starts, t, side="right") - 1, 0, len(starts) - 1)
-        y, v = np.empty((len(t), len(self.gravity))), np.empty((len(t), len(self.gravity)))
+        y = np.empty((len(t), len(self.gravity)))
+        v = np.empty((len(t), len(self.gravity)))
         for k, stretch in enumerate(self.stretches):
             some = which == k
             if not some.any():
@@ -415,7 +436,8 @@ class MovingFlight:
 
     def _pushed(self, t: float, y: Array, v: Array, still: list[int]) -> tuple[Array, set[int]]:
         """The acceleration (k,) with these planes touched at no rate, and those of them that stay touched."""
-        N, c = self.planes.at(t)[0][still], self._bending(t, y, v)[still]
+        N = self.planes.at(t)[0][still]
+        c = self._bending(t, y, v)[still]
         a = nearest_inside(self.gravity, N, c)
         if a is None:
             a = self.gravity - np.linalg.pinv(N) @ (N @ self.gravity + c)
@@ -476,18 +498,21 @@ class MovingFlight:
                 return stop, z, w, set(), set()
             if held:
                 solver.y, solver.f = np.concatenate([z, w]), solver.fun(stop, np.concatenate([z, w]))
-            begin, window = end, duration / WINDOWS
+            begin = end
+            window = duration / WINDOWS
             gaps = self._gaps(begin, z)
             fresh = {i for i in fresh if gaps[i] <= 0.0}
 
     def _solver(self, t: float, y: Array, v: Array, held: set[int], duration: float) -> Any:
         from scipy import integrate
 
-        index, k = sorted(held), len(y)
+        index = sorted(held)
+        k = len(y)
 
         def slope(s: float, x: Array) -> Array:
             """Velocity and acceleration, all held planes pushing or pulling."""
-            N, c = self.planes.at(s)[0][index], self._bending(s, x[:k], x[k:])[index]
+            N = self.planes.at(s)[0][index]
+            c = self._bending(s, x[:k], x[k:])[index]
             return np.concatenate([x[k:], self.gravity - np.linalg.pinv(N) @ (N @ self.gravity + c)])
 
         return cast(Any, integrate).DOP853(slope, t, np.concatenate([y, v]), duration, rtol=INTEGRATION,
@@ -497,7 +522,8 @@ class MovingFlight:
         said = solver.step()
         if solver.status == "failed":
             raise ArithmeticError(f"at {solver.t:.6g} s the planes move too fast: {said}")
-        dense, k = solver.dense_output(), len(self.gravity)
+        dense = solver.dense_output()
+        k = len(self.gravity)
         return lambda s: (dense(s)[:k].T, dense(s)[k:].T)
 
     def _first(
@@ -519,7 +545,8 @@ class MovingFlight:
         found: dict[int, float] = {}
         for i in sorted(planes):
             for k in range(LOOKS):
-                a, b = float(s[k]), float(s[k + 1])
+                a = float(s[k])
+                b = float(s[k + 1])
                 opens = i in fresh and k == 0  # it touches at a, and may close again at once
                 if opens and rates[0, i] > 0.0 and rates[1, i] < 0.0:
                     a = zero_of(partial(rate, i), a, b)
@@ -543,7 +570,8 @@ class MovingFlight:
 
         def pushes(x: float) -> Array:
             p, w = (z[0] for z in at(np.array([x])))
-            N, c = self.planes.at(x)[0][held], self._bending(x, p, w)[held]
+            N = self.planes.at(x)[0][held]
+            c = self._bending(x, p, w)[held]
             return np.linalg.lstsq(N @ N.T, -(N @ self.gravity + c), rcond=1e-9)[0] * np.linalg.norm(N, axis=1)
 
         def least(x: float) -> float:
@@ -553,7 +581,8 @@ class MovingFlight:
         weak = [k for k in range(len(s) - 1) if least(s[k + 1]) < -1e-9 * float(np.linalg.norm(self.gravity))]
         if not weak:
             return None
-        a, b = s[weak[0]], s[weak[0] + 1]
+        a = s[weak[0]]
+        b = s[weak[0] + 1]
         return zero_of(least, a, b) if least(a) > 0.0 else a, held[int(np.argmin(pushes(b)))]
 
 
@@ -565,7 +594,8 @@ def _parabola(t: float, y: Array, v: Array, a: Array, s: Array) -> tuple[Array, 
 
 def zero_of(f: Callable[[float], float], a: float, b: float) -> float:
     """A zero between a and b, at which the signs of f differ; the end that is a zero."""
-    fa, fb = f(a), f(b)
+    fa = f(a)
+    fb = f(b)
     if fa == 0.0 or fb == 0.0 or (fa > 0.0) == (fb > 0.0):
         return a if fa == 0.0 else b
     from scipy import optimize

@@ -109,13 +109,17 @@ class MovingRows:
         self, system: System, q: Array, slides_q: np.ndarray, slides_v: np.ndarray, shape: Array, duration: float
     ):
         self.rows: OneSided = one_sided_rows(clocked(system))
-        self.slides_q, self.slides_v, self.back, self.duration = slides_q, slides_v, np.linalg.inv(shape), duration
+        self.slides_q = slides_q
+        self.slides_v = slides_v
+        self.back = np.linalg.inv(shape)
+        self.duration = duration
         self.base = np.append(q, 0.0)
         self.base[slides_q] = 0.0
         sides = [(k, sign) for k in range(len(self.rows)) for sign in (1.0, -1.0)
                  if (k < self.rows.declared or self.rows.at[k - self.rows.declared] in slides_q)
                  and math.isfinite(self.rows.low[k] if sign > 0.0 else self.rows.high[k])]  # fmt: skip
-        self.at_row, self.sign = np.array([k for k, _ in sides], dtype=int), np.array([s for _, s in sides])
+        self.at_row = np.array([k for k, _ in sides], dtype=int)
+        self.sign = np.array([s for _, s in sides])
         self.bound = np.where(self.sign > 0.0, self.rows.low[self.at_row], self.rows.high[self.at_row])
         self.names = tuple(self.rows.side(k, sign < 0.0) for k, sign in sides)
         units = closure_rows.scales(self.rows.system)
@@ -123,7 +127,9 @@ class MovingRows:
 
     def only(self, which: np.ndarray) -> None:
         """Keep only some of the planes."""
-        self.at_row, self.sign, self.bound = self.at_row[which], self.sign[which], self.bound[which]
+        self.at_row = self.at_row[which]
+        self.sign = self.sign[which]
+        self.bound = self.bound[which]
         self._unscale = self._unscale[which]
         self.names = tuple(n for n, keep in zip(self.names, which, strict=True) if keep)
 
@@ -165,7 +171,8 @@ def _moving_planes(
     system: System, body: str, moving: MovingRows, samples: Array, duration: float
 ) -> tuple[Plane, ...]:  # fmt: skip
     """The planes at time 0, once they are planes at all times. Errors: `UnsupportedError`."""
-    rows, clocks = moving.rows, np.linspace(0.0, duration, 4 * len(samples))
+    rows = moving.rows
+    clocks = np.linspace(0.0, duration, 4 * len(samples))
     x = np.column_stack([np.repeat(samples, 4, axis=0), clocks])
     values = moving.sign * (rows.values(x)[:, moving.at_row] - moving.bound)
     N, o = moving.at(clocks)
@@ -192,7 +199,8 @@ def start_of_flight(fall: Falling, q: Array) -> None:
 def _no_others(system: System, q: Array) -> None:
     """Refuse systems on which loops or rolling act. Errors: `UnsupportedError`."""
     if timed(system):
-        system, q = clocked(system), np.append(q, 0.0)
+        system = clocked(system)
+        q = np.append(q, 0.0)
     if rates(system, q)[0].shape[-2]:
         raise UnsupportedError(f"{system.name} rolls (it has velocity constraints): how it would roll by itself needs "
                                "masses and moments of inertia; inputs={...} gives velocities instead")  # fmt: skip

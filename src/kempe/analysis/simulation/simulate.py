@@ -117,7 +117,9 @@ class Simulation(Motion):
         k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 2)
         h = (self.t[k + 1] - self.t[k])[:, None]
         u = (t - self.t[k])[:, None] / h
-        way, a, b = self.system.structure.layout.difference(self.q[k], self.q[k + 1]), h * self.v[k], h * self.v[k + 1]
+        way = self.system.structure.layout.difference(self.q[k], self.q[k + 1])
+        a = h * self.v[k]
+        b = h * self.v[k + 1]
         y = u * (1 - u) ** 2 * a + u * u * (3 - 2 * u) * way - u * u * (1 - u) * b
         return self.system.structure.layout.integrate(self.q[k], y), (1 - u) * self.v[k] + u * self.v[k + 1]
 
@@ -191,7 +193,8 @@ def simulate(
         fall = falling(system, q, v, float(duration))
         start_of_flight(fall, q)
     g = _acceleration(system, acceleration)
-    gravity, first = fall.basis.T @ g, (fall.y(q), fall.shape @ v[fall.slides_v])
+    gravity = fall.basis.T @ g
+    first = (fall.y(q), fall.shape @ v[fall.slides_v])
     broken: BaseException | None = None
     if fall.moving is None:
         flight = Flight(fall.planes, gravity, float(restitution))
@@ -200,7 +203,8 @@ def simulate(
             with limit:
                 flight.run(*first, float(duration))
         except BROKEN_OFF as error:
-            broken, end = error, flight.known
+            broken = error
+            end = flight.known
         end = flight.impacts[-1].time if flight.broken else end
         reason = f"broken off after {MOST} events" if flight.broken else ""
     else:
@@ -210,7 +214,8 @@ def simulate(
                 flight.run(*first, float(duration))
         except BROKEN_OFF as error:
             broken = error
-        end, reason = flight.known, flight.reason
+        end = flight.known
+        reason = flight.reason
     happened = np.array([e.time for e in flight.impacts])
     t = np.union1d(times[times <= end], happened)
     x, w = fall.motion(q, v, flight, t)
@@ -236,7 +241,8 @@ def _rolls(
         raise InputError(f"tolerance is {tolerance!r}; it must be between 1e-14 and 1e-3")
     with begun_within(USUAL, time):
         found = roll(system, inputs, q, times, float(tolerance), time)
-    late, interrupted = isinstance(found.broken, TimeUp), isinstance(found.broken, KeyboardInterrupt)
+    late = isinstance(found.broken, TimeUp)
+    interrupted = isinstance(found.broken, KeyboardInterrupt)
     return Simulation(system, found.t, found.q, found.v, (), not found.reason and found.broken is None, found.reason,
                       slip(system, found.t, found.q, found.v), interrupted, late)  # fmt: skip
 

@@ -150,12 +150,15 @@ def add_dh(
         along_x = Placement((("rx", (alpha,)), ("x", (a,)))).simplified()
         along_z = Placement((("rz", (theta,)), ("z", (d,)))).simplified()
         if convention == "standard":
-            X_PF, X_CM = before @ along_z, along_x.inverse()
+            X_PF = before @ along_z
+            X_CM = along_x.inverse()
         else:
-            X_PF, X_CM = before @ along_x @ along_z, Placement()
+            X_PF = before @ along_x @ along_z
+            X_CM = Placement()
         if row.flip:  # frames F and M both turned over: the motion of z is that of -z
             over = place(axis="-z")
-            X_PF, X_CM = X_PF @ over, X_CM @ over
+            X_PF = X_PF @ over
+            X_CM = X_CM @ over
         here = _add(mechanism, row, i, row.type, here, X_PF, X_CM, where, {})
         before = Placement()
     mechanism.frame("tool", here, at=_placement(tool, "tool"))
@@ -251,7 +254,8 @@ def _screw(row: ScrewRow, number: int) -> tuple[str, Placement, dict[str, Any]]:
     twist = values(row.twist, 6, f"{label}: twist")  # type: ignore[arg-type]
     if not all(isinstance(x, float) for x in twist):
         raise InputError(f"{label}: a twist must be plain numbers; with parameters use axis and point")
-    v, w = np.array(twist[:3], dtype=float), np.array(twist[3:], dtype=float)
+    v = np.array(twist[:3], dtype=float)
+    w = np.array(twist[3:], dtype=float)
     unit, what = (w, "w") if w.any() else (v, "v")
     length = float(np.linalg.norm(unit))
     if abs(length - 1.0) > UNIT_TOLERANCE:
@@ -260,7 +264,8 @@ def _screw(row: ScrewRow, number: int) -> tuple[str, Placement, dict[str, Any]]:
     if what == "v":
         return "prismatic", place(axis=v), {}
     # the axis passes through w x v and the pitch is w . v, for |w| = 1 (Murray, Li, Sastry, 1994, 2.3)
-    v, w = v / length, w / length
+    v = v / length
+    w = w / length
     pitch = float(w @ v)
     X = place(np.cross(w, v).tolist(), axis=w.tolist())
     if abs(pitch) <= PITCH_TOLERANCE * max(1.0, float(np.linalg.norm(v))):

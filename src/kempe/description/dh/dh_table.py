@@ -34,7 +34,8 @@ MOST_TURNS = 20.0 * math.pi
 SHARE = 0.1
 """Angles below this, in the unit of the table, are corrections of zero: they do not tell which unit it is."""
 
-ROUND, NEAR_ROUND = 45.0, 0.5
+ROUND = 45.0
+NEAR_ROUND = 0.5
 """Angles within so many degrees of a multiple of so many degrees are meant to be that multiple."""
 
 LARGEST_LIMIT = 10.0 * math.pi
@@ -63,7 +64,8 @@ def rows_of(rows: Any, columns: Sequence[str], known: tuple[str, ...]) -> tuple[
     plain = False
     out: list[Any] = []
     for i, row in enumerate(table, 1):
-        keys, entries = _keys(row), row
+        keys = _keys(row)
+        entries = row
         own = keys is None and isinstance(row, (list, tuple, np.ndarray))
         plain |= own
         out.append(_plain(row, i, columns) if own else row if keys is None else dict(zip(keys, entries, strict=True)))
@@ -150,7 +152,8 @@ def counts_turns(rows: Iterable[DHRow]) -> bool:
     They are few then: in a table of degrees most angles are larger than 2 pi, in one of radians most are not. A single
     angle does not tell, and may be one. Angles that are expressions are those of somebody who writes radians.
     """
-    within, beyond = 0, 0
+    within = 0
+    beyond = 0
     for i, row in enumerate(rows, 1):
         for k in ("alpha", "theta", *(("offset",) if row.type == "revolute" else ())):
             x = value(getattr(row, k), f"row {i}: {k}")

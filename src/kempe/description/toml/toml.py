@@ -59,8 +59,10 @@ class _TomlReader:
     """Fills a mechanism from a document, table by table."""
 
     def __init__(self, document: Document, mechanism: Mechanism):
-        self.document, self.mechanism = document, mechanism
-        self.where, self.findings = document.where, document.findings
+        self.document = document
+        self.mechanism = mechanism
+        self.where = document.where
+        self.findings = document.findings
         self.coordinates: dict[str, None] = {}
         self.failed: set[str] = set()
 
@@ -91,7 +93,8 @@ class _TomlReader:
         """Read the bodies and joints of [dh] or [screws]."""
         from kempe.description.dh.dh import add_dh, add_screws
 
-        rows, add = table["rows"], add_dh if kind == "dh" else add_screws
+        rows = table["rows"]
+        add = add_dh if kind == "dh" else add_screws
         wheres = [self.where(kind, "rows", i) for i in range(len(rows))]
         settings = {k: v for k, v in table.items() if k != "rows"}
         try:
@@ -108,8 +111,10 @@ class _TomlReader:
 
     def body(self, table: dict[str, Any], path: Path, subject: str, good: bool) -> None:
         name: Any = table.get("name")
-        mass, center = table.get("mass"), table.get("center")
-        visuals, where = table.get("visuals", ()), self.where(*path)
+        mass = table.get("mass")
+        center = table.get("center")
+        visuals = table.get("visuals", ())
+        where = self.where(*path)
         if good:
             with self.findings.guard(subject, where):
                 if table.get("particle"):

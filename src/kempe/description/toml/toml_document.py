@@ -15,7 +15,8 @@ from kempe.description.toml.toml_places import Path, Places
 from kempe.errors import Where, hint
 from kempe.joints import TYPES, JointType
 
-FORMAT, NEWEST = 1, 2
+FORMAT = 1
+NEWEST = 2
 """Versions of the format that are read. The newer one has all kinds of constraints; files without them are written in
 the older one."""
 
@@ -228,9 +229,11 @@ def _parse(source: Source) -> tuple[dict[str, Any], dict[Path, int] | None]:
     except ValueError as error:  # TOMLDecodeError, and integers of too many digits
         text = str(error)
         match = _AT_LINE.search(text)
-        line, column = len(source.lines), len(source.lines[-1]) + 1
+        line = len(source.lines)
+        column = len(source.lines[-1]) + 1
         if match:
-            line, column = int(match[1]), int(match[2])
+            line = int(match[1])
+            column = int(match[2])
         where = source.where(line, column)
         allowed = "see the caret"
         if re.match(r",\s*\d", where.text[column - 1 :]):

@@ -117,7 +117,10 @@ def _key(token: _Token, tokens: Iterator[_Token], stop: str) -> list[str]:
 
 def _value(path: Path, tokens: Iterator[_Token], offsets: dict[Path, int]) -> None:
     """Record where a value and, in an array, its elements start; go on to the end of its line."""
-    depth, index, fresh, array = 0, 0, False, False
+    depth = 0
+    index = 0
+    fresh = False
+    array = False
     for token in tokens:
         if path not in offsets and token.kind != "newline":
             offsets[path] = token.offset
@@ -137,4 +140,5 @@ def _value(path: Path, tokens: Iterator[_Token], offsets: dict[Path, int]) -> No
         elif token.text in "]}":
             depth -= 1
         elif token.text == "," and depth == 1:
-            index, fresh = index + 1, True
+            index = index + 1
+            fresh = True

@@ -34,7 +34,8 @@ def write_toml(mechanism: Mechanism) -> str:
 
     Errors: `DescriptionError` listing all that a file cannot hold, by `TOML.cannot` of `kempe.description.formats`.
     """
-    m, findings = mechanism, Findings()
+    m = mechanism
+    findings = Findings()
     constraints: list[dict[str, Any]] = []
     for c in m.constraints.values():
         with findings.guard(f"constraint {c.name!r}", c.where):
@@ -97,7 +98,8 @@ def _joint(joint: Joint, dim: int) -> dict[str, Any]:
         "parent": joint.parent,
         "child": joint.child,
     }
-    on_parent, on_child = _placement(joint.X_PF, dim), _placement(joint.X_CM, dim)
+    on_parent = _placement(joint.X_PF, dim)
+    on_child = _placement(joint.X_CM, dim)
     # the child's axis is the parent's unless given
     if on_parent.get("axis") == on_child.get("axis"):
         on_child.pop("axis", None)

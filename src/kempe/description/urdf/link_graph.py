@@ -100,7 +100,8 @@ def reachable(start: str, ends: Iterable[tuple[str, str]]) -> set[str]:
     children: dict[str, list[str]] = {}
     for a, b in ends:
         children.setdefault(a, []).append(b)
-    reached, queue = {start}, deque([start])
+    reached = {start}
+    queue = deque([start])
     while queue:
         for there in children.get(queue.popleft(), ()):
             if there not in reached:

@@ -113,11 +113,13 @@ def _refuse_xacro(robot: XmlElement) -> None:
     for element in robot.walk():
         found = where = None
         if element.tag.startswith("xacro:"):
-            found, where = f"<{element.tag}>", element.where
+            found = f"<{element.tag}>"
+            where = element.where
         elif element.tag in (*ATTRIBUTES, "link", "robot"):
             for key, text in element.attributes.items():
                 if not key.startswith("xmlns") and _XACRO.search(text):
-                    found, where = f"{key}={shorten(text)}", element.where_of(key)
+                    found = f"{key}={shorten(text)}"
+                    where = element.where_of(key)
                     break
         if found and where:
             raise fail(
@@ -274,7 +276,8 @@ def _assemble(urdf: _Urdf, ground: str | None, base: str | None) -> Mechanism:
 
 def _fresh(name: str, taken: Mapping[str, object]) -> str:
     """`name`, with a number where it is taken."""
-    number, out = 1, name
+    number = 1
+    out = name
     while out in taken:
         number += 1
         out = f"{name}_{number}"
@@ -288,7 +291,8 @@ def _mimics(urdf: _Urdf, mechanism: Mechanism) -> None:
     findings = urdf.findings
     follows: dict[str, tuple[str, XmlElement]] = {}
     for name, element in urdf.joints.items():
-        mimic, subject = (element.of("mimic") or [None])[0], f"joint {name!r}"
+        mimic = (element.of("mimic") or [None])[0]
+        subject = f"joint {name!r}"
         if mimic is None:
             continue
         leader = mimic.attributes.get("joint")

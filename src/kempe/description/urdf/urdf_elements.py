@@ -141,7 +141,8 @@ def _bound(element: XmlElement, attribute: str, findings: Findings, subject: str
 def read_link(name: str, element: XmlElement, findings: Findings) -> Body:
     """Body of a <link>: its mass and centre of mass where given, its visuals as text."""
     subject = f"link {name!r}"
-    mass, center = None, None
+    mass = None
+    center = None
     for child in element.children:
         if child.tag == "origin":
             findings.note("an <origin> directly in a link has no meaning and is not used", subject, child.where)
@@ -175,7 +176,8 @@ def read_joint(
     `quaternions` says whether the file's version has `quat_xyzw`, which readers pass over in older ones. Limits that
     hold no range are none where `lenient`; else the keyword `unstated` tells those that the file does not give.
     """
-    subject, before = f"joint {name!r}", len(findings.problems)
+    subject = f"joint {name!r}"
+    before = len(findings.problems)
     _check_joint(element, findings, subject)
     out = _origin(element, findings, subject, quaternions)
     out["axis"] = _axis(kind, element, findings, subject)
@@ -275,7 +277,8 @@ def _range(
 ) -> dict[str, Any]:
     """Keywords `limits` and `unstated` of a revolute or prismatic joint: what is missing is 0 by the rules of URDF."""
     given = [key for key in ("lower", "upper") if key in limit.attributes]
-    lower, upper = bounds["lower"] or 0.0, bounds["upper"] or 0.0
+    lower = bounds["lower"] or 0.0
+    upper = bounds["upper"] or 0.0
     both = " ".join(f"{key}={shorten(limit.attributes[key])}" for key in given)
     if lenient and (not given or lower > upper):
         said = f"its limits are swapped ({both})" if given else "its <limit> has no lower and upper"

@@ -154,7 +154,8 @@ def check_known(
 
 
 def _check_element(element: XmlElement, local: str, known: tuple[str, ...], findings: Findings, subject: str) -> None:
-    where, tag = element.where, element.tag
+    where = element.where
+    tag = element.tag
     if local in MOTION:
         said = f"the prefix of <{tag}> hides it" if local in known else f"<{tag}> is not read here"
         advice = f"write <{local}>, or bind the prefix to {NAMESPACE}" if local in known else MOTION[local]
@@ -256,7 +257,8 @@ def _check_inside(outer: XmlElement, findings: Findings) -> None:
 
 
 def _judge_inside(outer: XmlElement, holder: XmlElement, element: XmlElement, findings: Findings) -> None:
-    local, joint = element.tag.rpartition(":")[2], outer.tag == "joint"
+    local = element.tag.rpartition(":")[2]
+    joint = outer.tag == "joint"
     defines = local in MOTION and (joint or _defines(element, local))
     urdf = local in MOTION and local not in _ELSEWHERE.get(holder.tag, ()) and _in_urdf_form(element)
     if not (defines or joint or urdf):

@@ -139,7 +139,8 @@ class _Writer:
                 break
             pending = {of: self.m.couplings[of] for of in open_}
         for of, (free, offset) in open_.items():
-            subject, where = f"coordinate {of!r}", self.m.couplings[of].where
+            subject = f"coordinate {of!r}"
+            where = self.m.couplings[of].where
             if of in self.held:
                 allowed = URDF.cannot["locks of coordinates that follow others"]
                 self.findings.add("it is locked, but follows others", subject, where, allowed)
@@ -249,7 +250,8 @@ class _Writer:
         return Placement(tuple(steps))
 
     def urdf_type(self, joint: Joint) -> str | None:
-        subject, name = f"joint {joint.name!r}", joint.type.type_name
+        subject = f"joint {joint.name!r}"
+        name = joint.type.type_name
         if name == "free" and self.m.dim == 2:
             name = "planar"
         kinds = {
@@ -293,7 +295,8 @@ class _Writer:
             if motion == "align" and kind not in WITHOUT_AXIS:
                 return self.origin(Placement(before)), [float(x) for x in numbers]  # type: ignore[arg-type]
         X_CM = joint.X_CM.evaluate(self.m.parameters)
-        a, p = X_CM[:3, 2], X_CM[:3, 3]
+        a = X_CM[:3, 2]
+        p = X_CM[:3, 3]
         fits = {
             "revolute": np.linalg.norm(p - (p @ a) * a) <= ON_AXIS,
             "prismatic": True,
@@ -345,15 +348,18 @@ class _Writer:
 
 def _difference(joint: Joint) -> Placement:
     """X_PF X_CM^-1 of a fixed joint, without what cancels."""
-    a, b = joint.X_PF.steps, joint.X_CM.steps
+    a = joint.X_PF.steps
+    b = joint.X_CM.steps
     while a and b and a[-1] == b[-1]:
-        a, b = a[:-1], b[:-1]
+        a = a[:-1]
+        b = b[:-1]
     return Placement(a) @ Placement(b).inverse()
 
 
 def fresh(name: str, taken: set[str]) -> str:
     """`name`, with a number where it is taken; from now on it is taken."""
-    number, out = 1, name
+    number = 1
+    out = name
     while out in taken:
         number += 1
         out = f"{name}_{number}"

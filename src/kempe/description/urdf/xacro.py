@@ -76,7 +76,9 @@ def expand_xacro(
     """
     if importlib.util.find_spec("xacrodoc") is None:
         raise MissingExtraError("xacrodoc", "xacro")
-    where, path, package_dirs = Where(str(path)), Path(path).resolve(), folders_of(package_dirs)
+    where = Where(str(path))
+    path = Path(path).resolve()
+    package_dirs = folders_of(package_dirs)
     settings = {
         "path": str(path),
         "arguments": {str(k): str(v) for k, v in (arguments or {}).items()},

@@ -57,7 +57,9 @@ class XmlElement:
     __slots__ = ("_end", "_start", "attributes", "children", "source", "tag")
 
     def __init__(self, tag: str, attributes: dict[str, str], source: Source, start: int):
-        self.tag, self.attributes, self.source = tag, attributes, source
+        self.tag = tag
+        self.attributes = attributes
+        self.source = source
         self.children: list[XmlElement] = []
         self._start = self._end = start
 
@@ -77,7 +79,8 @@ class XmlElement:
     @property
     def text(self) -> str:
         """The element as it is written in the source, tags included."""
-        text, start = self.source.text, self._start
+        text = self.source.text
+        start = self._start
         tag = _TAG_END.match(text, start)
         assert tag is not None, "expat accepted the tag"
         if tag[0].endswith("/>"):
@@ -121,7 +124,8 @@ class _XmlBuilder:
         self.root: XmlElement | None = None
         self.count = 0
         self.data = b""
-        self.byte, self.character = 0, 0
+        self.byte = 0
+        self.character = 0
         self.parser = expat.ParserCreate("utf-8")
         self.parser.StartElementHandler = self._start
         self.parser.EndElementHandler = self._end

@@ -26,7 +26,9 @@ class Number:
     entry: str
 
 
-FLOAT, INT, FLAG = Number("f"), Number("i"), Number("b")
+FLOAT = Number("f")
+INT = Number("i")
+FLAG = Number("b")
 
 
 def F(*shape: Length) -> Array:

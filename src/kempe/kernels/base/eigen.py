@@ -23,7 +23,10 @@ LIMIT = 200
 LARGEST_SIZE = 32
 """Rows at most."""
 
-TINY, SMALL, LARGE, HUGE = 1e-140, 1e-60, 1e60, 1e140
+TINY = 1e-140
+SMALL = 1e-60
+LARGE = 1e60
+HUGE = 1e140
 """Between the outer two, squares neither vanish nor overflow; between the inner two, products of four."""
 
 SWEEPS = 8
@@ -44,14 +47,20 @@ def balance(a, n, stride):
                 row += abs(a[i * stride + j])
                 column += abs(a[j * stride + i])
             size = abs(a[i * stride + i])
-            row, column = row - size, column - size
+            row = row - size
+            column = column - size
             if not (row > 0.0 and column > 0.0 and row < HUGE and column < HUGE):
                 continue
-            before, factor = row + column, 1.0
+            before = row + column
+            factor = 1.0
             while column < 0.5 * row:
-                factor, column, row = 2.0 * factor, 2.0 * column, 0.5 * row
+                factor = 2.0 * factor
+                column = 2.0 * column
+                row = 0.5 * row
             while column > 2.0 * row:
-                factor, column, row = 0.5 * factor, 0.5 * column, 2.0 * row
+                factor = 0.5 * factor
+                column = 0.5 * column
+                row = 2.0 * row
             if row + column < 0.95 * before:
                 done = False
                 for j in range(n):
@@ -71,7 +80,8 @@ def hessenberg(a, n, stride, v):
         v[i] = 0.0
     for k in range(n - 2):
         v[k] = 0.0
-        first, rest = a[(k + 1) * stride + k], 0.0
+        first = a[(k + 1) * stride + k]
+        rest = 0.0
         for i in range(k + 2, n):
             x = a[i * stride + k]
             v[i] = x
@@ -101,7 +111,8 @@ def _reflect(a, n, stride, v, k, start, scale):
             sum_ = sum_ + v[i] * load_lanes(a, i * stride + c)
         store(w, c, sum_ * scale)
     for i in range(n):
-        dot, x = spread_lanes(0.0), v[i]
+        dot = spread_lanes(0.0)
+        x = v[i]
         for c in range(start, n, LANES):
             row = load_lanes(a, i * stride + c) - x * load_lanes(w, c)
             store(a, i * stride + c, row)
@@ -119,14 +130,18 @@ def _three(p, q, r):
         largest = max(abs(p), max(abs(q), abs(r)))
         if not largest > 0.0:
             return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        p, q, r = p / largest, q / largest, r / largest
+        p = p / largest
+        q = q / largest
+        r = r / largest
         size = math.sqrt(p * p + q * q + r * r)
         size = -size if p > 0.0 else size
-        head, back = p - size, 1.0 / size
+        head = p - size
+        back = 1.0 / size
         return -head * back, -q * back, -r * back, q / head, r / head, size * largest
     size = math.sqrt(square)
     size = -size if p > 0.0 else size
-    head, back = p - size, 1.0 / size
+    head = p - size
+    back = 1.0 / size
     over = 1.0 / head
     return -head * back, -q * back, -r * back, q * over, r * over, size
 
@@ -156,17 +171,20 @@ def _qr_step(a, stride, low, high, x, y, w, numbers):
         p, q, r = _bulge(a, stride, low, high, k, f, g, h, u, v, numbers)
         if k > low:
             a[k * stride + k - 1] = size if k > m else before * (1.0 - f)
-            a[(k + 1) * stride + k - 1], a[(k + 2) * stride + k - 1] = 0.0, 0.0
+            a[(k + 1) * stride + k - 1] = 0.0
+            a[(k + 2) * stride + k - 1] = 0.0
     k = high - 1
     f, g, h, u, v, size = _three(p, q, 0.0)
     for c in range(k // LANES * LANES, high + 1, LANES):
         i = k * stride + c
-        a0, a1 = load_lanes(a, i), load_lanes(a, i + stride)
+        a0 = load_lanes(a, i)
+        a1 = load_lanes(a, i + stride)
         s = a0 + u * a1
         store(a, i, a0 - f * s)
         store(a, i + stride, a1 - g * s)
     if k > low:
-        a[k * stride + k - 1], a[high * stride + k - 1] = size, 0.0
+        a[k * stride + k - 1] = size
+        a[high * stride + k - 1] = 0.0
     for i in range(low, high + 1):
         s = a[i * stride + k] * f + a[i * stride + k + 1] * g
         a[i * stride + k] -= s
@@ -183,12 +201,21 @@ def _bulge(a, stride, low, high, k, f, g, h, u, v, numbers):
     `high` are of no use.
     """
     i0 = k * stride + k
-    i1, i2, i3 = i0 + stride, i0 + 2 * stride, i0 + 3 * stride
-    x0, x1, x2 = a[i1], a[i1 + 1], a[i1 + 2]
-    y0, y1, y2 = a[i2], a[i2 + 1], a[i2 + 2]
-    s0, s1, s2 = a[i0] + u * x0 + v * y0, a[i0 + 1] + u * x1 + v * y1, a[i0 + 2] + u * x2 + v * y2
+    i1 = i0 + stride
+    i2 = i0 + 2 * stride
+    i3 = i0 + 3 * stride
+    x0 = a[i1]
+    x1 = a[i1 + 1]
+    x2 = a[i1 + 2]
+    y0 = a[i2]
+    y1 = a[i2 + 1]
+    y2 = a[i2 + 2]
+    s0 = a[i0] + u * x0 + v * y0
+    s1 = a[i0 + 1] + u * x1 + v * y1
+    s2 = a[i0 + 2] + u * x2 + v * y2
     t0 = (a[i0] - f * s0) * f + (a[i0 + 1] - f * s1) * g + (a[i0 + 2] - f * s2) * h
-    x0, y0 = x0 - g * s0, y0 - h * s0
+    x0 = x0 - g * s0
+    y0 = y0 - h * s0
     t1 = x0 * f + (x1 - g * s1) * g + (x2 - g * s2) * h
     t2 = y0 * f + (y1 - h * s1) * g + (y2 - h * s2) * h
     more = k + 3 <= high
@@ -197,7 +224,9 @@ def _bulge(a, stride, low, high, k, f, g, h, u, v, numbers):
         i = k * stride + c
         place = load_lanes(numbers, c) - k
         row = where(place == 0.0, 1.0, where(place == 1.0, u, where(place == 2.0, v, 0.0 * place)))
-        a0, a1, a2 = load_lanes(a, i), load_lanes(a, i + stride), load_lanes(a, i + 2 * stride)
+        a0 = load_lanes(a, i)
+        a1 = load_lanes(a, i + stride)
+        a2 = load_lanes(a, i + 2 * stride)
         s = a0 + u * a1 + v * a2
         store(a, i, a0 - f * s - t0 * row)
         store(a, i + stride, a1 - g * s - t1 * row)
@@ -244,7 +273,9 @@ def shifted_qr(a, n, stride, re, im, numbers):
         for i in range(n):
             for j in range(max(i - 1, 0), n):
                 a[i * stride + j] /= unit
-    high, steps, shift = n - 1, 0, 0.0
+    high = n - 1
+    steps = 0
+    shift = 0.0
     for i in range(LARGEST_SIZE):
         numbers[i] = float(i)
     while high >= 0:
@@ -257,15 +288,21 @@ def shifted_qr(a, n, stride, re, im, numbers):
             low -= 1
         x = a[high * stride + high]
         if low == high:
-            re[high], im[high] = unit * (x + shift), 0.0
-            high, steps = high - 1, 0
+            re[high] = unit * (x + shift)
+            im[high] = 0.0
+            high = high - 1
+            steps = 0
             continue
         y = a[(high - 1) * stride + high - 1]
         w = a[high * stride + high - 1] * a[(high - 1) * stride + high]
         if low == high - 1:
             r0, r1, i0, i1 = _pair(x, y, w)
-            re[low], re[high], im[low], im[high] = unit * (r0 + shift), unit * (r1 + shift), unit * i0, unit * i1
-            high, steps = high - 2, 0
+            re[low] = unit * (r0 + shift)
+            re[high] = unit * (r1 + shift)
+            im[low] = unit * i0
+            im[high] = unit * i1
+            high = high - 2
+            steps = 0
             continue
         if steps >= LIMIT:
             return high + 1

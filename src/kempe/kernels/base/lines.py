@@ -100,7 +100,9 @@ def unmapped(g, p):
 @device
 def write3(p, k, v):
     """Write the vector v to p[k : k + 3]."""
-    p[k], p[k + 1], p[k + 2] = v[0], v[1], v[2]
+    p[k] = v[0]
+    p[k + 1] = v[1]
+    p[k + 2] = v[2]
 
 
 @device
@@ -118,7 +120,9 @@ def identity(g):
     """Make g the rows of [1 | 0]."""
     for i in range(12):
         g[i] = 0.0
-    g[0], g[5], g[10] = 1.0, 1.0, 1.0
+    g[0] = 1.0
+    g[5] = 1.0
+    g[10] = 1.0
 
 
 @device
@@ -126,10 +130,14 @@ def follow(g, h, o, slides, theta, c, s):
     """Replace g by g E, E the motion along the line (o, h) by theta, whose cosine is c and sine s."""
     if slides:
         t = plus(translation(g), theta, rotated(g, h))
-        g[3], g[7], g[11] = t[0], t[1], t[2]
+        g[3] = t[0]
+        g[7] = t[1]
+        g[11] = t[2]
         return
     t = mapped(g, minus(o, turned(h, o, c, s)))
     for i in range(3):  # rows of R E; a row times a rotation is the row turned back
         row = turned(h, three(g, 4 * i), c, -s)
         write3(g, 4 * i, row)
-    g[3], g[7], g[11] = t[0], t[1], t[2]
+    g[3] = t[0]
+    g[7] = t[1]
+    g[11] = t[2]

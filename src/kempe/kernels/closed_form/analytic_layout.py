@@ -8,25 +8,50 @@ Lines are scaled by the length, and seen from the origin. The joints of the chai
 six, and belong to nobody: the target must leave those marked REST at zero, those marked FREE may take any value.
 """
 
-N_LINES, N_JOINTS, INNER, WHAT, MODE, MEASURE, OPTION, N_LOCKED, N_FORMS = 0, 1, 2, 3, 4, 5, 6, 7, 8
+N_LINES = 0
+N_JOINTS = 1
+INNER = 2
+WHAT = 3
+MODE = 4
+MEASURE = 5
+OPTION = 6
+N_LOCKED = 7
+N_FORMS = 8
 """Places in the header of `ints`."""
 
-ORDER, ROLES, FORMS, PLAN_HEADER = 10, 16, 22, 32
+ORDER = 10
+ROLES = 16
+FORMS = 22
+PLAN_HEADER = 32
 """Places in the header: which line stands at each of the six places, its role, the formulations of an elimination."""
 
-JOINT, REST, FREE = 0, 1, 2
+JOINT = 0
+REST = 1
+FREE = 2
 """Roles of the six: a joint of the chain; one that must stay at zero; one that may be anywhere."""
 
-TIP, TASK, LENGTH, ORIGIN, LINES = 0, 12, 18, 19, 22
+TIP = 0
+TASK = 12
+LENGTH = 18
+ORIGIN = 19
+LINES = 22
 """Places in `floats`."""
 
-OFFSET, FACTOR, LOW, HIGH, JOINT_FLOATS = 0, 1, 2, 3, 4
+OFFSET = 0
+FACTOR = 1
+LOW = 2
+HIGH = 3
+JOINT_FLOATS = 4
 """Places in the numbers of a joint."""
 
-POINT, PLANE = 0, 1
+POINT = 0
+PLANE = 1
 """What the inner three joints leave in place: WHAT in the header."""
 
-X_FIRST, Z_FIRST, COUPLED, AT_REST = 0, 1, 2, 3
+X_FIRST = 0
+Z_FIRST = 1
+COUPLED = 2
+AT_REST = 3
 """How the outer equations are solved, MODE in the header: one of them has x alone, or z alone, or none; AT_REST: the
 joints do not move."""
 
@@ -39,9 +64,15 @@ LANES = 8
 SLOTS = 16
 """Rows of an answer."""
 
-ERROR, CODE, INFO = 0, 1, 2
+ERROR = 0
+CODE = 1
+INFO = 2
 """Places after a solution's coordinates: the norm of its errors [m, rad], and its code."""
 
-UNUSED, INSIDE_BIT, WEAK_BIT, SLOT_UNIT, MULTIPLICITY_UNIT = -1.0, 1.0, 2.0, 4.0, 128.0
+UNUSED = -1.0
+INSIDE_BIT = 1.0
+WEAK_BIT = 2.0
+SLOT_UNIT = 4.0
+MULTIPLICITY_UNIT = 128.0
 """A code: UNUSED, or INSIDE_BIT inside the limits + WEAK_BIT near a singularity + SLOT_UNIT (slot + 1, 0 for none) +
 MULTIPLICITY_UNIT times how many roots it is (0: a sample of a family)."""

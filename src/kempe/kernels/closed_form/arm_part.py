@@ -22,18 +22,24 @@ from kempe.kernels.closed_form.analytic_layout import PLANE
 from kempe.kernels.closed_form.subproblems import align, cone_roots, orbit, parabola_roots, trig_roots
 from kempe.kernels.forward.table_layout import SLIDE
 
-VOID, NOTHING, WIDE = 1e-10, 1e-13, 1e-5
+VOID = 1e-10
+NOTHING = 1e-13
+WIDE = 1e-5
 """Amplitude below which an equation says so little that samples are taken as well, and below which they are all there
 is; how far beyond its edge an equation is still tried (the residual decides)."""
 
-VALUE_STRIDE, SAMPLED = 4, 3
+VALUE_STRIDE = 4
+SAMPLED = 3
 """A value of a joint: cosine and sine, or slide and its square; the variable; 1 if it was free and is a sample, or
 OPEN if there is a root that it may lead to."""
 
 FAINT = 1e-5
 """Size below which the square root of rounding leaves open what a joint does between others: values are tried."""
 
-SAMPLES, MOST, OPEN, REPEATED = 4, 6, 0.25, 1e-3
+SAMPLES = 4
+MOST = 6
+OPEN = 0.25
+REPEATED = 1e-3
 """Samples of a joint that is free; values of one joint at most: samples after roots; marks in the place of SAMPLED: of
 a sample that may lead to a root, and of a value that may lead to a root that is a candidate already."""
 
@@ -87,37 +93,52 @@ def terms(kind, h, o, e, sign, what, y_slides, first, second, out):
         x = e.n if what == PLANE else e.p
         out[0] = dot(first, x)
         out[1] = 0.0 if what == PLANE else dot(first, v)
-        out[2], out[5] = 0.0, 0.0
+        out[2] = 0.0
+        out[5] = 0.0
         if y_slides:
             out[3] = dot(second, x)
             out[4] = 0.0 if what == PLANE else dot(second, v)
         elif what == PLANE:
-            out[3], out[4] = dot(e.n, minus(second, e.p)), -dot(e.n, v)
+            out[3] = dot(e.n, minus(second, e.p))
+            out[4] = -dot(e.n, v)
         else:
             r = minus(e.p, second)
-            out[3], out[4], out[5] = dot(r, r), 2.0 * dot(r, v), 1.0
+            out[3] = dot(r, r)
+            out[4] = 2.0 * dot(r, v)
+            out[5] = 1.0
         return
     if what == PLANE:
         m, u, w = orbit(h, e.n)
     else:
         m, u, w = orbit(h, minus(e.p, o))
         m = plus(m, 1.0, o)
-    out[0], out[1], out[2] = dot(first, m), dot(first, u), sign * dot(first, w)
+    out[0] = dot(first, m)
+    out[1] = dot(first, u)
+    out[2] = sign * dot(first, w)
     if y_slides:
-        out[3], out[4], out[5] = dot(second, m), dot(second, u), sign * dot(second, w)
+        out[3] = dot(second, m)
+        out[4] = dot(second, u)
+        out[5] = sign * dot(second, w)
     elif what == PLANE:
         d = minus(second, o)
-        out[3], out[4], out[5] = dot(m, d) + dot(e.n, minus(o, e.p)), dot(u, d), sign * dot(w, d)
+        out[3] = dot(m, d) + dot(e.n, minus(o, e.p))
+        out[4] = dot(u, d)
+        out[5] = sign * dot(w, d)
     else:
         d = minus(m, second)
-        out[3], out[4], out[5] = dot(d, d) + dot(u, u), 2.0 * dot(d, u), 2.0 * sign * dot(d, w)
+        out[3] = dot(d, d) + dot(u, u)
+        out[4] = 2.0 * dot(d, u)
+        out[5] = 2.0 * sign * dot(d, w)
 
 
 @device
 def put(out, k, a, b, theta, sampled):
     """Write one value of a joint."""
     at = VALUE_STRIDE * k
-    out[at], out[at + 1], out[at + 2], out[at + SAMPLED] = a, b, theta, sampled
+    out[at] = a
+    out[at + 1] = b
+    out[at + 2] = theta
+    out[at + SAMPLED] = sampled
 
 
 @device
@@ -148,7 +169,8 @@ def one_unknown(slides, a, b, k, wide, centre, out):
 
     wide: how far beyond its edge the equation may be. centre: where a free slide is tried.
     """
-    size, count = math.hypot(a, b), 0
+    size = math.hypot(a, b)
+    count = 0
     if size <= VOID and abs(k) > wide:
         return 0
     if size > NOTHING:
@@ -173,8 +195,10 @@ def one_unknown(slides, a, b, k, wide, centre, out):
 def cone(k, h, n, w, sign, wide, out):
     """Number of turns about h (inverse turns for `sign` -1) that make the angle of n with k that of w with k."""
     c0, s0, c1, s1, d2 = cone_roots(k, h, n, w)
-    a, b = cross(k, h), cross(h, n)
-    size, count = math.sqrt(dot(a, a) * dot(b, b)), 0
+    a = cross(k, h)
+    b = cross(h, n)
+    size = math.sqrt(dot(a, a) * dot(b, b))
+    count = 0
     if size <= VOID and abs(dot(k, w) - dot(k, n)) > wide:
         return 0
     if size > NOTHING:
@@ -208,10 +232,15 @@ class Outer(NamedTuple):
 @device
 def outer_of(what, kinds, lines, x, y, z, option, p0, n0, p1, n1):
     """The outer problem of the joints at places x, y, z of `lines`."""
-    kx, ky, kz = kinds[x], kinds[y], kinds[z]
-    hx, ox = three(lines, LINE_STRIDE * x), three(lines, LINE_STRIDE * x + 4)
-    hy, oy = three(lines, LINE_STRIDE * y), three(lines, LINE_STRIDE * y + 4)
-    hz, oz = three(lines, LINE_STRIDE * z), three(lines, LINE_STRIDE * z + 4)
+    kx = kinds[x]
+    ky = kinds[y]
+    kz = kinds[z]
+    hx = three(lines, LINE_STRIDE * x)
+    ox = three(lines, LINE_STRIDE * x + 4)
+    hy = three(lines, LINE_STRIDE * y)
+    oy = three(lines, LINE_STRIDE * y + 4)
+    hz = three(lines, LINE_STRIDE * z)
+    oz = three(lines, LINE_STRIDE * z + 4)
     if option == 0:
         oy = foot(oy, hy, oz, hz)
     else:
@@ -288,7 +317,8 @@ def middle_values(o, x, z, out):
     if o.ky == SLIDE:
         d = minus(left.p, right.p)
         nearest = dot(o.hy, d)
-        t, slope = nearest, 1.0
+        t = nearest
+        slope = 1.0
         if o.what == PLANE:
             slope = abs(dot(left.n, o.hy))
             t = dot(left.n, d) / dot(left.n, o.hy) if slope > NOTHING else nearest
@@ -297,7 +327,8 @@ def middle_values(o, x, z, out):
         return count if slope > FAINT else put_samples(True, count, out, OPEN if slope > VOID else 1.0, nearest)
     u, v = (right.n, left.n) if o.what == PLANE else (minus(right.p, o.oy), minus(left.p, o.oy))
     c, s, size = align(o.hy, u, v)
-    size, count = math.sqrt(size), 0
+    size = math.sqrt(size)
+    count = 0
     if size > NOTHING:
         put_angle(out, 0, c, s, 0.0)
         count = 1

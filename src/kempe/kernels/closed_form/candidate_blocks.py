@@ -75,7 +75,9 @@ def take_targets(targets, at, floats, tip, lanes):
     p = (gather(targets, at + 3, 16), gather(targets, at + 7, 16), gather(targets, at + 11, 16))
     scale = 1.0 / floats[LENGTH]
     p = ((p[0] - floats[ORIGIN]) * scale, (p[1] - floats[ORIGIN + 1]) * scale, (p[2] - floats[ORIGIN + 2]) * scale)
-    x, y, z = (r[0], r[3], r[6]), (r[1], r[4], r[7]), (r[2], r[5], r[8])
+    x = (r[0], r[3], r[6])
+    y = (r[1], r[4], r[7])
+    z = (r[2], r[5], r[8])
     normal = (x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0])
     off = abs(dot(x, x) - 1.0) + abs(dot(y, y) - 1.0) + abs(dot(x, y))
     off = off + abs(normal[0] - z[0]) + abs(normal[1] - z[1]) + abs(normal[2] - z[2])
@@ -98,14 +100,18 @@ def take_targets(targets, at, floats, tip, lanes):
 @routine
 def reduced(ints, floats, moves, locked, six):
     """Write to six (SIX numbers) the tip's pose, lines and joints of the unknowns, moved by the locked joints."""
-    n, order = ints[N_JOINTS], beyond(ints, ORDER)
-    shift, theta = beyond(six, AT_SHIFT), beyond(six, AT_SHIFT + 12)
+    n = ints[N_JOINTS]
+    order = beyond(ints, ORDER)
+    shift = beyond(six, AT_SHIFT)
+    theta = beyond(six, AT_SHIFT + 12)
     joints = beyond(floats, LINES + LINE_STRIDE * ints[N_LINES])
     identity(shift)
     for i in range(n):
-        at, k = JOINT_FLOATS * i, 0
+        at = JOINT_FLOATS * i
+        k = 0
         theta[0] = joints[at + FACTOR] * locked[i] + joints[at + OFFSET]
-        h, o = three(floats, LINES + LINE_STRIDE * i), three(floats, LINES + LINE_STRIDE * i + 4)
+        h = three(floats, LINES + LINE_STRIDE * i)
+        o = three(floats, LINES + LINE_STRIDE * i + 4)
         if moves[i] == 0:
             slides = ints[PLAN_HEADER + i] == SLIDE
             follow(shift, h, o, slides, theta[0], math.cos(theta[0]), math.sin(theta[0]))
@@ -119,16 +125,24 @@ def reduced(ints, floats, moves, locked, six):
     tip = beyond(floats, TIP)
     for j in range(3):
         column = rotated(shift, (tip[j], tip[4 + j], tip[8 + j]))
-        six[j], six[4 + j], six[8 + j] = column[0], column[1], column[2]
+        six[j] = column[0]
+        six[4 + j] = column[1]
+        six[8 + j] = column[2]
     p = mapped(shift, translation(tip))
-    six[3], six[7], six[11] = p[0], p[1], p[2]
+    six[3] = p[0]
+    six[7] = p[1]
+    six[11] = p[2]
 
 
 @device
 def problem_of(ints, floats, six, lanes, out, near, near_step):
     """What the targets of a call share."""
-    lines, k, what = beyond(six, AT_LINES), ints[INNER], ints[WHAT]
-    x, y, z = (k + 3) % 6, (k + 4) % 6, (k + 5) % 6
+    lines = beyond(six, AT_LINES)
+    k = ints[INNER]
+    what = ints[WHAT]
+    x = (k + 3) % 6
+    y = (k + 4) % 6
+    z = (k + 5) % 6
     hy, oy = joint_line(lines, y)
     other = z if ints[OPTION] == 0 else x
     oy = foot(oy, hy, three(lines, LINE_STRIDE * other + 4), three(lines, LINE_STRIDE * other))
@@ -143,7 +157,8 @@ def spread_rows(answers, n, order, moves, locked, count, out):
     """Write answers of six unknowns as those of n joints, with the values of the locked ones."""
     width = n + INFO
     for i in range(count * SLOTS):
-        row, from_ = beyond(out, width * i), beyond(answers, ROW * i)
+        row = beyond(out, width * i)
+        from_ = beyond(answers, ROW * i)
         for j in range(n):
             if moves[j] == 0:
                 row[j] = locked[j]
@@ -162,18 +177,25 @@ def closed_side_by_side(ints, floats, targets, near, locked, sort, out, left):
     returned. out: (N, SLOTS, n + INFO).
     """
     scratch = np.empty(ROWS * LANES + (16 + SLOTS * ROW) * LANES + SIX)
-    n_targets, n = targets.shape[0], ints[N_JOINTS]
+    n_targets = targets.shape[0]
+    n = ints[N_JOINTS]
     lanes = raw(scratch)
-    goals, answers = beyond(lanes, ROWS * LANES), beyond(lanes, (ROWS + 16) * LANES)
+    goals = beyond(lanes, ROWS * LANES)
+    answers = beyond(lanes, (ROWS + 16) * LANES)
     six = beyond(answers, SLOTS * ROW * LANES)
     moves = beyond(raw(ints), PLAN_HEADER + ints[N_LINES])
-    apart, step = locked.shape[0] > 1, n if near.shape[0] > 1 else 0
+    apart = locked.shape[0] > 1
+    step = n if near.shape[0] > 1 else 0
     group = 1 if apart else n_targets  # targets of which the lines are the same
-    few, width = group < LANES, SLOTS * (n + INFO)
-    direct, next_ = n == 6 and not few, 0 if apart else step
-    count, done = 0, 0
+    few = group < LANES
+    width = SLOTS * (n + INFO)
+    direct = n == 6 and not few
+    next_ = 0 if apart else step
+    count = 0
+    done = 0
     for first in range(0, n_targets, max(1, group)):
-        wanted, rows = beyond(raw(targets), 16 * first), beyond(raw(out), width * first)
+        wanted = beyond(raw(targets), 16 * first)
+        rows = beyond(raw(out), width * first)
         held = beyond(raw(locked), n * first if apart else 0)
         reduced(raw(ints), raw(floats), moves, held, six)
         if few:  # the lanes are filled up with the last target

@@ -48,13 +48,16 @@ from kempe.kernels.closed_form.candidate_lanes import (
 from kempe.kernels.closed_form.subproblems import align, cone_roots, orbit, triangle, trig_roots_of
 from kempe.kernels.closed_form.wrist_part import across
 
-ROUNDING, EDGE = 1e-12, 1e-10
+ROUNDING = 1e-12
+EDGE = 1e-10
 """The largest error that is left as it is; how far beyond a limit rounding may push a coordinate."""
 
-SLOTS, ROW = 8, 8
+SLOTS = 8
+ROW = 8
 """Slots of a target, and numbers of each: six coordinates, error, code."""
 
-AT_COORDINATES, AT_FITS = LANE_ROWS, LANE_ROWS + 6
+AT_COORDINATES = LANE_ROWS
+AT_FITS = LANE_ROWS + 6
 ROWS = LANE_ROWS + 12
 """Rows of scratch: those of `candidate_lanes`, the joints' coordinates, and whether these are inside the limits."""
 
@@ -88,13 +91,15 @@ def coordinate(pr, joint, theta, near):
     one nearest to `near`, with inside 0. `pr` is the problem with the table of joints.
     """
     at = JOINT_FLOATS * joint
-    low, high = pr.joints[at + LOW], pr.joints[at + HIGH]
+    low = pr.joints[at + LOW]
+    high = pr.joints[at + HIGH]
     period = 2.0 * math.pi / abs(pr.joints[at + FACTOR])
     per = 1.0 / period
     q = (theta - pr.joints[at + OFFSET]) * (1.0 / pr.joints[at + FACTOR])
     q = q + period * (((near - q) * per + ROUND) - ROUND)
     # one period back inside is tried from either side; where none fits, q stays as it is and is outside
-    over, under = (q - (high + EDGE)) * per, ((low - EDGE) - q) * per
+    over = (q - (high + EDGE)) * per
+    under = ((low - EDGE) - q) * per
     down = q - period * (((over + 0.5) + ROUND) - ROUND)
     up = q + period * (((under + 0.5) + ROUND) - ROUND)
     moved = where(over > 0.0, down, where(under > 0.0, up, q))
@@ -112,7 +117,8 @@ def write_row(pr, at, slot, valid, error):
     for joint in range(1, 6):
         inside = inside * load_lanes(pr.lanes, (AT_FITS + joint) * LANES)
     code = where(valid > 0.5, MULTIPLICITY_UNIT + SLOT_UNIT * (slot + 1) + INSIDE_BIT * inside, UNUSED)
-    q, last = load3(pr.lanes, AT_COORDINATES), load3(pr.lanes, AT_COORDINATES + 3)
+    q = load3(pr.lanes, AT_COORDINATES)
+    last = load3(pr.lanes, AT_COORDINATES + 3)
     store_columns(pr.out, place, SLOTS * ROW, q[0], q[1], q[2], last[0])
     store_columns(pr.out, place + 4, SLOTS * ROW, last[1], last[2], error, code)
 
@@ -145,7 +151,9 @@ def error_of(pr, a, b, c, w, dr, dp, r):
     p = plus(oa, 1.0, turned(ha, minus(p, oa), a[0], a[1]))
     x = turned(ha, turned(hb, turned(hc, r, c[0], c[1]), b[0], b[1]), a[0], a[1])
     y = turned(ha, turned(hb, hc, b[0], b[1]), a[0], a[1])
-    p, x, y = minus(p, dp), minus(x, dr), minus(y, w)
+    p = minus(p, dp)
+    x = minus(x, dr)
+    y = minus(y, w)
     return square_root(pr.length * pr.length * dot(p, p) + dot(x, x) + dot(y, y))
 
 
@@ -156,21 +164,25 @@ def inner_pair(pr, at, slot, valid, clear):
     hb, ob = joint_line(pr.lines, pr.k + 1)
     hc, oc = joint_line(pr.lines, pr.k + 2)
     r = across(hc)
-    w, dr = inner_direction(pr.lines, pr.k, pr.lanes, hc), inner_direction(pr.lines, pr.k, pr.lanes, r)
+    w = inner_direction(pr.lines, pr.k, pr.lanes, hc)
+    dr = inner_direction(pr.lines, pr.k, pr.lanes, r)
     dp = inner_point(pr.lines, pr.k, pr.lanes, pr.probe)
     one = spread_lanes(1.0)
     goal = w
     middle, u0, w0 = orbit(hb, minus(oc, ob))
     if pr.what == POINT:
         c0, s0, c1, s1, d2 = cone_roots(ha, hb, hc, w)
-        sa, sb = minus(ha, plus((0.0, 0.0, 0.0), dot(ha, hb), hb)), minus(hc, plus((0.0, 0.0, 0.0), dot(hc, hb), hb))
+        sa = minus(ha, plus((0.0, 0.0, 0.0), dot(ha, hb), hb))
+        sb = minus(hc, plus((0.0, 0.0, 0.0), dot(hc, hb), hb))
         size = one * (dot(sa, sa) * dot(sb, sb))
     else:
         q = minus(inner_point(pr.lines, pr.k, pr.lanes, oc), oa)
         goal = minus(q, plus((0.0, 0.0, 0.0), dot(hc, q), hc))
         fixed = minus(plus(middle, 1.0, ob), oa)
         fixed = minus(fixed, plus((0.0, 0.0, 0.0), dot(hc, fixed), hc))
-        x, y, rho2 = 2.0 * dot(fixed, u0), 2.0 * dot(fixed, w0), dot(goal, goal)
+        x = 2.0 * dot(fixed, u0)
+        y = 2.0 * dot(fixed, w0)
+        rho2 = dot(goal, goal)
         d2 = triangle(square_root(dot(fixed, fixed)), square_root(dot(u0, u0)), rho2)
         c0, s0, c1, s1, d2 = trig_roots_of(one * x, one * y, rho2 - dot(fixed, fixed) - dot(u0, u0), d2)
         size = one * (x * x + y * y)
@@ -179,9 +191,11 @@ def inner_pair(pr, at, slot, valid, clear):
     clear = clear * where(valid > 0.5, clear_of(d2, size), 1.0)
     valid = valid * there
     for i in range(2):
-        c, s = c0, s0
+        c = c0
+        s = s0
         if i == 1:
-            c, s = c1, s1
+            c = c1
+            s = s1
         u = turned(hb, (one * hc[0], one * hc[1], one * hc[2]), c, s)
         if pr.what == PLANE:
             u = plus(plus((one * middle[0], one * middle[1], one * middle[2]), c, u0), s, w0)
@@ -202,7 +216,9 @@ def inner_pair(pr, at, slot, valid, clear):
 def second_pair(pr, at, slot, c, s, valid, clear):
     """`clear` after the four solutions were written that belong to one angle of the first joint."""
     first, second = (X_SIDE, Z_SIDE) if pr.mode == X_FIRST else (Z_SIDE, X_SIDE)
-    x, y, z = (pr.k + 3) % 6, (pr.k + 4) % 6, (pr.k + 5) % 6
+    x = (pr.k + 3) % 6
+    y = (pr.k + 4) % 6
+    z = (pr.k + 5) % 6
     hy = three(pr.lines, LINE_STRIDE * y)
     lanes = pr.lanes
     v = on_orbit(lanes, first, c, s)
@@ -216,9 +232,11 @@ def second_pair(pr, at, slot, c, s, valid, clear):
     clear = clear * where(valid > 0.5, plain, 1.0)
     valid = valid * there
     for i in range(2):
-        c2, s2 = c0, s0
+        c2 = c0
+        s2 = s0
         if i == 1:
-            c2, s2 = c1, s1
+            c2 = c1
+            s2 = s1
         other = on_orbit(lanes, second, c2, s2)
         if pr.mode == X_FIRST:
             cy, sy, size = align(hy, other, v)

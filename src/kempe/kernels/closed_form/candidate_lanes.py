@@ -23,13 +23,22 @@ from kempe.kernels.base.vectors import LANES, load_lanes, spread_lanes, store, w
 from kempe.kernels.closed_form.analytic_layout import PLANE, POINT
 from kempe.kernels.closed_form.subproblems import cone_roots, orbit, trig_roots
 
-CLEAR, FAR = 1e-7, 1e-5
+CLEAR = 1e-7
+FAR = 1e-5
 """A discriminant, relative, that is clearly not zero; a distance from an axis that gives an angle."""
 
-M, U, W, MEASURE_2, AXIS, SIDE = 0, 3, 6, 9, 12, 15
+M = 0
+U = 3
+W = 6
+MEASURE_2 = 9
+AXIS = 12
+SIDE = 15
 """A side, lanes: orbit m + u cos + w sin of the point (from y's point) or normal; terms of the second measure; axis."""
 
-GOAL, CS, X_SIDE, Z_SIDE = 0, 12, 24, 39
+GOAL = 0
+CS = 12
+X_SIDE = 24
+Z_SIDE = 39
 """Places in the lanes: the goal, cosine and sine of each joint, both sides."""
 
 LANE_ROWS = 54
@@ -53,7 +62,9 @@ def store3(p, k, v):
 @device
 def goal_lanes(p):
     """The twelve entries of the goal."""
-    a, b, c = load3(p, GOAL), load3(p, GOAL + 3), load3(p, GOAL + 6)
+    a = load3(p, GOAL)
+    b = load3(p, GOAL + 3)
+    c = load3(p, GOAL + 6)
     d = load3(p, GOAL + 9)
     return a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2], d[0], d[1], d[2]
 
@@ -96,12 +107,14 @@ def sides(lines, k, what, n, p, oy, lanes):
     The goal stands before x (k = 3), between x and y (2), between y and z (1) or after z (0); y's frame is that of its
     own neighbour on the side where the goal is not.
     """
-    x, z = (k + 3) % 6, (k + 5) % 6
+    x = (k + 3) % 6
+    z = (k + 5) % 6
     hx, ox = joint_line(lines, x)
     hz, oz = joint_line(lines, z)
     g = goal_lanes(lanes)
     if k == 3:  # E_y E_z e = E_x^-1 (G e)
-        q, v = mapped(g, p), rotated(g, n)
+        q = mapped(g, p)
+        v = rotated(g, n)
         if what == POINT:
             m, u, w = orbit(hx, minus(q, ox))
             m = plus(m, 1.0, ox)
@@ -111,7 +124,8 @@ def sides(lines, k, what, n, p, oy, lanes):
         m1, u1, w1 = static_orbit(what, hz, oz, p, n)
         write_side(lanes, Z_SIDE, what, m1, u1, w1, 1.0, oy, oz, dot(n, minus(oz, p)), hz)
     elif k == 0:  # E_y E_z (G^-1 e) = E_x^-1 e
-        q, v = unmapped(g, p), unrotated(g, n)
+        q = unmapped(g, p)
+        v = unrotated(g, n)
         if what == POINT:
             m, u, w = orbit(hz, minus(q, oz))
             m = plus(m, 1.0, oz)
@@ -164,7 +178,8 @@ def roots_of(lanes, side, sign, hy, what, j, known, w):
         n = plus(load3(lanes, side + M), 1.0, load3(lanes, side + U))
         h = load3(lanes, side + AXIS)
         c0, s0, c1, s1, d2 = cone_roots(hy, h, n, w)
-        s0, s1 = sign * s0, sign * s1
+        s0 = sign * s0
+        s1 = sign * s1
     else:
         c0, s0, c1, s1, d2 = trig_roots(a[1], a[2], known - a[0])
     size = a[1] * a[1] + a[2] * a[2]
@@ -182,7 +197,8 @@ def put_cs(lanes, joint, c, s):
 def unwind(lines, joint, v, lanes, of_point):
     """A direction or point moved by the inverse of a joint."""
     h, o = joint_line(lines, joint)
-    c, s = load_lanes(lanes, (CS + 2 * joint) * LANES), load_lanes(lanes, (CS + 2 * joint + 1) * LANES)
+    c = load_lanes(lanes, (CS + 2 * joint) * LANES)
+    s = load_lanes(lanes, (CS + 2 * joint + 1) * LANES)
     if of_point:
         return plus(turned(h, minus(v, o), c, -s), 1.0, o)
     return turned(h, v, c, -s)

@@ -50,7 +50,9 @@ from kempe.kernels.closed_form.quartic import coupled_pairs, faint, steadiness, 
 from kempe.kernels.closed_form.wrist_part import ANY, ball_triple, planar_triple
 from kempe.kernels.forward.table_layout import SLIDE
 
-CANDIDATE, SLOT, SAMPLE = 8, 6, 7
+CANDIDATE = 8
+SLOT = 6
+SAMPLE = 7
 """Numbers of a candidate: six variables; its slot by signs; 1 if it has a sample of a free joint, less if that may lead
 to a root, REPEATED if it may be one of those before."""
 
@@ -60,8 +62,18 @@ DEPENDENT = 1e-7
 MOST_CANDIDATES = 192
 """Candidates at most."""
 
-AT_LINES, AT_TERMS, AT_X, AT_Z, AT_Y, AT_INNER = 0, 48, 60, 84, 108, 132
-AT_WORK, AT_MOTION, AT_DOUBT, AT_SOME, AT_APART, SCRATCH = 204, 228, 240, 241, 265, 313
+AT_LINES = 0
+AT_TERMS = 48
+AT_X = 60
+AT_Z = 84
+AT_Y = 108
+AT_INNER = 132
+AT_WORK = 204
+AT_MOTION = 228
+AT_DOUBT = 240
+AT_SOME = 241
+AT_APART = 265
+SCRATCH = 313
 """Places in the scratch: lines round the loop, terms, values of x, z, y and the inner joints, work, a motion, doubt,
 samples, values of two equations that are solved apart."""
 
@@ -69,18 +81,23 @@ samples, values of two equations that are solved apart."""
 @device
 def meeting_point(lines, a, b):
     """The point halfway between the nearest points of two lines that are not parallel."""
-    h, o = three(lines, LINE_STRIDE * a), three(lines, LINE_STRIDE * a + 4)
-    g, p = three(lines, LINE_STRIDE * b), three(lines, LINE_STRIDE * b + 4)
-    n, d = cross(h, g), minus(p, o)
+    h = three(lines, LINE_STRIDE * a)
+    o = three(lines, LINE_STRIDE * a + 4)
+    g = three(lines, LINE_STRIDE * b)
+    p = three(lines, LINE_STRIDE * b + 4)
+    n = cross(h, g)
+    d = minus(p, o)
     square = dot(n, n)
-    x, y = dot(cross(d, g), n) / square, dot(cross(d, h), n) / square
+    x = dot(cross(d, g), n) / square
+    y = dot(cross(d, h), n) / square
     return plus(plus((0.0, 0.0, 0.0), 0.5, plus(o, x, h)), 0.5, plus(p, y, g))
 
 
 @device
 def ball_centre(lines, k):
     """Where the axes k, k + 1, k + 2 meet; neighbours may coincide with none of the others only."""
-    h, g = three(lines, LINE_STRIDE * k), three(lines, LINE_STRIDE * (k + 1))
+    h = three(lines, LINE_STRIDE * k)
+    g = three(lines, LINE_STRIDE * (k + 1))
     n = cross(h, g)
     if dot(n, n) > 1e-6:
         return meeting_point(lines, k, k + 1)
@@ -92,9 +109,11 @@ def loop_lines(lines, goal, first, out):
     """Write the lines to out, those of joints before `first` taken round the goal: mapped by its inverse."""
     for i in range(6):
         at = LINE_STRIDE * i
-        h, o = three(lines, at), three(lines, at + 4)
+        h = three(lines, at)
+        o = three(lines, at + 4)
         if i < first:
-            h, o = unrotated(goal, h), unmapped(goal, o)
+            h = unrotated(goal, h)
+            o = unmapped(goal, o)
         write3(out, at, h)
         write3(out, at + 4, o)
 
@@ -111,7 +130,8 @@ def plane_normal(kinds, lines, k):
 @routine
 def inner_values(kinds, lines, goal, k, what, x, y, z, scratch):
     """Number of solutions of the inner joints, given values of the outer ones; three values each."""
-    d, around = beyond(scratch, AT_MOTION), beyond(scratch, AT_LINES)
+    d = beyond(scratch, AT_MOTION)
+    around = beyond(scratch, AT_LINES)
     identity(d)
     # I3 = G (Ex Ey Ez)^-1, built from the right: d = G Ez^-1 Ey^-1 Ex^-1
     for i in range(12):
@@ -121,8 +141,11 @@ def inner_values(kinds, lines, goal, k, what, x, y, z, scratch):
         v = z if i == 0 else y if i == 1 else x
         at = LINE_STRIDE * j
         follow(d, three(around, at), three(around, at + 4), kinds[j] == SLIDE, -v[2], v[0], -v[1])
-    a, b, c = LINE_STRIDE * k, LINE_STRIDE * (k + 1), LINE_STRIDE * (k + 2)
-    work, out = beyond(scratch, AT_WORK), beyond(scratch, AT_INNER)
+    a = LINE_STRIDE * k
+    b = LINE_STRIDE * (k + 1)
+    c = LINE_STRIDE * (k + 2)
+    work = beyond(scratch, AT_WORK)
+    out = beyond(scratch, AT_INNER)
     wide = ANY if x[SAMPLED] + y[SAMPLED] + z[SAMPLED] > REPEATED else WIDE
     if what == POINT:
         return ball_triple(three(lines, a), three(lines, b), three(lines, c), d, wide, work, out)
@@ -147,7 +170,9 @@ def emit(kinds, lines, goal, k, what, x, y, z, slot, scratch, out, count):
         for j in range(3):
             out[at + k + j] = inner[VALUE_STRIDE * (3 * i + j) + 2]
             sampled += inner[VALUE_STRIDE * (3 * i + j) + SAMPLED]
-        out[at + (k + 3) % 6], out[at + (k + 4) % 6], out[at + (k + 5) % 6] = x[2], y[2], z[2]
+        out[at + (k + 3) % 6] = x[2]
+        out[at + (k + 4) % 6] = y[2]
+        out[at + (k + 5) % 6] = z[2]
         out[at + SLOT] = 2 * slot + i % 2
         out[at + SAMPLE] = min(sampled, 1.0)
         count += 1
@@ -166,7 +191,8 @@ def with_middles(kinds, lines, goal, k, outer, x, z, slot, scratch, out, count):
 @device
 def nearly_silent(t):
     """Whether an equation says hardly anything of a joint: that there is no solution is then not to be trusted."""
-    a, b = math.hypot(t[1], t[2]), math.hypot(t[4], t[5])
+    a = math.hypot(t[1], t[2])
+    b = math.hypot(t[4], t[5])
     return NOTHING < a < FAINT or NOTHING < b < FAINT
 
 
@@ -181,7 +207,8 @@ def closed_candidates(kinds, lines, goal, k, what, mode, measure, option, scratc
     """
     around = beyond(scratch, AT_LINES)
     loop_lines(lines, goal, k, around)
-    xs, zs = beyond(scratch, AT_X), beyond(scratch, AT_Z)
+    xs = beyond(scratch, AT_X)
+    zs = beyond(scratch, AT_Z)
     scratch[AT_DOUBT] = 0.0
     if mode == AT_REST:
         for i in range(VALUE_STRIDE):
@@ -191,14 +218,16 @@ def closed_candidates(kinds, lines, goal, k, what, mode, measure, option, scratc
     n, p = plane_normal(kinds, lines, k) if what == PLANE else (three(lines, 0), ball_centre(lines, k))
     outer = outer_of(what, kinds, around, (k + 3) % 6, (k + 4) % 6, (k + 5) % 6, option, p, n,
                      unmapped(goal, p), unrotated(goal, n))  # fmt: skip
-    tx, tz = beyond(scratch, AT_TERMS), beyond(scratch, AT_TERMS + 6)
+    tx = beyond(scratch, AT_TERMS)
+    tz = beyond(scratch, AT_TERMS + 6)
     x_terms(outer, tx)
     z_terms(outer, tz)
     count = 0
     if mode == COUPLED:
         pairs = coupled_pairs(outer.kx == SLIDE, outer.kz == SLIDE, tx, tz, beyond(scratch, AT_WORK), xs, zs)
         for i in range(pairs):
-            x, z = beyond(xs, VALUE_STRIDE * i), beyond(zs, VALUE_STRIDE * i)
+            x = beyond(xs, VALUE_STRIDE * i)
+            z = beyond(zs, VALUE_STRIDE * i)
             # the roots of a quartic have no names: a slot below zero
             count = with_middles(kinds, lines, goal, k, outer, x, z, -1 - i, scratch, out, count)
             some = beyond(scratch, AT_SOME)
@@ -216,7 +245,8 @@ def closed_candidates(kinds, lines, goal, k, what, mode, measure, option, scratc
             pairs = uncoupled_pairs(outer.kx == SLIDE, outer.kz == SLIDE, tx, tz, x_centre(outer), z_centre(outer),
                                     work, xs, zs)  # fmt: skip
             for i in range(pairs):
-                x, z = beyond(xs, VALUE_STRIDE * i), beyond(zs, VALUE_STRIDE * i)
+                x = beyond(xs, VALUE_STRIDE * i)
+                z = beyond(zs, VALUE_STRIDE * i)
                 count = with_middles(kinds, lines, goal, k, outer, x, z, -1 - i, scratch, out, count)
         dependent = not apart and max(steadiness(tx), steadiness(tz)) < DEPENDENT
         return count, dependent or scratch[AT_DOUBT] != 0.0
@@ -237,7 +267,9 @@ def closed_candidates(kinds, lines, goal, k, what, mode, measure, option, scratc
 def outer_terms(kinds, lines, goal, k, what, option, out):
     """Write the terms of x and of z (6, 6) for one goal: a plan sees by them which unknowns are missing."""
     scratch = np.empty(SCRATCH)
-    around, l_, g_ = raw(scratch), raw(lines), raw(goal)
+    around = raw(scratch)
+    l_ = raw(lines)
+    g_ = raw(goal)
     loop_lines(l_, g_, k, around)
     n, p = plane_normal(raw(kinds), l_, k) if what == PLANE else (three(l_, 0), ball_centre(l_, k))
     outer = outer_of(what, raw(kinds), around, (k + 3) % 6, (k + 4) % 6, (k + 5) % 6, option, p, n,

@@ -32,7 +32,9 @@ def led_nowhere(d, candidates, count):
 
     Or to samples on target within the tolerance only: then there are roots somewhere.
     """
-    tried, singular, exact = False, False, True
+    tried = False
+    singular = False
+    exact = True
     for k in range(candidates):
         tried = tried or d.candidates[CANDIDATE * k + SAMPLE] > REPEATED
     for k in range(count):
@@ -58,14 +60,18 @@ def closed(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, w
     (N, K, n + INFO) coordinates, error, code. counts: (N, 2) rows in use, -1 for a target that is no pose, and whether
     in doubt.
     """
-    n, slots = ints[N_JOINTS], out.shape[1]
-    block, flags = np.empty(target_scratch_size(n) + SCRATCH), np.empty(6 + slots, np.int64)
+    n = ints[N_JOINTS]
+    slots = out.shape[1]
+    block = np.empty(target_scratch_size(n) + SCRATCH)
+    flags = np.empty(6 + slots, np.int64)
     d = target_scratch(raw(ints), raw(floats), raw(block), raw(flags), tol_linear, tol_angular)
     scratch = beyond(raw(block), target_scratch_size(n))
     for i in which:
         close_to = beyond(raw(near), n * i if near.shape[0] > 1 else 0)
         held = beyond(raw(locked), n * i if locked.shape[0] > 1 else 0)
-        sound, count, doubt = begin(d, beyond(raw(targets), 16 * i), close_to, held), 0, False
+        sound = begin(d, beyond(raw(targets), 16 * i), close_to, held)
+        count = 0
+        doubt = False
         if sound:
             k, doubt = closed_candidates(d.kinds, d.six, d.goal, ints[INNER], ints[WHAT], ints[MODE], ints[MEASURE],
                                          ints[OPTION], scratch, d.candidates)  # fmt: skip
@@ -74,6 +80,7 @@ def closed(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, w
             count = split(d.found, count)
             doubt = doubt or listed(d.found, count) > slots or count == MOST_SOLUTIONS or k == MOST_CANDIDATES
         written = end(d, count, close_to, beyond(raw(out), slots * (n + INFO) * i), slots, sort)
-        counts[i, 0], counts[i, 1] = written if sound else -1, int(doubt)
+        counts[i, 0] = written if sound else -1
+        counts[i, 1] = int(doubt)
     keep(block)
     keep(flags)

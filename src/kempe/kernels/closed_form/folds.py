@@ -9,7 +9,9 @@ from kempe.kernels.base.scratch import beyond
 from kempe.kernels.closed_form.merging import ERROR, MERGED, MOST_SOLUTIONS, SAME, SOLUTION, TURNS, WEAKEST, distance
 from kempe.kernels.closed_form.polish import AT_AXES, columns_at, error_at, orthogonal_step, tangent
 
-SETTLED, STEPS, ASIDE = 1e-14, 24, 1e-3
+SETTLED = 1e-14
+STEPS = 24
+ASIDE = 1e-3
 """Error, in lengths of the chain, up to which a singular solution may be a double root; undamped steps from so far
 aside along its tangent, each of which halves the distance to a root on that side."""
 
@@ -28,7 +30,9 @@ def one_side(m, start, sign, theta):
         theta[i] = start[i] + sign * ASIDE * theta[i]
     for _ in range(STEPS):
         error_at(m, theta)
-        n, k, size = columns_at(m), 0, 0.0
+        n = columns_at(m)
+        k = 0
+        size = 0.0
         if not orthogonal_step(m, n, False):
             break
         for i in range(n):
@@ -46,10 +50,13 @@ def one_side(m, start, sign, theta):
 @routine
 def split(found, count):
     """New number of solutions: of those that stand between two roots, both roots."""
-    m, stride, first = found.model, SOLUTION + found.model.n, count
+    m = found.model
+    stride = SOLUTION + found.model.n
+    first = count
     spare = beyond(found.rows, stride * MOST_SOLUTIONS)
     for k in range(first):
-        row, roots = beyond(found.rows, stride * k), 0
+        row = beyond(found.rows, stride * k)
+        roots = 0
         error = math.hypot(row[ERROR], row[ERROR + 1])
         if row[WEAKEST] > MERGED or row[TURNS] == 0.0 or error <= SETTLED or count == MOST_SOLUTIONS:
             continue

@@ -11,21 +11,34 @@ from kempe.kernels.closed_form.analytic_layout import CODE, FACTOR, HIGH, INFO, 
 from kempe.kernels.closed_form.polish import Model, error_at, polish, sharpen, tangent, weakest
 from kempe.kernels.forward.table_layout import SLIDE
 
-EQUAL, SAME, NEAR, INDISTINCT = 1e-9, 1e-6, 2e-3, 1e-15
+EQUAL = 1e-9
+SAME = 1e-6
+NEAR = 2e-3
+INDISTINCT = 1e-15
 """Solutions nearer than SAME are one, and those nearer than NEAR whose midpoint solves the target to INDISTINCT: roots
 that merge cannot be distinguished at the square root of rounding. Their mean stands for both, unless they are EQUAL."""
 
-MERGED, CLOSE, UNSURE, STUCK = 1e-8, 1e-4, 1e-12, 1e-13
+MERGED = 1e-8
+CLOSE = 1e-4
+UNSURE = 1e-12
+STUCK = 1e-13
 """Bound of the smallest singular value squared of a solution in which roots may have merged, or that lies near a curve
 of solutions; error up to which such a candidate is worth undamped steps, for the damped ones may have been too short;
 error from which it may still be on its way along the curve; and from which it may be stuck halfway between two roots,
 if one of them is there."""
 
 MOST_SOLUTIONS = 48
-ERROR, TURNS, SIGNS, WEAKEST, SOLUTION = 0, 2, 3, 4, 6
+ERROR = 0
+TURNS = 2
+SIGNS = 3
+WEAKEST = 4
+SOLUTION = 6
 """A solution: errors (2), multiplicity, slot, bound of the smallest singular value squared, then the variables."""
 
-ROOT, AGAIN, SAMPLED, OPENED = 0, 1, 2, 3
+ROOT = 0
+AGAIN = 1
+SAMPLED = 2
+OPENED = 3
 """Kinds of candidates: a root; one of another formulation, where it may be a root met before; from a free joint; from a
 joint that is nearly free: a sample if it is on target as it is, else it may lead to a root."""
 
@@ -102,7 +115,8 @@ def add(found, count, theta, slot, kind):
 
     kind: ROOT, each counts towards the multiplicity of a solution; AGAIN, roots that were counted before; SAMPLED.
     """
-    m, stride = found.model, SOLUTION + found.model.n
+    m = found.model
+    stride = SOLUTION + found.model.n
     linear, angular, weak, kind = made_exact(found, theta, kind)
     if not (linear <= found.linear and angular <= found.angular):
         return count
@@ -115,7 +129,8 @@ def add(found, count, theta, slot, kind):
         d = distance(m, theta, other)
         if d > NEAR:
             continue
-        this, that = max(linear, angular), max(row[ERROR], row[ERROR + 1])
+        this = max(linear, angular)
+        that = max(row[ERROR], row[ERROR + 1])
         if d > EQUAL and this > max(STUCK, 10.0 * that):
             return count
         if d > EQUAL and that > max(STUCK, 10.0 * this):
@@ -143,7 +158,10 @@ def add(found, count, theta, slot, kind):
     if count >= MOST_SOLUTIONS or (kind == SAMPLED and sampled_already(found, count, slot)):
         return count
     row = beyond(found.rows, stride * count)
-    row[ERROR], row[ERROR + 1], row[TURNS], row[SIGNS] = linear, angular, 0.0 if kind == SAMPLED else 1.0, slot
+    row[ERROR] = linear
+    row[ERROR + 1] = angular
+    row[TURNS] = 0.0 if kind == SAMPLED else 1.0
+    row[SIGNS] = slot
     row[WEAKEST] = weak
     for i in range(m.n):
         row[SOLUTION + i] = theta[i]
@@ -153,9 +171,12 @@ def add(found, count, theta, slot, kind):
 @routine
 def united(found, count):
     """New number of solutions: those that came to be the same, as means of roots that merge moved, are one."""
-    m, stride, k = found.model, SOLUTION + found.model.n, 1
+    m = found.model
+    stride = SOLUTION + found.model.n
+    k = 1
     while k < count:
-        row, same = beyond(found.rows, stride * k), -1
+        row = beyond(found.rows, stride * k)
+        same = -1
         for j in range(k if row[WEAKEST] < MERGED else 0):
             if distance(m, beyond(row, SOLUTION), beyond(found.rows, stride * j + SOLUTION)) <= SAME:
                 same = j
@@ -193,7 +214,8 @@ def coordinate(slides, theta, numbers, near, edge):
     as the chain is longer, since rounding is.
     """
     q = (theta - numbers[OFFSET]) / numbers[FACTOR]
-    low, high = numbers[LOW], numbers[HIGH]
+    low = numbers[LOW]
+    high = numbers[HIGH]
     if slides:
         edge *= max(1.0, 1.0 / abs(numbers[FACTOR]))
         if not low - edge <= q <= high + edge:
@@ -216,7 +238,8 @@ def within(m, joints, row, near, edge, q):
     """Whether all are inside the limits, or beyond by `edge`; writes the coordinates of one solution."""
     inside = True
     for i in range(m.n):
-        slides, numbers = m.kinds[i] == SLIDE, beyond(joints, JOINT_FLOATS * i)
+        slides = m.kinds[i] == SLIDE
+        numbers = beyond(joints, JOINT_FLOATS * i)
         q[i], fits = coordinate(slides, row[SOLUTION + i], numbers, near[i], edge)
         inside = inside and fits
     return inside
@@ -228,33 +251,39 @@ def onto_limits(found, joints, row, near, q, out):
 
     The tip does not feel a motion along its tangent: along it goes what is farthest beyond its limit, all the way.
     """
-    m, theta = found.model, beyond(out, SOLUTION)
+    m = found.model
+    theta = beyond(out, SOLUTION)
     if not within(m, joints, row, near, SAME, q):
         return False
     error_at(m, beyond(row, SOLUTION))
     if not tangent(m, theta):
         return False
-    farthest, way = 0.0, 0.0
+    farthest = 0.0
+    way = 0.0
     for i in range(m.n):
         limit = joints[JOINT_FLOATS * i + FACTOR] * q[i] + joints[JOINT_FLOATS * i + OFFSET]
         d = gap(m.kinds[i] == SLIDE, limit, row[SOLUTION + i])
         if abs(d) > farthest and abs(theta[i]) > SAME:
-            farthest, way = abs(d), d / theta[i]
+            farthest = abs(d)
+            way = d / theta[i]
     for i in range(m.n):
         theta[i] = row[SOLUTION + i] + way * theta[i]
     linear, angular = error_at(m, theta)
-    out[ERROR], out[ERROR + 1] = linear, angular
+    out[ERROR] = linear
+    out[ERROR + 1] = angular
     return linear <= found.linear and angular <= found.angular and within(m, joints, out, near, EDGE, q)
 
 
 @routine
 def coordinates(found, joints, row, near, q):
     """Whether all are inside the limits; writes the coordinates of one solution."""
-    m, spare = found.model, beyond(found.rows, (SOLUTION + found.model.n) * MOST_SOLUTIONS)
+    m = found.model
+    spare = beyond(found.rows, (SOLUTION + found.model.n) * MOST_SOLUTIONS)
     if within(m, joints, row, near, EDGE, q):
         return True
     if row[WEAKEST] < MERGED and onto_limits(found, joints, row, near, q, spare):
-        row[ERROR], row[ERROR + 1] = spare[ERROR], spare[ERROR + 1]
+        row[ERROR] = spare[ERROR]
+        row[ERROR + 1] = spare[ERROR + 1]
         return True
     return within(m, joints, row, near, EDGE, q)
 
@@ -262,7 +291,8 @@ def coordinates(found, joints, row, near, q):
 @device
 def precedes(n, joints, near, a, b):
     """Whether row a of an answer comes before row b: inside the limits first, then the nearer."""
-    inside_a, inside_b = int(a[n + CODE]) % 2, int(b[n + CODE]) % 2
+    inside_a = int(a[n + CODE]) % 2
+    inside_b = int(b[n + CODE]) % 2
     if inside_a != inside_b:
         return inside_a > inside_b
     da = db = 0.0
@@ -276,7 +306,8 @@ def precedes(n, joints, near, a, b):
 @routine
 def arrange(n, joints, near, out, slots):
     """Number of rows in use; puts them first, in order."""
-    width, used = n + INFO, 0
+    width = n + INFO
+    used = 0
     for k in range(slots):
         if out[width * k + n + CODE] < 0.0:
             continue

@@ -103,7 +103,9 @@ def goal_of(target, tip, goal):
         for j in range(3):
             goal[4 * i + j] = dot(row, three(tip, 4 * j))
     p = minus(translation(target), rotated(goal, translation(tip)))
-    goal[3], goal[7], goal[11] = p[0], p[1], p[2]
+    goal[3] = p[0]
+    goal[7] = p[1]
+    goal[11] = p[2]
 
 
 @routine
@@ -116,7 +118,8 @@ def six_lines(ints, floats, moves, theta, goal, shift, six, kinds):
     identity(shift)
     for i in range(ints[N_LINES]):
         at = LINES + LINE_STRIDE * i
-        h, o = three(floats, at), three(floats, at + 4)
+        h = three(floats, at)
+        o = three(floats, at + 4)
         if i < n and moves[i] == 0:
             slides = ints[PLAN_HEADER + i] == SLIDE
             follow(shift, h, o, slides, theta[i], math.cos(theta[i]), math.sin(theta[i]))
@@ -133,7 +136,9 @@ def six_lines(ints, floats, moves, theta, goal, shift, six, kinds):
         for j in range(3):
             goal[4 * i + j] = dot(row, three(shift, 4 * j))
     p = minus(p, rotated(goal, translation(shift)))
-    goal[3], goal[7], goal[11] = p[0], p[1], p[2]
+    goal[3] = p[0]
+    goal[7] = p[1]
+    goal[11] = p[2]
 
 
 @device
@@ -147,7 +152,9 @@ def rank_of(row):
 @routine
 def write_out(found, floats, joints, count, near, out, slots, placed):
     """Number of rows written: each solution in the row of its slot where that is free, else in the first free one."""
-    m, stride, width = found.model, SOLUTION + found.model.n, found.model.n + INFO
+    m = found.model
+    stride = SOLUTION + found.model.n
+    width = found.model.n + INFO
     for k in range(slots):
         placed[k] = 0
         for i in range(m.n):
@@ -156,7 +163,8 @@ def write_out(found, floats, joints, count, near, out, slots, placed):
     written = 0
     for rank in range(3):  # what may lie on a curve of solutions comes after the isolated ones, as far as there is room
         for k in range(count):
-            row, sampled = beyond(found.rows, stride * k), int(rank == 2)
+            row = beyond(found.rows, stride * k)
+            sampled = int(rank == 2)
             if rank_of(row) != rank or written == slots:
                 continue
             at = int(row[SIGNS]) if sampled == 0 else 0
@@ -204,8 +212,10 @@ def target_scratch_size(n):
 def target_scratch(ints, floats, block, flags, tol_linear, tol_angular):
     """The scratch of one target in a block of `target_scratch_size` numbers and 6 + SLOTS flags."""
     n = ints[N_JOINTS]
-    goal, stride = block, SOLUTION + n
-    theta, fixed = beyond(goal, 96), beyond(goal, 96 + n)
+    goal = block
+    stride = SOLUTION + n
+    theta = beyond(goal, 96)
+    fixed = beyond(goal, 96 + n)
     candidates = beyond(fixed, n)
     rows = beyond(candidates, CANDIDATE * MOST_CANDIDATES)
     moves = beyond(ints, PLAN_HEADER + ints[N_LINES])
@@ -253,7 +263,9 @@ def take_candidates(d, order, first, last, kind, count):
         row = beyond(d.candidates, CANDIDATE * k)
         for i in range(d.n):
             d.theta[i] = d.fixed[i]
-        sound, sampled, of = True, row[SAMPLE] > REPEATED, kind
+        sound = True
+        sampled = row[SAMPLE] > REPEATED
+        of = kind
         if sampled:
             of = SAMPLED if row[SAMPLE] == 1.0 else OPENED
         elif row[SAMPLE] == REPEATED:

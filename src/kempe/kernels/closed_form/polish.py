@@ -27,14 +27,20 @@ from kempe.kernels.base.rotations import logarithm
 from kempe.kernels.base.scratch import beyond
 from kempe.kernels.forward.table_layout import SLIDE
 
-STEPS, IDLE, EXACT, LONGEST = 40, 10, 3e-15, 0.5
+STEPS = 40
+IDLE = 10
+EXACT = 3e-15
+LONGEST = 0.5
 """Steps at most; those in a row that bring nothing; the error at which nothing is left to do; the longest step."""
 
-LEAST, NOISE, SHORTEST = 1e-26, 1e-14, 1e-4
+LEAST = 1e-26
+NOISE = 1e-14
+SHORTEST = 1e-4
 """Square of the smallest singular value, over that of the largest, below which there is no undamped step; the error
 from which one may be long, and how long it may be below that: there rounding is no reason to go far."""
 
-FLOOR, DAMPING = 1e-15, 1e-3
+FLOOR = 1e-15
+DAMPING = 1e-3
 """Damping of the normal equations: FLOOR + DAMPING times the square of the error."""
 
 
@@ -54,7 +60,10 @@ class Model(NamedTuple):
     n: int
 
 
-AT_POSE, AT_HERE, AT_ERROR, AT_AXES = 0, 12, 24, 30
+AT_POSE = 0
+AT_HERE = 12
+AT_ERROR = 24
+AT_AXES = 30
 """Places in a model's scratch: the pose on the way, that of the tip, the error, axes and points of the joints."""
 
 
@@ -67,10 +76,12 @@ def model_scratch(n):
 @routine
 def place(m, theta):
     """Write axes, points and the pose of the tip at theta to the scratch."""
-    g, axes = beyond(m.scratch, AT_POSE), beyond(m.scratch, AT_AXES)
+    g = beyond(m.scratch, AT_POSE)
+    axes = beyond(m.scratch, AT_AXES)
     identity(g)
     for i in range(m.n):
-        h, o = three(m.lines, LINE_STRIDE * i), three(m.lines, LINE_STRIDE * i + 4)
+        h = three(m.lines, LINE_STRIDE * i)
+        o = three(m.lines, LINE_STRIDE * i + 4)
         write3(axes, 6 * i, rotated(g, h))
         write3(axes, 6 * i + 3, mapped(g, o))
         slides = m.kinds[i] == SLIDE
@@ -79,16 +90,22 @@ def place(m, theta):
     p = mapped(g, translation(m.tip))
     for j in range(3):
         column = rotated(g, (m.tip[j], m.tip[4 + j], m.tip[8 + j]))
-        here[j], here[4 + j], here[8 + j] = column[0], column[1], column[2]
-    here[3], here[7], here[11] = p[0], p[1], p[2]
+        here[j] = column[0]
+        here[4 + j] = column[1]
+        here[8 + j] = column[2]
+    here[3] = p[0]
+    here[7] = p[1]
+    here[11] = p[2]
 
 
 @routine
 def error_at(m, theta):
     """(linear, angular): how far the tip is from the target; the six errors are left in the scratch."""
     place(m, theta)
-    here, e = beyond(m.scratch, AT_HERE), beyond(m.scratch, AT_ERROR)
-    t, rows = m.target, m.rows
+    here = beyond(m.scratch, AT_HERE)
+    e = beyond(m.scratch, AT_ERROR)
+    t = m.target
+    rows = m.rows
     linear = unrotated(here, minus(translation(t), translation(here)))
     x = unrotated(here, (t[0], t[4], t[8]))
     y = unrotated(here, (t[1], t[5], t[9]))
@@ -102,16 +119,19 @@ def error_at(m, theta):
         if sine <= 1e-300 and z[2] < 0.0:
             angular = (math.pi, 0.0, 0.0)
     for i in range(3):
-        e[i], e[3 + i] = rows[i] * linear[i], rows[3 + i] * angular[i]
+        e[i] = rows[i] * linear[i]
+        e[3 + i] = rows[3 + i] * angular[i]
     return math.sqrt(e[0] ** 2 + e[1] ** 2 + e[2] ** 2), math.sqrt(e[3] ** 2 + e[4] ** 2 + e[5] ** 2)
 
 
 @routine
 def columns_at(m):
     """Number of unknowns; writes their columns of the Jacobian, rows in the frame of the tip, six numbers each."""
-    axes, here = beyond(m.scratch, AT_AXES), beyond(m.scratch, AT_HERE)
+    axes = beyond(m.scratch, AT_AXES)
+    here = beyond(m.scratch, AT_HERE)
     jacobian = beyond(m.scratch, AT_AXES + 6 * m.n)
-    p, count = translation(here), 0
+    p = translation(here)
+    count = 0
     for i in range(m.n):
         if m.moves[i] == 0:
             continue
@@ -132,7 +152,8 @@ def columns_at(m):
 @routine
 def normal_equations(m, n, damping):
     """Whether they could be solved; the step of the unknowns is left in the scratch."""
-    e, jacobian = beyond(m.scratch, AT_ERROR), beyond(m.scratch, AT_AXES + 6 * m.n)
+    e = beyond(m.scratch, AT_ERROR)
+    jacobian = beyond(m.scratch, AT_AXES + 6 * m.n)
     matrix = beyond(m.scratch, AT_AXES + 12 * m.n)
     right = beyond(matrix, m.n * m.n)
     for i in range(n):
@@ -156,7 +177,8 @@ def polish(m, theta):
     """(linear, angular) errors after the steps; theta is replaced by the best found."""
     linear, angular = error_at(m, theta)
     best = math.sqrt(linear * linear + angular * angular)
-    step, kept = beyond(m.scratch, AT_AXES + 12 * m.n + m.n * m.n), beyond(m.scratch, AT_AXES + 13 * m.n + m.n * m.n)
+    step = beyond(m.scratch, AT_AXES + 12 * m.n + m.n * m.n)
+    kept = beyond(m.scratch, AT_AXES + 13 * m.n + m.n * m.n)
     more = 1.0
     for _ in range(STEPS):
         if best <= EXACT:
@@ -178,7 +200,9 @@ def polish(m, theta):
         new = math.sqrt(new_linear * new_linear + new_angular * new_angular)
         if new < best:
             slow = new > 0.5 * best
-            best, linear, angular = new, new_linear, new_angular
+            best = new
+            linear = new_linear
+            angular = new_angular
             if slow and (best < 1e-12 or more > 1.0):
                 break
             more = max(1.0, 0.1 * more)
@@ -199,18 +223,22 @@ def orthogonal_step(m, n, along):
     There is none for want of rank. Gram-Schmidt's method, modified, the longest column first: the normal equations
     would square what is small. With `along` it is not the step to the target, but one that moves the tip least.
     """
-    e, jacobian = beyond(m.scratch, AT_ERROR), beyond(m.scratch, AT_AXES + 6 * m.n)
+    e = beyond(m.scratch, AT_ERROR)
+    jacobian = beyond(m.scratch, AT_AXES + 6 * m.n)
     r = beyond(m.scratch, AT_AXES + 12 * m.n)
-    step, order = beyond(r, m.n * m.n), beyond(r, m.n * m.n + m.n)
+    step = beyond(r, m.n * m.n)
+    order = beyond(r, m.n * m.n + m.n)
     first = 0.0
     for i in range(n):
         order[i] = float(i)
     for k in range(n):
-        longest, place = -1.0, k
+        longest = -1.0
+        place = k
         for i in range(k, n):
             size = product(jacobian, 6 * int(order[i]), jacobian, 6 * int(order[i]))
             if size > longest:
-                longest, place = size, i
+                longest = size
+                place = i
         first = max(first, longest)
         if not longest > (0.0 if along else LEAST * first):
             return False
@@ -248,13 +276,17 @@ def sharpen(m, theta):
     curve of solutions too, along which the root may be far. On the way a step may bring the tip farther away: damped
     steps make that good, which lead back to the curve or valley but hardly along it.
     """
-    step, kept = beyond(m.scratch, AT_AXES + 12 * m.n + m.n * m.n), beyond(m.scratch, AT_AXES + 14 * m.n + m.n * m.n)
+    step = beyond(m.scratch, AT_AXES + 12 * m.n + m.n * m.n)
+    kept = beyond(m.scratch, AT_AXES + 14 * m.n + m.n * m.n)
     linear, angular = error_at(m, theta)
-    least, idle = math.hypot(linear, angular), 0
+    least = math.hypot(linear, angular)
+    idle = 0
     for i in range(m.n):
         kept[i] = theta[i]
     for _ in range(STEPS):
-        n, k, size = columns_at(m), 0, 0.0
+        n = columns_at(m)
+        k = 0
+        size = 0.0
         if not orthogonal_step(m, n, False):
             break
         for i in range(n):
@@ -271,7 +303,8 @@ def sharpen(m, theta):
             linear, angular = polish(m, theta)
         idle += 1
         if math.hypot(linear, angular) < least:
-            least, idle = math.hypot(linear, angular), 0
+            least = math.hypot(linear, angular)
+            idle = 0
             for i in range(m.n):
                 kept[i] = theta[i]
         elif idle == IDLE:
@@ -284,7 +317,9 @@ def sharpen(m, theta):
 @routine
 def tangent(m, out):
     """Whether there is one; writes the unit vector of motion (n) that moves the tip least. It has to be placed."""
-    n, k, square = columns_at(m), 0, 0.0
+    n = columns_at(m)
+    k = 0
+    square = 0.0
     if not orthogonal_step(m, n, True):
         return False
     step = beyond(m.scratch, AT_AXES + 12 * m.n + m.n * m.n)
@@ -307,7 +342,8 @@ def weakest(m):
     n = columns_at(m)
     if n == 0 or not normal_equations(m, n, 1e-30):
         return 0.0
-    matrix, least = beyond(m.scratch, AT_AXES + 12 * m.n), math.inf
+    matrix = beyond(m.scratch, AT_AXES + 12 * m.n)
+    least = math.inf
     for i in range(n):
         least = min(least, matrix[i * n + i])
     return least

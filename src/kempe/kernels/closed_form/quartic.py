@@ -19,7 +19,8 @@ from kempe.kernels.closed_form.arm_part import (
 )
 from kempe.kernels.closed_form.subproblems import TINY
 
-TURNS, ENOUGH = 60, 1e-15
+TURNS = 60
+ENOUGH = 1e-15
 """Iterations at most, and the relative change at which they end."""
 
 NEARLY_REAL = 1e-4
@@ -54,8 +55,10 @@ def quartic_roots(p, roots):
         for k in range(4):
             roots[k] = 0.0
         return 4
-    a, b = complex(0.9 * size, 0.25 * size), complex(-0.3 * size, 0.95 * size)
-    c, d = complex(-0.85 * size, -0.4 * size), complex(0.35 * size, -1.0 * size)
+    a = complex(0.9 * size, 0.25 * size)
+    b = complex(-0.3 * size, 0.95 * size)
+    c = complex(-0.85 * size, -0.4 * size)
+    d = complex(0.35 * size, -1.0 * size)
     for _ in range(TURNS):
         change = 0.0
         for _root in range(4):
@@ -83,8 +86,12 @@ def quartic_roots(p, roots):
 def eliminated(t, other):
     """(P0, P1, P2), two numbers each: both factors of one joint as P0 + P1 f + P2 g of the other's."""
     det = t[1] * t[5] - t[2] * t[4]
-    a, b, c, d = t[5] / det, -t[2] / det, -t[4] / det, t[1] / det
-    x, y = other[0] - t[0], other[3] - t[3]
+    a = t[5] / det
+    b = -t[2] / det
+    c = -t[4] / det
+    d = t[1] / det
+    x = other[0] - t[0]
+    y = other[3] - t[3]
     return (
         (a * x + b * y, c * x + d * y),
         (a * other[1] + b * other[4], c * other[1] + d * other[4]),
@@ -114,17 +121,28 @@ def pairs_of(gone_slides, kept_slides, gone, kept, work, out_gone, out_kept):
     """
     p0, p1, p2 = eliminated(gone, kept)
     if gone_slides:  # f^2 - g
-        q00, q10, q01 = p0[0] * p0[0] - p0[1], 2.0 * p0[0] * p1[0] - p1[1], 2.0 * p0[0] * p2[0] - p2[1]
-        q20, q11, q02 = p1[0] * p1[0], 2.0 * p1[0] * p2[0], p2[0] * p2[0]
+        q00 = p0[0] * p0[0] - p0[1]
+        q10 = 2.0 * p0[0] * p1[0] - p1[1]
+        q01 = 2.0 * p0[0] * p2[0] - p2[1]
+        q20 = p1[0] * p1[0]
+        q11 = 2.0 * p1[0] * p2[0]
+        q02 = p2[0] * p2[0]
     else:
         q00 = p0[0] * p0[0] + p0[1] * p0[1] - 1.0
-        q10, q01 = 2.0 * (p0[0] * p1[0] + p0[1] * p1[1]), 2.0 * (p0[0] * p2[0] + p0[1] * p2[1])
-        q20, q02 = p1[0] * p1[0] + p1[1] * p1[1], p2[0] * p2[0] + p2[1] * p2[1]
+        q10 = 2.0 * (p0[0] * p1[0] + p0[1] * p1[1])
+        q01 = 2.0 * (p0[0] * p2[0] + p0[1] * p2[1])
+        q20 = p1[0] * p1[0] + p1[1] * p1[1]
+        q02 = p2[0] * p2[0] + p2[1] * p2[1]
         q11 = 2.0 * (p1[0] * p2[0] + p1[1] * p2[1])
-    p, roots = work, work
+    p = work
+    roots = work
     quarter = 0
     if kept_slides:
-        p[0], p[1], p[2], p[3], p[4] = q00, q10, q01 + q20, q11, q02
+        p[0] = q00
+        p[1] = q10
+        p[2] = q01 + q20
+        p[3] = q11
+        p[4] = q02
     else:  # the angle is counted from a quarter turn for which half a turn, the infinite tangent, is far from a root
         sizes = (abs(q00 - q10 + q20), abs(q00 - q01 + q02), abs(q00 + q10 + q20), abs(q00 + q01 + q02))
         for k in range(1, 4):
@@ -132,21 +150,28 @@ def pairs_of(gone_slides, kept_slides, gone, kept, work, out_gone, out_kept):
                 quarter = k
         for _ in range(quarter):  # f, g -> -g, f
             q10, q01, q20, q11, q02 = q01, -q10, q02, -q11, q20
-        p[0], p[1], p[2] = q00 + q10 + q20, 2.0 * (q01 + q11), 2.0 * q00 - 2.0 * q20 + 4.0 * q02
-        p[3], p[4] = 2.0 * (q01 - q11), q00 - q10 + q20
+        p[0] = q00 + q10 + q20
+        p[1] = 2.0 * (q01 + q11)
+        p[2] = 2.0 * q00 - 2.0 * q20 + 4.0 * q02
+        p[3] = 2.0 * (q01 - q11)
+        p[4] = q00 - q10 + q20
     if abs(p[4]) <= VOID * (abs(p[0]) + abs(p[1]) + abs(p[2]) + abs(p[3])):
         p[4] = VOID * (abs(p[0]) + abs(p[1]) + abs(p[2]) + abs(p[3])) + 1e-300
-    count, found = quartic_roots(p, roots), 0
+    count = quartic_roots(p, roots)
+    found = 0
     for k in range(count):
         x = roots[k]
         if kept_slides:
-            f, g = x, x * x
+            f = x
+            g = x * x
         else:
             n = 1.0 / (1.0 + x * x)
-            f, g = (1.0 - x * x) * n, 2.0 * x * n
+            f = (1.0 - x * x) * n
+            g = 2.0 * x * n
             for _ in range(quarter):
                 f, g = -g, f
-        u, v = p0[0] + p1[0] * f + p2[0] * g, p0[1] + p1[1] * f + p2[1] * g
+        u = p0[0] + p1[0] * f + p2[0] * g
+        v = p0[1] + p1[1] * f + p2[1] * g
         size = math.hypot(u, v)
         if not gone_slides and size < 0.5 and not faint(gone):
             continue
@@ -178,7 +203,9 @@ UNCOUPLED = 1e-2
 @device
 def least_row(t):
     """The combination (2) of the two rows of factors of one joint that has the least of this joint."""
-    p, q, r = t[1] * t[1] + t[2] * t[2], t[1] * t[4] + t[2] * t[5], t[4] * t[4] + t[5] * t[5]
+    p = t[1] * t[1] + t[2] * t[2]
+    q = t[1] * t[4] + t[2] * t[5]
+    r = t[4] * t[4] + t[5] * t[5]
     angle = 0.5 * math.atan2(2.0 * q, p - r)
     return -math.sin(angle), math.cos(angle)
 
@@ -202,9 +229,12 @@ def uncoupled(tx, tz):
     The polynomial of degree four then nearly is a square: its roots lie in pairs, which rounding moves by its root,
     and with each root the other joint has two values, between which the pair decides.
     """
-    without_x, without_z = least_row(tx), least_row(tz)
-    x_alone, z_alone = amplitude(combined(without_z, tx)), amplitude(combined(without_x, tz))
-    z_left, x_left = amplitude(combined(without_z, tz)), amplitude(combined(without_x, tx))
+    without_x = least_row(tx)
+    without_z = least_row(tz)
+    x_alone = amplitude(combined(without_z, tx))
+    z_alone = amplitude(combined(without_x, tz))
+    z_left = amplitude(combined(without_z, tz))
+    x_left = amplitude(combined(without_x, tx))
     return x_left < UNCOUPLED * x_alone and z_left < UNCOUPLED * z_alone and min(x_alone, z_alone) > FAINT
 
 
@@ -214,10 +244,15 @@ def uncoupled_pairs(x_slides, z_slides, tx, tz, x_centre, z_centre, work, out_x,
 
     Either has one unknown if the little that the other joint adds is left out of that for x: pairs to be polished.
     """
-    without_x, without_z = least_row(tx), least_row(tz)
-    x, z = combined(without_z, tx), combined(without_z, tz)
-    own_x, own_z = combined(without_x, tx), combined(without_x, tz)
-    firsts, seconds, found = work, beyond(work, VALUE_STRIDE * MOST), 0
+    without_x = least_row(tx)
+    without_z = least_row(tz)
+    x = combined(without_z, tx)
+    z = combined(without_z, tz)
+    own_x = combined(without_x, tx)
+    own_z = combined(without_x, tz)
+    firsts = work
+    seconds = beyond(work, VALUE_STRIDE * MOST)
+    found = 0
     for i in range(one_unknown(x_slides, x[1], x[2], z[0] - x[0], WIDE, x_centre, firsts)):
         first = beyond(firsts, VALUE_STRIDE * i)
         known = own_x[0] + own_x[1] * first[0] + own_x[2] * first[1]

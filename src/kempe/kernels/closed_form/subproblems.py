@@ -68,8 +68,10 @@ def align(h, u, v):
     `size`, the product of their distances from h, vanishes. The lengths of u and v do not matter. The textbooks' u.v -
     (h.u)(h.v) in place of u'.v' would lose all digits near that singularity.
     """
-    u, v = cross(h, u), cross(h, v)
-    sine, cosine = dot(h, cross(u, v)), dot(u, v)
+    u = cross(h, u)
+    v = cross(h, v)
+    sine = dot(h, cross(u, v))
+    cosine = dot(u, v)
     size = square_root(sine * sine + cosine * cosine)
     n = 1.0 / (size + TINY)
     return cosine * n, sine * n, size
@@ -87,10 +89,14 @@ def cone_roots(k, h, n, w):
     (|k + w|^2 - (2 cos((a + b)/2))^2) with a = angle(k, h), b = angle(h, n): differences of vectors do not lose the
     digits that 1 - cos^2 would lose where w comes close to k, which is where wrists are singular.
     """
-    cos_a, cos_b = dot(k, h), dot(h, n)
-    across_a, across_b = cross(k, h), cross(h, n)
-    sin_a, sin_b = square_root(dot(across_a, across_a)), square_root(dot(across_b, across_b))
-    apart, together = minus(k, w), plus(k, 1.0, w)
+    cos_a = dot(k, h)
+    cos_b = dot(h, n)
+    across_a = cross(k, h)
+    across_b = cross(h, n)
+    sin_a = square_root(dot(across_a, across_a))
+    sin_b = square_root(dot(across_b, across_b))
+    apart = minus(k, w)
+    together = plus(k, 1.0, w)
     less = (cos_a - cos_b) * (cos_a - cos_b) + (sin_a - sin_b) * (sin_a - sin_b)
     more = (cos_a + cos_b) * (cos_a + cos_b) + (sin_a - sin_b) * (sin_a - sin_b)
     d2 = 0.25 * (dot(apart, apart) - less) * (dot(together, together) - more)

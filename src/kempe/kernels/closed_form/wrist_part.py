@@ -75,25 +75,34 @@ def flat(h, v):
 def planar_point(h, ka, ha, oa, kb, hb, ob, p, goal, wide, work, out):
     """Number of ways to bring p to goal, both across h, by joint a after joint b; values a, b of each at 3k, 3k + 1."""
     if ka == SLIDE and kb == SLIDE:
-        d, n = flat(h, minus(goal, p)), cross(ha, hb)
+        d = flat(h, minus(goal, p))
+        n = cross(ha, hb)
         det = dot(h, n)
         if abs(det) <= VOID:
             return LOST
-        x, y = dot(h, cross(d, hb)) / det, dot(h, cross(ha, d)) / det
+        x = dot(h, cross(d, hb)) / det
+        y = dot(h, cross(ha, d)) / det
         put(out, 0, x, x * x, x, 0.0)
         put(out, 1, y, y * y, y, 0.0)
         return 1
     if ka == SLIDE:
-        r, g = flat(h, minus(p, ob)), flat(h, minus(goal, ob))
+        r = flat(h, minus(p, ob))
+        g = flat(h, minus(goal, ob))
         count = one_unknown(True, -2.0 * dot(g, ha), 1.0, dot(r, r) - dot(g, g), wide, 0.0, work)
     elif kb == SLIDE:
-        r, g = flat(h, minus(p, oa)), flat(h, minus(goal, oa))
+        r = flat(h, minus(p, oa))
+        g = flat(h, minus(goal, oa))
         count = one_unknown(True, 2.0 * dot(r, hb), 1.0, dot(g, g) - dot(r, r), wide, 0.0, work)
     else:
         m, u, w = orbit(hb, minus(p, ob))
-        r, g = flat(h, plus(minus(m, oa), 1.0, ob)), flat(h, minus(goal, oa))
-        r1, r2, rho2 = math.sqrt(dot(r, r)), math.sqrt(dot(u, u)), dot(g, g)
-        a, b, k = 2.0 * dot(r, u), 2.0 * dot(r, w), rho2 - r1 * r1 - r2 * r2
+        r = flat(h, plus(minus(m, oa), 1.0, ob))
+        g = flat(h, minus(goal, oa))
+        r1 = math.sqrt(dot(r, r))
+        r2 = math.sqrt(dot(u, u))
+        rho2 = dot(g, g)
+        a = 2.0 * dot(r, u)
+        b = 2.0 * dot(r, w)
+        k = rho2 - r1 * r1 - r2 * r2
         count = one_unknown(False, a, b, k, wide, 0.0, work)
         if count == 2:
             c0, s0, c1, s1, _ = trig_roots_of(a, b, k, triangle(r1, r2, rho2))
@@ -159,7 +168,8 @@ def planar_swing(h, ha, hb, ob, hc, d, out):
     det = dot(h, cross(ha, v))
     if abs(det) <= VOID:
         return LOST
-    x, y = dot(h, cross(shift, v)) / det, dot(h, cross(ha, shift)) / det
+    x = dot(h, cross(shift, v)) / det
+    y = dot(h, cross(ha, shift)) / det
     put(out, 0, x, x * x, x, 0.0)
     put(out, 2, y, y * y, y, 0.0)
     return 1

@@ -27,7 +27,10 @@ def equations(ints, floats, plan, weights, pins, q, with_jacobian, residual, jac
     ints, floats: the table; plan, weights: the loops, and pins (N or 1, k): as in
     `loop_layout`.
     """
-    nq, nv, n_rows, m = ints[NQ], ints[NV], ints[TABLE_ROWS], plan[L.N_ROWS]
+    nq = ints[NQ]
+    nv = ints[NV]
+    n_rows = ints[TABLE_ROWS]
+    m = plan[L.N_ROWS]
     sweep = scratch_size(n_rows)
     block = np.empty(sweep + m + plan[L.BLOCKS])
     scratch = raw(block)

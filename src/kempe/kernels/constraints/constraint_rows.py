@@ -70,7 +70,9 @@ def frame_of(loops, output):
     if row >= 0:
         a, b, c = placed(loops.poses, OUTPUT_FLOATS * row, a, b, c)
     if loops.ints[k + PARTICLE] != 0:  # a particle: only its place counts
-        a, b, c = unturned(a, 0), unturned(b, 1), unturned(c, 2)
+        a = unturned(a, 0)
+        b = unturned(b, 1)
+        c = unturned(c, 2)
     return a, b, c
 
 
@@ -183,8 +185,10 @@ def write_error(loops, tie, at, p, r):
 
     That is the rotation vector where all is held, and p where B looks at A.
     """
-    e, short = loops.error, loops.weights[L.INVERSE_LENGTH]
-    mask, turns = loops.plan[tie + L.MASK], loops.plan[tie + L.TURNS]
+    e = loops.error
+    short = loops.weights[L.INVERSE_LENGTH]
+    mask = loops.plan[tie + L.MASK]
+    turns = loops.plan[tie + L.TURNS]
     phi = (0.0, 0.0, 0.0)
     for i in range(3):
         if (mask >> i) & 1:
@@ -192,7 +196,9 @@ def write_error(loops, tie, at, p, r):
             at += 1
     if turns == L.FULL:
         phi = logarithm(r)
-        e[at], e[at + 1], e[at + 2] = phi[0], phi[1], phi[2]
+        e[at] = phi[0]
+        e[at + 1] = phi[1]
+        e[at + 2] = phi[2]
     elif turns == L.ALIGN:
         e[at], e[at + 1] = lengthened(-r[5], r[2], r[8])
     elif turns == L.ANGLE:
@@ -226,8 +232,10 @@ def inverse_left(phi, w):
 @device
 def add_rates(loops, tie, at, r, phi, v, w):
     """Add the rates of the equations of a tie under the twist (v, w), already scaled, to the column at blocks[at:]."""
-    j, short = loops.blocks, loops.weights[L.INVERSE_LENGTH]
-    mask, turns = loops.plan[tie + L.MASK], loops.plan[tie + L.TURNS]
+    j = loops.blocks
+    short = loops.weights[L.INVERSE_LENGTH]
+    mask = loops.plan[tie + L.MASK]
+    turns = loops.plan[tie + L.TURNS]
     for i in range(3):
         if (mask >> i) & 1:
             j[at] += v[i] * short
@@ -238,7 +246,9 @@ def add_rates(loops, tie, at, r, phi, v, w):
         j[at + 1] += rate[1]
         j[at + 2] += rate[2]
     elif turns == L.ALIGN:
-        x, y, z = w[1] * r[8] - w[2] * r[5], w[2] * r[2] - w[0] * r[8], w[0] * r[5] - w[1] * r[2]
+        x = w[1] * r[8] - w[2] * r[5]
+        y = w[2] * r[2] - w[0] * r[8]
+        z = w[0] * r[5] - w[1] * r[2]
         rates = lengthened_rates(-r[5], r[2], r[8], -y, x, z)
         j[at] += rates[0]
         j[at + 1] += rates[1]
@@ -259,7 +269,8 @@ def add_rates(loops, tie, at, r, phi, v, w):
 @device
 def axes_of(loops, row):
     """Three axes and their point of a row: of its frame, or for a reversed ball of the frame before its motion."""
-    k, f = HEADER + ROW_INTS * row, ROW_FLOATS * row
+    k = HEADER + ROW_INTS * row
+    f = ROW_FLOATS * row
     if loops.ints[k + KIND] == BALL and loops.floats[f + MULTIPLIER] < 0.0:
         a, b, c = placement(loops.floats, f)
         if loops.ints[k + PARENT] >= 0:
@@ -275,7 +286,8 @@ def lever(loops, tie, row, sign, a, b, c, p_b):
     if centre < 0 or sign < 0.0:
         return 1.0, (p_b[0] - entry(a, 3), p_b[1] - entry(b, 3), p_b[2] - entry(c, 3))
     at = loops.plan[L.AT_CENTRES] + (L.CENTRE_FLOATS * loops.n_rows + 3) * centre
-    share, s = loops.weights[at + L.CENTRE_FLOATS * row + 4], loops.scratch
+    share = loops.weights[at + L.CENTRE_FLOATS * row + 4]
+    s = loops.scratch
     return share, (s[3 * row] - share * entry(a, 3), s[3 * row + 1] - share * entry(b, 3),
                    s[3 * row + 2] - share * entry(c, 3))  # fmt: skip
 
@@ -283,17 +295,22 @@ def lever(loops, tie, row, sign, a, b, c, p_b):
 @routine
 def fill_block(loops, k, r_a, p_b, r, phi):
     """Write the Jacobian block of tie k."""
-    plan, weights = loops.plan, loops.weights
+    plan = loops.plan
+    weights = loops.weights
     tie = plan[L.AT_TIES] + L.TIE_INTS * k
-    rows, block = plan[tie + L.ROWS], plan[tie + L.BLOCK]
+    rows = plan[tie + L.ROWS]
+    block = plan[tie + L.BLOCK]
     for i in range(rows * plan[tie + L.LOCALS]):
         loops.blocks[block + i] = 0.0
-    local, first = plan[L.AT_LOCALS] + plan[tie + L.LOCAL], plan[tie + L.ENTRY]
+    local = plan[L.AT_LOCALS] + plan[tie + L.LOCAL]
+    first = plan[tie + L.ENTRY]
     for i in range(first, first + plan[tie + L.ENTRIES]):
         at = plan[L.AT_ENTRIES] + L.ENTRY_INTS * i
-        row, column = plan[at], plan[at + 1]
+        row = plan[at]
+        column = plan[at + 1]
         f = ROW_FLOATS * row + MULTIPLIER
-        kind, multiplier = loops.ints[HEADER + ROW_INTS * row + KIND], loops.floats[f]
+        kind = loops.ints[HEADER + ROW_INTS * row + KIND]
+        multiplier = loops.floats[f]
         factor = weights[plan[L.AT_FACTORS] + i] * multiplier
         a, b, c = axes_of(loops, row)
         share, arm = lever(loops, tie, row, weights[plan[L.AT_FACTORS] + i], a, b, c, p_b)
@@ -301,11 +318,15 @@ def fill_block(loops, k, r_a, p_b, r, phi):
         if kind != BALL:
             factor *= weights[L.SCALES + plan[local + column]]
         for n in range(0 if kind == BALL else 2, 3):  # a ball turns about three axes, all others are about z
-            x, y, z = factor * entry(a, n), factor * entry(b, n), factor * entry(c, n)
+            x = factor * entry(a, n)
+            y = factor * entry(b, n)
+            z = factor * entry(c, n)
             if kind == SLIDE:
-                v, w = (share * x, share * y, share * z), (0.0, 0.0, 0.0)
+                v = (share * x, share * y, share * z)
+                w = (0.0, 0.0, 0.0)
             else:
-                v, w = (y * arm[2] - z * arm[1], z * arm[0] - x * arm[2], x * arm[1] - y * arm[0]), (x, y, z)
+                v = (y * arm[2] - z * arm[1], z * arm[0] - x * arm[2], x * arm[1] - y * arm[0])
+                w = (x, y, z)
             add_rates(loops, tie, there, r, phi, back(r_a, v[0], v[1], v[2]), back(r_a, w[0], w[1], w[2]))
             there += rows
 
@@ -313,15 +334,20 @@ def fill_block(loops, k, r_a, p_b, r, phi):
 @routine
 def fill_along(loops, k, x, p_b):
     """Write the block of a rod of direction x."""
-    plan, weights = loops.plan, loops.weights
+    plan = loops.plan
+    weights = loops.weights
     tie = plan[L.AT_TIES] + L.TIE_INTS * k
-    block, first, local = plan[tie + L.BLOCK], plan[tie + L.ENTRY], plan[L.AT_LOCALS] + plan[tie + L.LOCAL]
+    block = plan[tie + L.BLOCK]
+    first = plan[tie + L.ENTRY]
+    local = plan[L.AT_LOCALS] + plan[tie + L.LOCAL]
     for i in range(plan[tie + L.LOCALS]):
         loops.blocks[block + i] = 0.0
     for i in range(first, first + plan[tie + L.ENTRIES]):
         at = plan[L.AT_ENTRIES] + L.ENTRY_INTS * i
-        row, column = plan[at], plan[at + 1]
-        kind, multiplier = loops.ints[HEADER + ROW_INTS * row + KIND], loops.floats[ROW_FLOATS * row + MULTIPLIER]
+        row = plan[at]
+        column = plan[at + 1]
+        kind = loops.ints[HEADER + ROW_INTS * row + KIND]
+        multiplier = loops.floats[ROW_FLOATS * row + MULTIPLIER]
         factor = weights[plan[L.AT_FACTORS] + i] * multiplier * weights[L.INVERSE_LENGTH]
         a, b, c = axes_of(loops, row)
         share, arm = lever(loops, tie, row, weights[plan[L.AT_FACTORS] + i], a, b, c, p_b)
@@ -341,13 +367,17 @@ def fill_along(loops, k, x, p_b):
 @routine
 def fill_twist(loops, k, r_a, p_b, along, about, row):
     """Add to one row of the block of tie k what (along, about) makes of the twist of B against A, in axes of A."""
-    plan, weights = loops.plan, loops.weights
+    plan = loops.plan
+    weights = loops.weights
     tie = plan[L.AT_TIES] + L.TIE_INTS * k
-    rows, block, first = plan[tie + L.ROWS], plan[tie + L.BLOCK], plan[tie + L.ENTRY]
+    rows = plan[tie + L.ROWS]
+    block = plan[tie + L.BLOCK]
+    first = plan[tie + L.ENTRY]
     local = plan[L.AT_LOCALS] + plan[tie + L.LOCAL]
     for i in range(first, first + plan[tie + L.ENTRIES]):
         at = plan[L.AT_ENTRIES] + L.ENTRY_INTS * i
-        table_row, column = plan[at], plan[at + 1]
+        table_row = plan[at]
+        column = plan[at + 1]
         f = ROW_FLOATS * table_row + MULTIPLIER
         kind = loops.ints[HEADER + ROW_INTS * table_row + KIND]
         factor = weights[plan[L.AT_FACTORS] + i] * loops.floats[f]
@@ -357,7 +387,9 @@ def fill_twist(loops, k, r_a, p_b, along, about, row):
         if kind != BALL:
             factor *= weights[L.SCALES + plan[local + column]]
         for n in range(0 if kind == BALL else 2, 3):
-            x, y, z = factor * entry(a, n), factor * entry(b, n), factor * entry(c, n)
+            x = factor * entry(a, n)
+            y = factor * entry(b, n)
+            z = factor * entry(c, n)
             if kind == SLIDE:
                 v = back(r_a, x, y, z)
                 loops.blocks[there] += along[0] * v[0] + along[1] * v[1] + along[2] * v[2]

@@ -28,7 +28,10 @@ def entry_of(floats, at, n, s):
 @device
 def cubic(floats, at, u):
     """A polynomial, and its first two derivatives."""
-    a, b, c, d = floats[at], floats[at + 1], floats[at + 2], floats[at + 3]
+    a = floats[at]
+    b = floats[at + 1]
+    c = floats[at + 2]
+    d = floats[at + 3]
     return a + u * (b + u * (c + u * d)), b + u * (2.0 * c + u * (3.0 * d)), 2.0 * c + 6.0 * d * u
 
 
@@ -38,7 +41,9 @@ def square_to(floats, at, u, x, y, z):
     cx, dx, ddx = cubic(floats, at, u)
     cy, dy, ddy = cubic(floats, at + 4, u)
     cz, dz, ddz = cubic(floats, at + 8, u)
-    ex, ey, ez = x - cx, y - cy, z - cz
+    ex = x - cx
+    ey = y - cy
+    ez = z - cz
     slope = -(ex * dx + ey * dy + ez * dz)
     return (ex * ex + ey * ey + ez * ez, slope,
             dx * dx + dy * dy + dz * dz - (ex * ddx + ey * ddy + ez * ddz))  # fmt: skip
@@ -57,7 +62,8 @@ def refined(floats, p, low, high, x, y, z):
         new = u - slope / bend if bend > 0.0 else math.inf
         if not (low <= new <= high):
             new = 0.5 * (low + high)
-        step, u = abs(new - u), new
+        step = abs(new - u)
+        u = new
         if step <= 1e-16:
             break
     return u
@@ -66,7 +72,10 @@ def refined(floats, p, low, high, x, y, z):
 @routine
 def nearest_on_curve(floats, first, count, x, y, z):
     """The parameter of the point of a curve nearest to (x, y, z), its table being floats[first : first + count]."""
-    n, endless, best, s = (count - 1) // PIECE, floats[first] != 0.0, math.inf, 0.0
+    n = (count - 1) // PIECE
+    endless = floats[first] != 0.0
+    best = math.inf
+    s = 0.0
     for i in range(n):
         p = first + 1 + PIECE * i
         far, before, bend = square_to(floats, p, 0.0, x, y, z)
@@ -74,19 +83,22 @@ def nearest_on_curve(floats, first, count, x, y, z):
             u = min(-before / bend, 1.0) if i == 0 else max(-before / bend, 0.0)
             far, _, _ = square_to(floats, p, u, x, y, z)
             if far < best:
-                best, s = far, i + u
+                best = far
+                s = i + u
             continue
         away = math.sqrt(far) - floats[p + 12]  # no point is nearer than the ball that contains the piece
         if away > 0.0 and away * away >= best:
             continue
         for k in range(SAMPLES):
             if far < best:
-                best, s = far, i + k / SAMPLES
+                best = far
+                s = i + k / SAMPLES
             far, after, _ = square_to(floats, p, (k + 1) / SAMPLES, x, y, z)
             if before < 0.0 and after > 0.0:
                 u = refined(floats, p, k / SAMPLES, (k + 1) / SAMPLES, x, y, z)
                 least, _, _ = square_to(floats, p, u, x, y, z)
                 if least < best:
-                    best, s = least, i + u
+                    best = least
+                    s = i + u
             before = after
     return s

@@ -17,7 +17,8 @@ def product(loops, v, y):
     for use in range(plan[at], plan[at + 1]):
         k = plan[L.AT_USES] + L.USE_INTS * use
         tie = plan[L.AT_TIES] + L.TIE_INTS * plan[k]
-        rows, first = plan[tie + L.ROWS], plan[tie + L.FIRST_ROW]
+        rows = plan[tie + L.ROWS]
+        first = plan[tie + L.FIRST_ROW]
         block = plan[tie + L.BLOCK] + rows * plan[k + 1]
         for i in range(rows):
             total += loops.blocks[block + i] * y[first + i]
@@ -32,7 +33,8 @@ def add_product(loops, v, x, y, stride):
     for use in range(plan[at], plan[at + 1]):
         k = plan[L.AT_USES] + L.USE_INTS * use
         tie = plan[L.AT_TIES] + L.TIE_INTS * plan[k]
-        rows, first = plan[tie + L.ROWS], plan[tie + L.FIRST_ROW]
+        rows = plan[tie + L.ROWS]
+        first = plan[tie + L.FIRST_ROW]
         block = plan[tie + L.BLOCK] + rows * plan[k + 1]
         for i in range(rows):
             y[stride * (first + i)] += loops.blocks[block + i] * x
@@ -44,10 +46,14 @@ def normal(loops, step, damping, a, column):
 
     Each column is spread out first, so that the inner loop runs over neighbours.
     """
-    plan, blocks = loops.plan, loops.blocks
+    plan = loops.plan
+    blocks = loops.blocks
     for i in range(plan[L.ENVELOPE]):
         a[i] = 0.0
-    rows_at, ties_at, uses_at, m = plan[L.AT_ROWS], plan[L.AT_TIES], plan[L.AT_USES], plan[L.N_ROWS]
+    rows_at = plan[L.AT_ROWS]
+    ties_at = plan[L.AT_TIES]
+    uses_at = plan[L.AT_USES]
+    m = plan[L.N_ROWS]
     for i in range(m):
         column[i] = 0.0
         k = rows_at + L.ENVELOPE_INTS * i
@@ -56,15 +62,18 @@ def normal(loops, step, damping, a, column):
         if step[v] != step[v]:
             continue
         at = plan[L.AT_VARS] + v
-        low, high = m, 0
+        low = m
+        high = 0
         for use in range(plan[at], plan[at + 1]):
             k = uses_at + L.USE_INTS * use
             tie = ties_at + L.TIE_INTS * plan[k]
-            rows, first = plan[tie + L.ROWS], plan[tie + L.FIRST_ROW]
+            rows = plan[tie + L.ROWS]
+            first = plan[tie + L.FIRST_ROW]
             block = plan[tie + L.BLOCK] + rows * plan[k + 1]
             for i in range(rows):
                 column[first + i] = blocks[block + i]
-            low, high = min(low, first), max(high, first + rows)
+            low = min(low, first)
+            high = max(high, first + rows)
         for i in range(low, high):
             x = column[i]
             if x != 0.0:
@@ -80,7 +89,8 @@ def normal(loops, step, damping, a, column):
 @device
 def dot(a, b, n):
     """The scalar product of n numbers each, in four sums."""
-    sums, whole = pack4(0.0, 0.0, 0.0, 0.0), n & ~3
+    sums = pack4(0.0, 0.0, 0.0, 0.0)
+    whole = n & ~3
     for k in range(0, whole, 4):
         sums = sums + load4(a, k) * load4(b, k)
     total = (entry(sums, 0) + entry(sums, 1)) + (entry(sums, 2) + entry(sums, 3))
@@ -96,10 +106,12 @@ def factor(loops, a, least):
     rows_at = plan[L.AT_ROWS]
     for i in range(plan[L.N_ROWS]):
         k = rows_at + L.ENVELOPE_INTS * i
-        first, row = plan[k], plan[k + 1] - plan[k]
+        first = plan[k]
+        row = plan[k + 1] - plan[k]
         for j in range(first + 1, i):
             k = rows_at + L.ENVELOPE_INTS * j
-            start, other = max(first, plan[k]), plan[k + 1] - plan[k]
+            start = max(first, plan[k])
+            other = plan[k + 1] - plan[k]
             if start < j:  # L_ij D_j until the row is done
                 a[row + j] -= dot(beyond(a, row + start), beyond(a, other + start), j - start)
         d = a[row + i]
@@ -116,10 +128,12 @@ def factor(loops, a, least):
 def solve(loops, a, y):
     """Overwrite y by the solution of L D L^T x = y."""
     plan = loops.plan
-    rows_at, m = plan[L.AT_ROWS], plan[L.N_ROWS]
+    rows_at = plan[L.AT_ROWS]
+    m = plan[L.N_ROWS]
     for i in range(m):
         k = rows_at + L.ENVELOPE_INTS * i
-        first, row = plan[k], plan[k + 1] - plan[k]
+        first = plan[k]
+        row = plan[k + 1] - plan[k]
         s = y[i]
         for j in range(first, i):
             s -= a[row + j] * y[j]
@@ -131,7 +145,8 @@ def solve(loops, a, y):
     for back_ in range(m):
         i = m - 1 - back_
         k = rows_at + L.ENVELOPE_INTS * i
-        first, row = plan[k], plan[k + 1] - plan[k]
+        first = plan[k]
+        row = plan[k + 1] - plan[k]
         s = y[i]
         for j in range(first, i):
             y[j] -= a[row + j] * s

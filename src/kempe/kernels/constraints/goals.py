@@ -63,17 +63,24 @@ def number_of(loops, k):
 @routine
 def centre_of(loops, centre):
     """Where a centre is; writes the first moment of all that a row moves to scratch[3 * row:], in place of angles."""
-    n, w, s = loops.n_rows, loops.weights, loops.scratch
+    n = loops.n_rows
+    w = loops.weights
+    s = loops.scratch
     at = loops.plan[L.AT_CENTRES] + (L.CENTRE_FLOATS * n + 3) * centre
     for row in range(n):
         k = at + L.CENTRE_FLOATS * row
         a, b, c = placement(loops.poses, OUTPUT_FLOATS * row)
-        mass, x, y, z = w[k], w[k + 1], w[k + 2], w[k + 3]
+        mass = w[k]
+        x = w[k + 1]
+        y = w[k + 2]
+        z = w[k + 3]
         s[3 * row] = mass * entry(a, 3) + x * entry(a, 0) + y * entry(a, 1) + z * entry(a, 2)
         s[3 * row + 1] = mass * entry(b, 3) + x * entry(b, 0) + y * entry(b, 1) + z * entry(b, 2)
         s[3 * row + 2] = mass * entry(c, 3) + x * entry(c, 0) + y * entry(c, 1) + z * entry(c, 2)
     k = at + L.CENTRE_FLOATS * n
-    x, y, z = w[k], w[k + 1], w[k + 2]
+    x = w[k]
+    y = w[k + 1]
+    z = w[k + 2]
     for i in range(n):
         row = n - 1 - i
         parent = loops.ints[HEADER + ROW_INTS * row + PARENT]
@@ -81,7 +88,9 @@ def centre_of(loops, centre):
             for j in range(3):
                 s[3 * parent + j] += s[3 * row + j]
         else:
-            x, y, z = x + s[3 * row], y + s[3 * row + 1], z + s[3 * row + 2]
+            x = x + s[3 * row]
+            y = y + s[3 * row + 1]
+            z = z + s[3 * row + 2]
     return x, y, z
 
 
@@ -103,7 +112,9 @@ def fill_distance(loops, k, at, with_blocks):
     loops.error[at] = (far - number_of(loops, k)) * short
     if with_blocks:
         far = max(far, 1e-300)
-        x, y, z = d[0] / far, d[1] / far, d[2] / far
+        x = d[0] / far
+        y = d[1] / far
+        z = d[2] / far
         # the rate of the distance is the first row of a frame whose x points from A to B
         fill_along(loops, k, (x, y, z), p_b)
 
@@ -111,9 +122,11 @@ def fill_distance(loops, k, at, with_blocks):
 @routine
 def fill_linear(loops, k, at, with_blocks):
     """Write the equation, and the block, of a linear relation."""
-    plan, weights = loops.plan, loops.weights
+    plan = loops.plan
+    weights = loops.weights
     tie = plan[L.AT_TIES] + L.TIE_INTS * k
-    entry_at, local = plan[tie + L.ENTRY], plan[L.AT_LOCALS] + plan[tie + L.LOCAL]
+    entry_at = plan[tie + L.ENTRY]
+    local = plan[L.AT_LOCALS] + plan[tie + L.LOCAL]
     value = -weights[plan[L.AT_NUMBERS] + k]
     for i in range(plan[tie + L.ENTRIES]):
         factor = weights[plan[L.AT_FACTORS] + entry_at + i]
@@ -126,11 +139,14 @@ def fill_linear(loops, k, at, with_blocks):
 @routine
 def fill_own(loops, k, at, with_blocks):
     """Write the equations, and the block, of a coordinate held at a number, or a ball at a quaternion."""
-    plan, q = loops.plan, loops.q
+    plan = loops.plan
+    q = loops.q
     tie = plan[L.AT_TIES] + L.TIE_INTS * k
-    v, block = plan[tie + L.DATA], plan[tie + L.BLOCK]
+    v = plan[tie + L.DATA]
+    block = plan[tie + L.BLOCK]
     place = plan[L.AT_PLACES] + L.PLACE_INTS * v
-    i, sort = plan[place], plan[place + 1]
+    i = plan[place]
+    sort = plan[place + 1]
     if sort != L.BALL_FIRST:
         x = q[i] - number_of(loops, k)
         if sort == L.CIRCLE:
@@ -159,7 +175,8 @@ def fill_own(loops, k, at, with_blocks):
 @routine
 def read_inputs(loops, k, data, p, r, work):
     """Write the inputs of the tape of tie k: the pose (p, R) of B in A, coordinates, numbers of the call."""
-    plan, n = loops.plan, loops.plan[loops.plan[data + L.TAPE_INTS] + N_INPUTS]
+    plan = loops.plan
+    n = loops.plan[loops.plan[data + L.TAPE_INTS] + N_INPUTS]
     for i in range(n):
         at = data + L.TAPE_INPUTS + L.INPUT_INTS * i
         what = plan[at]
@@ -177,11 +194,15 @@ def read_inputs(loops, k, data, p, r, work):
 @routine
 def fill_tape(loops, k, at, with_blocks):
     """Write the equations, and the block, of a recorded expression."""
-    plan, weights = loops.plan, loops.weights
+    plan = loops.plan
+    weights = loops.weights
     tie = plan[L.AT_TIES] + L.TIE_INTS * k
-    data, rows, block = plan[tie + L.DATA], plan[tie + L.ROWS], plan[tie + L.BLOCK]
+    data = plan[tie + L.DATA]
+    rows = plan[tie + L.ROWS]
+    block = plan[tie + L.BLOCK]
     work = beyond(loops.blocks, block + rows * plan[tie + L.LOCALS])
-    tape, floats = plan[data + L.TAPE_INTS], plan[data + L.TAPE_FLOATS]
+    tape = plan[data + L.TAPE_INTS]
+    floats = plan[data + L.TAPE_FLOATS]
     adjoint = beyond(work, plan[tape + N_NODES])
     unit = weights[L.INVERSE_LENGTH] if plan[tie + L.LENGTHS] > 0 else 1.0
     r_a, p_a, r_b, p_b = ends_of(loops, k)
@@ -198,10 +219,16 @@ def fill_tape(loops, k, at, with_blocks):
     local = plan[L.AT_LOCALS] + plan[tie + L.LOCAL]
     for o in range(rows):
         tape_gradient(plan, tape, weights, floats, o, work, adjoint)
-        v0, v1, v2, w0, w1, w2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        v0 = 0.0
+        v1 = 0.0
+        v2 = 0.0
+        w0 = 0.0
+        w1 = 0.0
+        w2 = 0.0
         for i in range(plan[tape + N_INPUTS]):
             entry_at = data + L.TAPE_INPUTS + L.INPUT_INTS * i
-            what, g = plan[entry_at], unit * adjoint[i]
+            what = plan[entry_at]
+            g = unit * adjoint[i]
             if what == 0:
                 v0 += g
             elif what == 1:
@@ -209,14 +236,20 @@ def fill_tape(loops, k, at, with_blocks):
             elif what == 2:
                 v2 += g
             elif what < L.COORDINATE:  # the rate of column c of R is w x c
-                row, column = (what - 3) // 3, (what - 3) % 3
-                x, y, z = r[column], r[3 + column], r[6 + column]
+                row = (what - 3) // 3
+                column = (what - 3) % 3
+                x = r[column]
+                y = r[3 + column]
+                z = r[6 + column]
                 if row == 0:
-                    w1, w2 = w1 + g * z, w2 - g * y
+                    w1 = w1 + g * z
+                    w2 = w2 - g * y
                 elif row == 1:
-                    w0, w2 = w0 - g * z, w2 + g * x
+                    w0 = w0 - g * z
+                    w2 = w2 + g * x
                 else:
-                    w0, w1 = w0 + g * y, w1 - g * x
+                    w0 = w0 + g * y
+                    w1 = w1 - g * x
             elif what == L.COORDINATE and plan[entry_at + 2] >= 0:
                 column = plan[entry_at + 2]
                 loops.blocks[block + rows * column + o] += g * weights[L.SCALES + plan[local + column]]
@@ -229,7 +262,8 @@ def fill(loops, with_blocks):
     plan = loops.plan
     for k in range(plan[L.N_TIES]):
         tie = plan[L.AT_TIES] + L.TIE_INTS * k
-        at, turns = plan[tie + L.FIRST_ROW], plan[tie + L.TURNS]
+        at = plan[tie + L.FIRST_ROW]
+        turns = plan[tie + L.TURNS]
         if turns == L.LINEAR:
             fill_linear(loops, k, at, with_blocks)
         elif turns == L.DISTANCE:

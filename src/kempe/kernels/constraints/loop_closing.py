@@ -78,7 +78,9 @@ def mark(loops, step):
             continue
         if sort_of(loops, v) >= L.BALL_FIRST:
             continue
-        x, low, high = loops.q[place_of(loops, v)], number(loops, 1, v), number(loops, 2, v)
+        x = loops.q[place_of(loops, v)]
+        low = number(loops, 1, v)
+        high = number(loops, 2, v)
         if x <= low or x >= high:
             push = -product(loops, v, loops.error)
             if (x <= low and push <= 0.0) or (x >= high and push >= 0.0):
@@ -100,7 +102,8 @@ def move(loops, step, y, target, with_target):
     for v in range(loops.nv):
         if step[v] != step[v]:
             continue
-        sort, i = sort_of(loops, v), place_of(loops, v)
+        sort = sort_of(loops, v)
+        i = place_of(loops, v)
         if sort == L.BALL_FIRST:
             turn_ball(q, i, part * step[v], part * step[v + 1], part * step[v + 2])
         elif sort != L.BALL_MORE:
@@ -126,7 +129,10 @@ def close(loops, work, limit, accepted, kept, stop):
 
     `kept` is where it was reached; where it was the last one, poses and equations are those of that configuration.
     """
-    best, before, last, steps = np.inf, np.inf, np.inf, 0
+    best = np.inf
+    before = np.inf
+    last = np.inf
+    steps = 0
     m = loops.plan[L.N_ROWS]
     often = stop if m >= MANY else 0
     while True:
@@ -158,7 +164,9 @@ def descend(loops, work, limit, kept, stop):
     Damped steps that are taken back where they lead up (Levenberg, 1944; Marquardt, 1963).
     """
     copy(kept, loops.q, 0, loops.nq)
-    best, damping, steps = evaluate(loops, True), 1.0, 0
+    best = evaluate(loops, True)
+    damping = 1.0
+    steps = 0
     often = stop if loops.plan[L.N_ROWS] >= MANY else 0
     while steps < limit and damping < 1e12:
         if often != 0 and is_late(loops, often, work.column, work.y):
@@ -186,10 +194,13 @@ def approach(loops, work, limit, accepted, kept, stop):
     Each goes the way to `home` as far as the tangent space allows, shortened where that leads away, and is closed again
     (a projected gradient: Luenberger, 1972). `kept` is where it ends.
     """
-    m, steps, rounds = loops.plan[L.N_ROWS], 0, 0
+    m = loops.plan[L.N_ROWS]
+    steps = 0
+    rounds = 0
     copy(loops.q, kept, 0, loops.nq)
     least = distance(loops, work.home, work.target)
-    part, size = 1.0, 1.0
+    part = 1.0
+    size = 1.0
     while rounds < limit and part > 0.05 and size > 1e-9:
         if is_late(loops, stop, work.column, work.y):
             break
@@ -211,7 +222,8 @@ def approach(loops, work, limit, accepted, kept, stop):
         steps += 1 + used
         far = distance(loops, work.home, work.target)
         if square <= accepted and far < least:
-            least, part = far, min(1.0, 2.0 * part)
+            least = far
+            part = min(1.0, 2.0 * part)
             copy(kept, loops.q, 0, loops.nq)
         else:
             part *= 0.5
@@ -225,7 +237,11 @@ def search(loops, work, key, first, tries, limit, accepted, nearest, best_q, sto
 
     `best_q` is where it ends, and, of an assembly that goes on after `first` starts, where these have led.
     """
-    best, steps, count, current, late = np.inf, 0, first, False, False
+    best = np.inf
+    steps = 0
+    count = first
+    current = False
+    late = False
     if not sound(loops, work.home):
         return best, steps, count, late
     if first > 0 or tries == 0:
@@ -287,7 +303,10 @@ def assemble(
     out_q: (N, nq), the closed configuration, else the nearest to closing. out_residual: (N,). info: (N, 3)
     status (+ LATE where the work ended before all starts), steps, starts.
     """
-    nq, nv, n_rows, m = ints[NQ], ints[NV], ints[TABLE_ROWS], plan[L.N_ROWS]
+    nq = ints[NQ]
+    nv = ints[NV]
+    n_rows = ints[TABLE_ROWS]
+    m = plan[L.N_ROWS]
     sweep = scratch_size(n_rows)
     block = np.empty(sweep + 4 * nq + 2 * nv + 3 * m + plan[L.BLOCKS] + plan[L.ENVELOPE] + 8)
     scratch = raw(block)
@@ -298,7 +317,9 @@ def assemble(
     work = ClosingScratch(step, beyond(step, nv), beyond(error, m), beyond(error, 2 * m),
                           beyond(blocks, plan[L.BLOCKS]), beyond(q, nq), beyond(q, 2 * nq))  # fmt: skip
     best_q = beyond(q, 3 * nq)
-    accepted, missed, ended = tolerance * tolerance, 0, False
+    accepted = tolerance * tolerance
+    missed = 0
+    ended = False
     for i in range(starts.shape[0]):
         pin = beyond(raw(pins), i * pins.shape[1] if pins.shape[0] > 1 else 0)
         loops = LoopScratch(raw(ints), raw(floats), raw(plan), raw(weights), pin, q, scratch,
@@ -319,7 +340,9 @@ def assemble(
         for k in range(nq):
             out_q[i, k] = best_q[k] if status != BAD_INPUT else np.nan
         out_residual[i] = math.sqrt(best) if status != BAD_INPUT else np.nan
-        info[i, 0], info[i, 1], info[i, 2] = status, steps, count
+        info[i, 0] = status
+        info[i, 1] = steps
+        info[i, 2] = count
         missed += int(status != SOLVED)
     keep(block)
     return missed

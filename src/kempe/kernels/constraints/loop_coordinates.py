@@ -45,8 +45,14 @@ def number(loops, list_, v):
 @device
 def ball_difference(q, home, i, to, at):
     """Write the rotation vector from the quaternion at q[i:] to that at home[i:] to to[at:]."""
-    w, x, y, z = q[i], -q[i + 1], -q[i + 2], -q[i + 3]
-    a, b, c, d = home[i], home[i + 1], home[i + 2], home[i + 3]
+    w = q[i]
+    x = -q[i + 1]
+    y = -q[i + 2]
+    z = -q[i + 3]
+    a = home[i]
+    b = home[i + 1]
+    c = home[i + 2]
+    d = home[i + 3]
     rw = w * a - x * b - y * c - z * d
     rx = w * b + x * a + y * d - z * c
     ry = w * c - x * d + y * a + z * b
@@ -54,7 +60,9 @@ def ball_difference(q, home, i, to, at):
     sine = math.sqrt(rx * rx + ry * ry + rz * rz)
     f = 2.0 if sine < 1e-12 else 2.0 * math.atan2(sine, abs(rw)) / sine
     f = math.copysign(f, rw)
-    to[at], to[at + 1], to[at + 2] = f * rx, f * ry, f * rz
+    to[at] = f * rx
+    to[at + 1] = f * ry
+    to[at + 2] = f * rz
 
 
 @routine
@@ -84,17 +92,32 @@ def nearest_turn(x, to):
 def quaternion_of(r, q, i, home):
     """Write the unit quaternion of the rotation r to q[i:], of the sign that is nearer to home[i:]."""
     if r[0] + r[4] + r[8] > 0.0:
-        w, x, y, z = 1.0 + r[0] + r[4] + r[8], r[7] - r[5], r[2] - r[6], r[3] - r[1]
+        w = 1.0 + r[0] + r[4] + r[8]
+        x = r[7] - r[5]
+        y = r[2] - r[6]
+        z = r[3] - r[1]
     elif r[0] >= r[4] and r[0] >= r[8]:
-        w, x, y, z = r[7] - r[5], 1.0 + r[0] - r[4] - r[8], r[1] + r[3], r[2] + r[6]
+        w = r[7] - r[5]
+        x = 1.0 + r[0] - r[4] - r[8]
+        y = r[1] + r[3]
+        z = r[2] + r[6]
     elif r[4] >= r[8]:
-        w, x, y, z = r[2] - r[6], r[1] + r[3], 1.0 - r[0] + r[4] - r[8], r[5] + r[7]
+        w = r[2] - r[6]
+        x = r[1] + r[3]
+        y = 1.0 - r[0] + r[4] - r[8]
+        z = r[5] + r[7]
     else:
-        w, x, y, z = r[3] - r[1], r[2] + r[6], r[5] + r[7], 1.0 - r[0] - r[4] + r[8]
+        w = r[3] - r[1]
+        x = r[2] + r[6]
+        y = r[5] + r[7]
+        z = 1.0 - r[0] - r[4] + r[8]
     size = math.sqrt(w * w + x * x + y * y + z * z)
     if w * home[i] + x * home[i + 1] + y * home[i + 2] + z * home[i + 3] < 0.0:
         size = -size
-    q[i], q[i + 1], q[i + 2], q[i + 3] = w / size, x / size, y / size, z / size
+    q[i] = w / size
+    q[i + 1] = x / size
+    q[i + 2] = y / size
+    q[i + 3] = z / size
 
 
 @routine
@@ -103,10 +126,12 @@ def read_off(loops, home):
 
     The poses must be those of q. Angles of crosses and of three turns are as in `joints`.
     """
-    plan, q = loops.plan, loops.q
+    plan = loops.plan
+    q = loops.q
     for n in range(plan[L.N_READINGS]):
         k = plan[L.AT_READINGS] + L.READING_INTS * n
-        code, i = plan[k], plan[k + 1]
+        code = plan[k]
+        i = plan[k + 1]
         r_a, p_a, r_b, p_b = ends_of(loops, plan[k + 2])
         p = back(r_a, p_b[0] - p_a[0], p_b[1] - p_a[1], p_b[2] - p_a[2])
         r = relative(r_a, r_b)
@@ -115,17 +140,24 @@ def read_off(loops, home):
         elif code == L.READ_QUATERNION:
             quaternion_of(r, q, i, home)
         else:
-            sine, cosine = r[3] - r[1], r[0] + r[4]  # READ_ANGLE
+            # READ_ANGLE
+            sine = r[3] - r[1]
+            cosine = r[0] + r[4]
             if code == L.READ_RX:
-                sine, cosine = r[7], r[4]
+                sine = r[7]
+                cosine = r[4]
             elif code == L.READ_RY:
-                sine, cosine = r[2], r[0]
+                sine = r[2]
+                cosine = r[0]
             elif code == L.READ_YAW:
-                sine, cosine = r[3], r[0]
+                sine = r[3]
+                cosine = r[0]
             elif code == L.READ_PITCH:
-                sine, cosine = -r[6], math.sqrt(r[0] * r[0] + r[3] * r[3])
+                sine = -r[6]
+                cosine = math.sqrt(r[0] * r[0] + r[3] * r[3])
             elif code == L.READ_ROLL:
-                sine, cosine = r[7], r[8]
+                sine = r[7]
+                cosine = r[8]
             q[i] = nearest_turn(atan2(sine, cosine), home[i])
     for v in range(loops.nv):
         if sort_of(loops, v) == L.CIRCLE and not is_held(loops, v):
@@ -141,16 +173,21 @@ def draw(loops, home, spread, key):
     for v in range(loops.nv):
         if is_held(loops, v):
             continue
-        sort, i, fresh = sort_of(loops, v), place_of(loops, v), mix(key, np.uint64(v))
+        sort = sort_of(loops, v)
+        i = place_of(loops, v)
+        fresh = mix(key, np.uint64(v))
         if sort == L.BALL_FIRST:
             if spread >= 1.0:
                 draw_ball(q, i, fresh)
             else:
                 t = 2.0 * math.pi * spread
-                a, b, c = mix(fresh, np.uint64(0)), mix(fresh, np.uint64(1)), mix(fresh, np.uint64(2))
+                a = mix(fresh, np.uint64(0))
+                b = mix(fresh, np.uint64(1))
+                c = mix(fresh, np.uint64(2))
                 turn_ball(q, i, t * (unit(a) - 0.5), t * (unit(b) - 0.5), t * (unit(c) - 0.5))
         elif sort != L.BALL_MORE:
-            low, high = number(loops, 3, v), number(loops, 4, v)
+            low = number(loops, 3, v)
+            high = number(loops, 4, v)
             if spread >= 1.0:
                 q[i] = low + (high - low) * unit(fresh)
             else:
@@ -161,11 +198,16 @@ def draw(loops, home, spread, key):
 @routine
 def sound(loops, home):
     """Whether the start at q is finite; brings unknowns inside their limits, quaternions to norm 1, keeps `home`."""
-    q, good = loops.q, True
+    q = loops.q
+    good = True
     for v in range(loops.nv):
-        sort, i = sort_of(loops, v), place_of(loops, v)
+        sort = sort_of(loops, v)
+        i = place_of(loops, v)
         if sort == L.BALL_FIRST:
-            w, x, y, z = q[i], q[i + 1], q[i + 2], q[i + 3]
+            w = q[i]
+            x = q[i + 1]
+            y = q[i + 2]
+            z = q[i + 3]
             size = math.sqrt(w * w + x * x + y * y + z * z)
             good = good and 0.0 < size < LARGEST
             q[i], q[i + 1], q[i + 2], q[i + 3] = w / size, x / size, y / size, z / size
@@ -180,11 +222,13 @@ def sound(loops, home):
 @device
 def lead_on(loops, done, i):
     """Write to the unknowns of q where rows i - 2 and i - 1 of `done` lead."""
-    last, nq = (i - 1) * loops.nq, loops.nq
+    last = (i - 1) * loops.nq
+    nq = loops.nq
     for v in range(loops.nv):
         if is_held(loops, v):
             continue
-        sort, k = sort_of(loops, v), place_of(loops, v)
+        sort = sort_of(loops, v)
+        k = place_of(loops, v)
         if sort == L.BALL_FIRST:
             copy(beyond(loops.q, k), done, last + k, 4)
         elif sort != L.BALL_MORE:

@@ -20,21 +20,58 @@ Besides the primitive table, whose outputs 2k and 2k + 1 are the frames A and B 
 
 import numpy as np
 
-N_TIES, N_ROWS, N_READINGS, N_PINS, BLOCKS, ENVELOPE = 0, 1, 2, 3, 4, 5
-AT_TIES, AT_ENTRIES, AT_LOCALS, AT_VARS, AT_USES, AT_ROWS, AT_READINGS, AT_PLACES = 6, 7, 8, 9, 10, 11, 12, 13
-AT_NUMBERS, AT_FACTORS, AT_BOUNDS, AT_CENTRES, BASE_TIE, BASE_ROW = 14, 15, 16, 17, 18, 19
+N_TIES = 0
+N_ROWS = 1
+N_READINGS = 2
+N_PINS = 3
+BLOCKS = 4
+ENVELOPE = 5
+AT_TIES = 6
+AT_ENTRIES = 7
+AT_LOCALS = 8
+AT_VARS = 9
+AT_USES = 10
+AT_ROWS = 11
+AT_READINGS = 12
+AT_PLACES = 13
+AT_NUMBERS = 14
+AT_FACTORS = 15
+AT_BOUNDS = 16
+AT_CENTRES = 17
+BASE_TIE = 18
+BASE_ROW = 19
 HEAD = 20
 """Places in the head of `plan`, and its size."""
 
-MASK, TURNS, ROWS, FIRST_ROW, ENTRIES, ENTRY, LOCALS, LOCAL, BLOCK, PIN = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
-LENGTHS, NUMBER, BOUND, CENTRE, DATA = 10, 11, 12, 13, 14
-TIE_INTS, ENTRY_INTS, USE_INTS, ENVELOPE_INTS, READING_INTS, PLACE_INTS = 15, 2, 2, 2, 3, 3
+MASK = 0
+TURNS = 1
+ROWS = 2
+FIRST_ROW = 3
+ENTRIES = 4
+ENTRY = 5
+LOCALS = 6
+LOCAL = 7
+BLOCK = 8
+PIN = 9
+LENGTHS = 10
+NUMBER = 11
+BOUND = 12
+CENTRE = 13
+DATA = 14
+TIE_INTS = 15
+ENTRY_INTS = 2
+USE_INTS = 2
+ENVELOPE_INTS = 2
+READING_INTS = 3
+PLACE_INTS = 3
 """A tie: LENGTHS counts its first rows, which are lengths; NUMBER, BOUND and CENTRE are -1 where it has none; DATA is
 the velocity coordinate of an OWN tie, the address of the function of a FUNCTION tie, what a TAPE tie reads."""
 
 CENTRE_FLOATS = 5
 
-INVERSE_LENGTH, LENGTH, SCALES = 0, 1, 2
+INVERSE_LENGTH = 0
+LENGTH = 1
+SCALES = 2
 """Places in `weights`; the five lists of velocities follow from SCALES on."""
 
 
@@ -43,7 +80,11 @@ def velocity_lists(weights: np.ndarray, nv: int) -> np.ndarray:
     return weights[SCALES : SCALES + 5 * nv].reshape(5, nv)
 
 
-SLIDE, BOUND_TURN, CIRCLE, BALL_FIRST, BALL_MORE = 0, 1, 2, 3, 4
+SLIDE = 0
+BOUND_TURN = 1
+CIRCLE = 2
+BALL_FIRST = 3
+BALL_MORE = 4
 """Sorts of velocity coordinates: a slide; an angle; one that a turn brings back; the first and the others of a ball."""
 
 NO_TURN, ANGLE, ALIGN, CROSS, FULL, DISTANCE, LINEAR, LOOK, OWN, FUNCTION, TAPE = range(11)
@@ -52,11 +93,17 @@ all. LOOK: z of B towards the origin of A. The others are of another kind: DISTA
 holds one coordinate, or a quaternion, at given values; FUNCTION has the rows of a function of q, TAPE those of a
 recorded expression (`tape_layout`) of the pose of B in A and of coordinates."""
 
-TAPE_INTS, TAPE_FLOATS, TAPE_WORK, TAPE_INPUTS, INPUT_INTS = 0, 1, 2, 3, 3
+TAPE_INTS = 0
+TAPE_FLOATS = 1
+TAPE_WORK = 2
+TAPE_INPUTS = 3
+INPUT_INTS = 3
 """What DATA of a TAPE tie leads to: where the integers and the numbers of its tape lie, where its work area begins
 (in `jet` only), then for each input three integers: what it is, and for a coordinate its place in q and its column.
 The rows of the tie are the outputs of the tape in their order."""
-PLACE, COORDINATE, GIVEN = 0, 12, 13
+PLACE = 0
+COORDINATE = 12
+GIVEN = 13
 """What an input is: the place (3) of B in A and the entries (9) of its rotation row by row, from PLACE on; a
 coordinate; a number that comes with the call, counted from NUMBER on."""
 
@@ -64,7 +111,8 @@ READ_X, READ_Y, READ_Z, READ_ANGLE, READ_RX, READ_RY, READ_QUATERNION, READ_YAW,
 """How a coordinate of a cut joint follows from the pose of B in A: a slide, the turn about z, the turns of a cross
 about x and y, a quaternion, the three turns about z, y', x''."""
 
-DAMPING, MOST_DAMPING = 0.6, 0.1
+DAMPING = 0.6
+MOST_DAMPING = 0.1
 """Damping of a step that closes loops, by the mean square of the equations, and the most of it."""
 LONGEST = 0.5
 """Longest step of a turn [rad]."""

@@ -102,7 +102,9 @@ def function_value(op, x):
 def leaf_value(ints, at, floats, fat, i, width, work):
     """The value of what has no rates of its own, or of the node NEAREST; operands are at `width` times their place."""
     k = node_at(ints, at, i)
-    op, left, right = ints[k + OP], ints[k + LEFT], ints[k + RIGHT]
+    op = ints[k + OP]
+    left = ints[k + LEFT]
+    right = ints[k + RIGHT]
     if op == NUMBER:
         return floats[fat + left]
     if op == LOOKUP:
@@ -113,7 +115,9 @@ def leaf_value(ints, at, floats, fat, i, width, work):
     second = node_at(ints, at, left)
     first = node_at(ints, at, ints[second + LEFT])
     table = node_at(ints, at, ints[first + LEFT])
-    x, y, z = work[width * ints[first + RIGHT]], work[width * ints[second + RIGHT]], work[width * right]
+    x = work[width * ints[first + RIGHT]]
+    y = work[width * ints[second + RIGHT]]
+    z = work[width * right]
     return nearest_on_curve(floats, fat + ints[table + LEFT], ints[table + RIGHT], x, y, z)
 
 
@@ -123,7 +127,9 @@ def tape_values(ints, at, floats, fat, work):
     n = ints[at + N_INPUTS]
     for i in range(n, ints[at + N_NODES]):
         k = node_at(ints, at, i)
-        op, left, right = ints[k + OP], ints[k + LEFT], ints[k + RIGHT]
+        op = ints[k + OP]
+        left = ints[k + LEFT]
+        right = ints[k + RIGHT]
         if op == ADD:
             work[i] = work[left] + work[right]
         elif op == SUB:
@@ -162,13 +168,19 @@ def tape_gradient(ints, at, floats, fat, output, work, adjoint):
     `adjoint` has room for 2 n_nodes numbers; its second half says which nodes the output is computed from: of all
     others the derivatives, which may be infinite, have no part in it.
     """
-    n, last, marks = ints[at + N_INPUTS], ints[at + TAPE_HEAD + output], ints[at + N_NODES]
+    n = ints[at + N_INPUTS]
+    last = ints[at + TAPE_HEAD + output]
+    marks = ints[at + N_NODES]
     for i in range(max(n, last + 1)):
-        adjoint[i], adjoint[marks + i] = 0.0, 0.0
-    adjoint[last], adjoint[marks + last] = 1.0, 1.0
+        adjoint[i] = 0.0
+        adjoint[marks + i] = 0.0
+    adjoint[last] = 1.0
+    adjoint[marks + last] = 1.0
     for i in range(last, n - 1, -1):
         k = node_at(ints, at, i)
-        op, left, right = ints[k + OP], ints[k + LEFT], ints[k + RIGHT]
+        op = ints[k + OP]
+        left = ints[k + LEFT]
+        right = ints[k + RIGHT]
         a = adjoint[i]
         if adjoint[marks + i] == 0.0 or op == NUMBER or op == TABLE or op == LOOKUP:
             continue
@@ -236,7 +248,8 @@ def power_order(k, width, series, i, left, right):
             m += 1
         if m > k:
             return 0.0
-    u, w = width * left + m, width * i + m * int(c)
+    u = width * left + m
+    w = width * i + m * int(c)
     n = k - m * int(c)  # the order of u^c that is requested
     if m > 0 and n <= 0:
         return series[u] ** c if n == 0 else 0.0
@@ -255,9 +268,12 @@ def tape_order(ints, at, floats, fat, k, width, series):
     n = ints[at + N_INPUTS]
     for i in range(n, ints[at + N_NODES]):
         p = node_at(ints, at, i)
-        op, left, right = ints[p + OP], ints[p + LEFT], ints[p + RIGHT]
+        op = ints[p + OP]
+        left = ints[p + LEFT]
+        right = ints[p + RIGHT]
         y = width * i + k
-        a, b = width * left + k, width * right + k
+        a = width * left + k
+        b = width * right + k
         if op == ADD:
             series[y] = series[a] + series[b]
         elif op == SUB:
@@ -284,7 +300,8 @@ def tape_order(ints, at, floats, fat, k, width, series):
             elif op < ATAN2:
                 series[y] = 0.0
             else:
-                first, second = ints[p + NODE_INTS + LEFT], ints[p + NODE_INTS + RIGHT]
+                first = ints[p + NODE_INTS + LEFT]
+                second = ints[p + NODE_INTS + RIGHT]
                 series[y] = chain_order(k, width, series, left, first) + chain_order(k, width, series, right, second)
         elif k == 0:
             series[y] = function_value(op, series[a])
@@ -295,10 +312,14 @@ def tape_order(ints, at, floats, fat, k, width, series):
 @kernel(I("_"), F("_"), F("N", "n"), OUT("N", "m"), OUT("N", "m", "n"), returns=False)
 def tapes(ints, floats, inputs, values, gradients):
     """Write the outputs of a tape at N points, and their gradients by the n inputs."""
-    ints_, floats_, n = raw(ints), raw(floats), ints[N_INPUTS]
+    ints_ = raw(ints)
+    floats_ = raw(floats)
+    n = ints[N_INPUTS]
     scratch = np.empty(3 * ints[N_NODES] + 1)
-    work, adjoint = scratch[: ints[N_NODES]], scratch[ints[N_NODES] :]
-    work_, adjoint_ = raw(work), raw(adjoint)
+    work = scratch[: ints[N_NODES]]
+    adjoint = scratch[ints[N_NODES] :]
+    work_ = raw(work)
+    adjoint_ = raw(adjoint)
     for b in range(inputs.shape[0]):
         for i in range(n):
             work[i] = inputs[b, i]
@@ -314,7 +335,10 @@ def tapes(ints, floats, inputs, values, gradients):
 @kernel(I("_"), F("_"), INT, F("N", "n", "k"), OUT("N", "m", "k"), returns=False)
 def tape_series(ints, floats, order, inputs, outputs):
     """Write orders 0 ... order, which is below k, of the outputs of a tape along N curves given by their series."""
-    ints_, floats_, n, width = raw(ints), raw(floats), ints[N_INPUTS], inputs.shape[2]
+    ints_ = raw(ints)
+    floats_ = raw(floats)
+    n = ints[N_INPUTS]
+    width = inputs.shape[2]
     series = np.empty(ints[N_NODES] * width + 1)
     series_ = raw(series)
     for b in range(inputs.shape[0]):
@@ -332,7 +356,9 @@ def tape_series(ints, floats, order, inputs, outputs):
 @kernel(I("_"), F("_"), F("N", "n"), OUT("N", "m"), returns=False)
 def tape_outputs(ints, floats, inputs, values):
     """Write the outputs of a tape at N points."""
-    ints_, floats_, n = raw(ints), raw(floats), ints[N_INPUTS]
+    ints_ = raw(ints)
+    floats_ = raw(floats)
+    n = ints[N_INPUTS]
     block = np.empty(ints[N_NODES] + 1)
     work = raw(block)
     for b in range(inputs.shape[0]):

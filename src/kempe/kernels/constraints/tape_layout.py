@@ -23,11 +23,16 @@ four coefficients of its polynomial for each of x, y, z, and the radius of a bal
 Piece i is for parameters from i to i + 1.
 """
 
-N_INPUTS, N_NODES, N_OUTPUTS = 0, 1, 2
-TAPE_HEAD, NODE_INTS = 3, 3
+N_INPUTS = 0
+N_NODES = 1
+N_OUTPUTS = 2
+TAPE_HEAD = 3
+NODE_INTS = 3
 """Where the places of the outputs begin, and the integers of a node."""
 
-OP, LEFT, RIGHT = 0, 1, 2
+OP = 0
+LEFT = 1
+RIGHT = 2
 """Places in a node."""
 
 NUMBER, ADD, SUB, MUL, DIV, POW, NEG, PARTIALS, TABLE, LOOKUP = range(10)

@@ -29,7 +29,8 @@ def circles(v, ints, i, floats, f):
     d, ux, uy = unit(cx - ax, cy - ay)
     r1, w1x, w1y = unit(b1x - a1x, b1y - a1y)
     r2, w2x, w2y = unit(b2x - c2x, b2y - c2y)
-    total, less = r1 + r2, r1 - r2
+    total = r1 + r2
+    less = r1 - r2
     d = where(d > TINY * total, d, 0.0)
     together = d == 0.0
     inverse = 1.0 / where(together, 1.0, d)
@@ -41,10 +42,14 @@ def circles(v, ints, i, floats, f):
     y = vector(v, ints[i + 7]) * where(together, r1, y)
     _, e1x, e1y = unit(x, y)
     _, e2x, e2y = unit(x - d, y)
-    g1x, g1y = ux * e1x - uy * e1y, uy * e1x + ux * e1y
-    g2x, g2y = ux * e2x - uy * e2y, uy * e2x + ux * e2y
-    c1, s1 = g1x * w1x + g1y * w1y, g1y * w1x - g1x * w1y
-    c2, s2 = g2x * w2x + g2y * w2y, g2y * w2x - g2x * w2y
+    g1x = ux * e1x - uy * e1y
+    g1y = uy * e1x + ux * e1y
+    g2x = ux * e2x - uy * e2y
+    g2y = uy * e2x + ux * e2y
+    c1 = g1x * w1x + g1y * w1y
+    s1 = g1y * w1x - g1x * w1y
+    c2 = g2x * w2x + g2y * w2y
+    s2 = g2y * w2x - g2x * w2y
     put_pose(v, ints[i + 8], brought(ax, ay, c1, s1, a1x, a1y))
     put_pose(v, ints[i + 9], brought(cx, cy, c2, s2, c2x, c2y))
     flag(v, where(r1 > r2, r2, r1) + where(together, -total, 0.0), TINY * (total + d))
@@ -62,17 +67,22 @@ def line_circle(v, ints, i, floats, f):
     b2x, b2y = pin(v, ints[i + 4], floats, f + 10)
     a2x, a2y = pin(v, ints[i + 5], floats, f + 12)
     ax, ay = pin(v, ints[i + 6], floats, f + 14)
-    c1, s1 = dx * ex + dy * ey, dy * ex - dx * ey
-    wx, wy = b1x - qx, b1y - qy
-    gx, gy = px + (c1 * wx - s1 * wy) - ax, py + (s1 * wx + c1 * wy) - ay
-    along, h = gx * dx + gy * dy, dx * gy - dy * gx
+    c1 = dx * ex + dy * ey
+    s1 = dy * ex - dx * ey
+    wx = b1x - qx
+    wy = b1y - qy
+    gx = px + (c1 * wx - s1 * wy) - ax
+    gy = py + (s1 * wx + c1 * wy) - ay
+    along = gx * dx + gy * dy
+    h = dx * gy - dy * gx
     r, w2x, w2y = unit(b2x - a2x, b2y - a2y)
     t = square_root(positive((r - h) * (r + h)))
     part_by(v, where(r > 0.0, t / where(r > 0.0, r, 1.0), 0.0))
     t = vector(v, ints[i + 7]) * t
     slid = t - along
     _, g2x, g2y = unit(t * dx - h * dy, t * dy + h * dx)
-    c2, s2 = g2x * w2x + g2y * w2y, g2y * w2x - g2x * w2y
+    c2 = g2x * w2x + g2y * w2y
+    s2 = g2y * w2x - g2x * w2y
     put_pose(v, ints[i + 8], brought(px + slid * dx, py + slid * dy, c1, s1, qx, qy))
     put_pose(v, ints[i + 9], brought(ax, ay, c2, s2, a2x, a2y))
     flag(v, r, TINY * abs(h))
@@ -89,8 +99,10 @@ def lines(v, ints, i, floats, f):
     q2x, q2y, e2x, e2y = rail(v, ints[i + 4], floats, f + 12)
     b1x, b1y = pin(v, ints[i + 5], floats, f + 16)
     b2x, b2y = pin(v, ints[i + 6], floats, f + 18)
-    c1, s1 = d1x * e1x + d1y * e1y, d1y * e1x - d1x * e1y
-    c2, s2 = d2x * e2x + d2y * e2y, d2y * e2x - d2x * e2y
+    c1 = d1x * e1x + d1y * e1y
+    s1 = d1y * e1x - d1x * e1y
+    c2 = d2x * e2x + d2y * e2y
+    s2 = d2y * e2x - d2x * e2y
     gx = p2x + (c2 * (b2x - q2x) - s2 * (b2y - q2y)) - p1x - (c1 * (b1x - q1x) - s1 * (b1y - q1y))
     gy = p2y + (s2 * (b2x - q2x) + c2 * (b2y - q2y)) - p1y - (s1 * (b1x - q1x) + c1 * (b1y - q1y))
     det = d1x * d2y - d1y * d2x
@@ -134,9 +146,12 @@ def rail_rail(v, ints, i, floats, f):
     q1x, q1y, ex, ey = rail(v, ints[i + 2], floats, f + 4)
     p2x, p2y, d2x, d2y = rail(v, ints[i + 3], floats, f + 8)
     q2x, q2y, _, _ = rail(v, ints[i + 4], floats, f + 12)
-    c, s = d1x * ex + d1y * ey, d1y * ex - d1x * ey
-    wx, wy = q2x - q1x, q2y - q1y
-    gx, gy = p1x + (c * wx - s * wy) - p2x, p1y + (s * wx + c * wy) - p2y
+    c = d1x * ex + d1y * ey
+    s = d1y * ex - d1x * ey
+    wx = q2x - q1x
+    wy = q2y - q1y
+    gx = p1x + (c * wx - s * wy) - p2x
+    gy = p1y + (s * wx + c * wy) - p2y
     det = d1x * d2y - d1y * d2x
     parallel = where(abs(det) > TINY, 0.0, 1.0) == 1.0
     t = where(parallel, 0.0, -(gx * d2y - gy * d2x) / where(parallel, 1.0, det))

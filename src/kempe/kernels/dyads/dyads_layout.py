@@ -12,18 +12,35 @@ counts vectors: GAP and FLAG, two spare ones, MARGIN, the registers (a planar po
 of the orientation and the origin), the coordinates, their targets, the branch signs, and a spare one.
 """
 
-HEADER, OP_INTS, OP_FLOATS = 12, 12, 20
+HEADER = 12
+OP_INTS = 12
+OP_FLOATS = 20
 
 N_OPS, N_VECTORS, N_REGISTERS, NQ, N_KNOWN, N_SIGNS, COORDINATES, TARGETS, SIGNS = range(9)
 """Places in the header of `ints`."""
 
-GAP, FLAG, SPARE, MARGIN, REGISTERS = 0, 1, 2, 4, 5
+GAP = 0
+FLAG = 1
+SPARE = 2
+MARGIN = 4
+REGISTERS = 5
 """Places of vectors: the sum of squared openings, the count of undetermined parts, two to work with, how far the dyad
 that is nearest to a meeting of its branches is from it (0 there, at most 1), registers."""
 
-SET, ADD, EXPECT_ZERO = 0, 1, 2
-TURN, SLIDE, DIVIDE, CARRY, REBASE = 3, 4, 5, 6, 7
-CIRCLES, LINE_CIRCLE, LINES = 8, 9, 10
-PIN_PIN, PIN_RAIL, RAIL_RAIL = 11, 12, 13
-READ_TURN, READ_SLIDE = 14, 15
+SET = 0
+ADD = 1
+EXPECT_ZERO = 2
+TURN = 3
+SLIDE = 4
+DIVIDE = 5
+CARRY = 6
+REBASE = 7
+CIRCLES = 8
+LINE_CIRCLE = 9
+LINES = 10
+PIN_PIN = 11
+PIN_RAIL = 12
+RAIL_RAIL = 13
+READ_TURN = 14
+READ_SLIDE = 15
 """Codes of operations; the functions of `dyads_program` say what each does and how its numbers lie."""

@@ -65,7 +65,8 @@ def constant(floats, k):
 def pin(v, place, floats, k):
     """The point of the body at `place`, in the axes of its cluster."""
     c, s, x, y = pose(v, place)
-    px, py = floats[k], floats[k + 1]
+    px = floats[k]
+    py = floats[k + 1]
     return x + (c * px - s * py), y + (s * px + c * py)
 
 
@@ -73,7 +74,10 @@ def pin(v, place, floats, k):
 def rail(v, place, floats, k):
     """The point and the direction of the body at `place`, in the axes of its cluster."""
     c, s, x, y = pose(v, place)
-    px, py, dx, dy = floats[k], floats[k + 1], floats[k + 2], floats[k + 3]
+    px = floats[k]
+    py = floats[k + 1]
+    dx = floats[k + 2]
+    dy = floats[k + 3]
     return x + (c * px - s * py), y + (s * px + c * py), c * dx - s * dy, s * dx + c * dy
 
 

@@ -38,7 +38,8 @@ def turn(v, ints, i, floats, f):
     if rarely(not all_between(-REACH, theta, REACH)):
         sincos_each(v, theta)  # lanes within reach keep theirs: none depends on the others
         far = abs(theta)
-        s, c = where(far > REACH, vector(v, K.SPARE), s), where(far > REACH, vector(v, K.SPARE + 1), c)
+        s = where(far > REACH, vector(v, K.SPARE), s)
+        c = where(far > REACH, vector(v, K.SPARE + 1), c)
     a = times(pose(v, ints[i + 2]), constant(floats, f + 1))
     a = a[0] * c - a[1] * s, a[1] * c + a[0] * s, a[2], a[3]
     put_pose(v, ints[i + 1], times(a, constant(floats, f + 5)))
@@ -91,11 +92,15 @@ def read_turn(v, ints, i, floats, f):
     floats: cosine and sine of the constant turn between the frames; 1/multiplier, -offset/multiplier, period, limits;
     the pin on both bodies; metres for a unit of misfit.
     """
-    a, b = pose(v, ints[i + 1]), pose(v, ints[i + 2])
-    c, s = a[0] * b[0] + a[1] * b[1], a[0] * b[1] - a[1] * b[0]
-    kc, ks = floats[f], floats[f + 1]
+    a = pose(v, ints[i + 1])
+    b = pose(v, ints[i + 2])
+    c = a[0] * b[0] + a[1] * b[1]
+    s = a[0] * b[1] - a[1] * b[0]
+    kc = floats[f]
+    ks = floats[f + 1]
     angle = atan2(s * kc + c * ks, c * kc - s * ks) * floats[f + 2] + floats[f + 3]
-    period, place = floats[f + 4], ints[i + 3]
+    period = floats[f + 4]
+    place = ints[i + 3]
     if ints[i + 5]:
         misfit = angle - vector(v, place)
         misfit = (misfit - period * rounded(misfit / period)) * floats[f + 11]
@@ -115,15 +120,18 @@ def read_slide(v, ints, i, floats, f):
     """
     px, py, dx, dy = rail(v, ints[i + 1], floats, f)
     qx, qy, ex, ey = rail(v, ints[i + 2], floats, f + 4)
-    gx, gy = qx - px, qy - py
-    value, off = (gx * dx + gy * dy) * floats[f + 8] + floats[f + 9], dx * gy - dy * gx
+    gx = qx - px
+    gy = qy - py
+    value = (gx * dx + gy * dy) * floats[f + 8] + floats[f + 9]
+    off = dx * gy - dy * gx
     place = ints[i + 3]
     if ints[i + 5]:
         misfit = (value - vector(v, place)) * floats[f + 10]
         open_by(v, misfit * misfit)
     else:
         put(v, place, value)
-    tx, ty = (ex - dx) * floats[f + 11], (ey - dy) * floats[f + 11]
+    tx = (ex - dx) * floats[f + 11]
+    ty = (ey - dy) * floats[f + 11]
     open_by(v, off * off + (tx * tx + ty * ty))
 
 
@@ -173,7 +181,8 @@ def close(code, v, ints, i, floats, f):
 @device
 def begin(v, ints):
     """Set all registers to the identity, what is open to zero, and the least margin of the dyads to one."""
-    zero, one = spread_lanes(0.0), spread_lanes(1.0)
+    zero = spread_lanes(0.0)
+    one = spread_lanes(1.0)
     put(v, K.GAP, zero)
     put(v, K.FLAG, zero)
     put(v, K.MARGIN, one)
@@ -189,11 +198,18 @@ def solve(ints, floats, values, signs, near, q, status):
     norm of all openings in metres, how many dyads were undetermined, and the least margin of a dyad, which is 0 where
     two of its branches meet and at most 1. A block that is not full repeats its last.
     """
-    n, nq, known = q.shape[0], ints[K.NQ], ints[K.N_KNOWN]
+    n = q.shape[0]
+    nq = ints[K.NQ]
+    known = ints[K.N_KNOWN]
     scratch = np.empty(LANES * ints[K.N_VECTORS])
-    i_, f_, v = raw(ints), raw(floats), raw(scratch)
-    each_sign, each_near = min(signs.shape[0] - 1, 1), min(near.shape[0] - 1, 1)
-    coordinates, targets, first_sign = ints[K.COORDINATES], ints[K.TARGETS], ints[K.SIGNS]
+    i_ = raw(ints)
+    f_ = raw(floats)
+    v = raw(scratch)
+    each_sign = min(signs.shape[0] - 1, 1)
+    each_near = min(near.shape[0] - 1, 1)
+    coordinates = ints[K.COORDINATES]
+    targets = ints[K.TARGETS]
+    first_sign = ints[K.SIGNS]
     for start in range(0, n, LANES):
         for lane in range(LANES):
             row = min(start + lane, n - 1)
@@ -206,7 +222,8 @@ def solve(ints, floats, values, signs, near, q, status):
                 scratch[LANES * (first_sign + k) + lane] = signs[row * each_sign, k]
         begin(v, i_)
         for op in range(ints[K.N_OPS]):
-            i, f = K.HEADER + known + K.OP_INTS * op, K.OP_FLOATS * op
+            i = K.HEADER + known + K.OP_INTS * op
+            f = K.OP_FLOATS * op
             code = i_[i]
             if code < K.CIRCLES:
                 move(code, v, i_, i, f_, f)

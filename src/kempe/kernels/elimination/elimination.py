@@ -100,17 +100,20 @@ UNSOUND = DEGENERATE | UNMATCHED | SHARED
 WIDER = 100.0
 """How much larger the imaginary parts of postures that merge are at a disturbed goal: as its root."""
 
-NEARLY_FREE, CLOSE = 1e-5, 0.1
+NEARLY_FREE = 1e-5
+CLOSE = 0.1
 """Pivot ratio of the leading matrix below which all values of the hidden joint are roots, or nearly; error before
 Newton's steps up to which a candidate that they lead astray is a stray."""
 
-BLURRED, SURELY = 1e-2, 10.0
+BLURRED = 1e-2
+SURELY = 10.0
 """Error of a null space from which it means nothing; how many times that it must be away from having more postures."""
 
 DETERMINED = 1e-6
 """Least sine between columns of the pair's equations below which these have more than one solution."""
 
-NOISE, SIMPLE = 1e-7, 1e-5
+NOISE = 1e-7
+SIMPLE = 1e-5
 """Error of a matrix up to which its null vector may be that of a posture; last but one pivot of a simple root."""
 
 NULL = 1e-9
@@ -119,10 +122,12 @@ NULL = 1e-9
 SEPARATE = 1e-8
 """Separation below which two postures cannot be distinguished."""
 
-NO_MATRIX, GOOD_LEAD = 1e-12, 1e-7
+NO_MATRIX = 1e-12
+GOOD_LEAD = 1e-7
 """Pivot ratio of the leading matrix: below the first the equations are dependent, below the second they are suspect."""
 
-REFERENCES, GOOD_REFERENCE = 4, 1e-3
+REFERENCES = 4
+GOOD_REFERENCE = 1e-3
 """Zeros of the hidden joint that are tried, and the pivot ratio of the leading matrix that is good enough."""
 
 _LOOP = 0
@@ -152,8 +157,14 @@ ELIMINATION_SCRATCH = FOUNDLINGS + FOUND * (CANDIDATES + 2)
 @routine
 def matrix_of(kinds, lines, goal, formulation, w):
     """(rows, half the angle of zero, pivot ratio); writes the matrix with the hidden joint's roots t as eigenvalues."""
-    table, forms, re, im = beyond(w, _TABLE), beyond(w, _FORMS), beyond(w, _RE), beyond(w, _IM)
-    free, wide, m, fans = beyond(w, _FREE), beyond(w, _WIDE), beyond(w, _MATRIX), beyond(w, _FANS)
+    table = beyond(w, _TABLE)
+    forms = beyond(w, _FORMS)
+    re = beyond(w, _RE)
+    im = beyond(w, _IM)
+    free = beyond(w, _FREE)
+    wide = beyond(w, _WIDE)
+    m = beyond(w, _MATRIX)
+    fans = beyond(w, _FANS)
     arrange(kinds, lines, goal, formulation, w)
     sample(w, fans, table)
     remove_pair(table, fans)
@@ -164,13 +175,15 @@ def matrix_of(kinds, lines, goal, formulation, w):
         lost = LOST
     for i in range(SIZE if lost == 0 else 0):
         free[2 * i] = float(i)
-    half, best = 0.0, -1.0
+    half = 0.0
+    best = -1.0
     for k in range(REFERENCES):
         angle = 0.35 + k * math.pi / REFERENCES
         matrix_at(forms, -math.sin(angle), math.cos(angle), m)
         ratio = pivot_ratio(m)
         if ratio > best:
-            half, best = angle, ratio
+            half = angle
+            best = ratio
         if ratio > GOOD_REFERENCE:
             break
     ratio = lead(forms, math.cos(half), math.sin(half), free, SIZE - lost, wide)
@@ -188,7 +201,8 @@ def _coordinate(w, place, angle):
 @device
 def _eigenvalues(n, w):
     """Eigenvalues of the hidden joint's matrix that were not found; writes the others."""
-    m, scratch = beyond(w, _MATRIX), beyond(w, _EIGEN)
+    m = beyond(w, _MATRIX)
+    scratch = beyond(w, _EIGEN)
     balance(m, n, STRIDE)
     hessenberg(m, n, STRIDE, scratch)
     return shifted_qr(m, n, STRIDE, beyond(w, _REAL_PARTS), beyond(w, _IMAGINARY_PARTS), scratch)
@@ -200,7 +214,8 @@ def _vectors_at(angle, alike, w):
 
     Proven is that there are no more postures than vectors.
     """
-    m, x = beyond(w, _MATRIX), beyond(w, _VECTORS)
+    m = beyond(w, _MATRIX)
+    x = beyond(w, _VECTORS)
     matrix_at(beyond(w, _FORMS), math.cos(0.5 * angle), math.sin(0.5 * angle), m)
     if alike > MOST:
         return 0, ILL_NULL, False, 0.0
@@ -221,8 +236,10 @@ def _posture(s, angle, k, theta):
 
     Writes the six coordinates.
     """
-    w, work = s.w, beyond(s.w, _WORK)
-    hidden, removed = hidden_of(s.formulation), removed_of(s.formulation)
+    w = s.w
+    work = beyond(s.w, _WORK)
+    hidden = hidden_of(s.formulation)
+    removed = removed_of(s.formulation)
     first, second, defect = angles_of(beyond(w, _VECTORS + ROW * k))
     for joint in range(3):
         place = TRIPLE + LINE_STRIDE * joint
@@ -259,7 +276,8 @@ def _hidden_value(s, k):
 def _claimed_twice(s, k, angle):
     """Whether posture k is that of a root with this value of the hidden joint, and was that of another one before."""
     posture = beyond(s.w, FOUNDLINGS + FOUND * k)
-    here, before = abs(wrapped(_hidden_value(s, k) - angle)) < NEARLY, posture[CLAIMED] != 0.0
+    here = abs(wrapped(_hidden_value(s, k) - angle)) < NEARLY
+    before = posture[CLAIMED] != 0.0
     posture[CLAIMED] = 1.0 if here else posture[CLAIMED]
     return here and before
 
@@ -267,7 +285,8 @@ def _claimed_twice(s, k, angle):
 @device
 def _unmatched(s, n, count):
     """Whether a root that is expected to have a posture, or a posture, has no partner; a singular posture has two."""
-    roots, alone = beyond(s.w, _ROOTS), False
+    roots = beyond(s.w, _ROOTS)
+    alone = False
     for again in range(2):
         for k in range(count):
             if again == 0:
@@ -283,8 +302,12 @@ def _add(s, i, n, twins, count, strays):
 
     A stray is a start that was close, but Newton's steps led astray: written to `out`, from its end.
     """
-    found, work, roots = beyond(s.w, FOUNDLINGS), beyond(s.w, _WORK), beyond(s.w, _ROOTS)
-    imaginary, angle, none = roots[ROOT * i + IMAGINARY], roots[ROOT * i + ANGLE], 0
+    found = beyond(s.w, FOUNDLINGS)
+    work = beyond(s.w, _WORK)
+    roots = beyond(s.w, _ROOTS)
+    imaginary = roots[ROOT * i + IMAGINARY]
+    angle = roots[ROOT * i + ANGLE]
+    none = 0
     alike, met, aside = together(roots, n, i) if imaginary < TOGETHER else (1, False, 0.0)
     if alike > 2 and met:
         return count, strays, 0
@@ -314,7 +337,8 @@ def _add(s, i, n, twins, count, strays):
             continue
         again = _claimed_twice(s, int(theta[KNOWN]), angle) and twins
         merging = vectors == 1 and (imaginary > 0.0 or again)
-        source, count = count, count + state
+        source = count
+        count = count + state
         if merging and count < CANDIDATES:
             state = twin(s.kinds, s.lines, s.goal, found, source, count, work)
             suspect |= SINGULAR if state > 0 and is_singular(found, count) else 0
@@ -328,7 +352,9 @@ def _add(s, i, n, twins, count, strays):
 @routine
 def _postures(s, n, half, disturbed, count, strays):
     """(postures, strays, suspicion) with those of the n roots added; of a pair of conjugates the first is enough."""
-    suspect, roots, narrower = 0, beyond(s.w, _ROOTS), 1.0 if disturbed == 0 else WIDER
+    suspect = 0
+    roots = beyond(s.w, _ROOTS)
+    narrower = 1.0 if disturbed == 0 else WIDER
     slides = s.w[TRIPLE + LINE_STRIDE * hidden_of(s.formulation) + IS_SLIDE] != 0.0
     write_roots(beyond(s.w, _REAL_PARTS), beyond(s.w, _IMAGINARY_PARTS), n, half, narrower, slides, roots)
     for i in range(n):
@@ -353,7 +379,10 @@ def eliminate(kinds, lines, goal, formulation, w, out):
     goal nearby does. Then a disturbed goal's postures are where Newton's steps begin.
     """
     found = beyond(w, FOUNDLINGS)
-    count, strays, suspect, least = 0, 0, DEGENERATE, 1.0
+    count = 0
+    strays = 0
+    suspect = DEGENERATE
+    least = 1.0
     for disturbed in range(2):
         if suspect & DEGENERATE == 0:
             break

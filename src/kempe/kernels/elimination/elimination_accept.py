@@ -7,7 +7,12 @@ from kempe.kernels.base.scratch import beyond
 from kempe.kernels.elimination.elimination_polish import polish, wrapped
 from kempe.kernels.forward.table_layout import SLIDE
 
-FOUND, RAW_ERROR, PIVOTS, START, KNOWN, CLAIMED = 16, 6, 7, 8, 14, 15
+FOUND = 16
+RAW_ERROR = 6
+PIVOTS = 7
+START = 8
+KNOWN = 14
+CLAIMED = 15
 """Numbers of a candidate in scratch: coordinates, error before Newton's steps, pivot ratio of the Jacobian after them,
 coordinates before them, which candidate it came to be, whether a root at its value of the hidden joint led to it."""
 
@@ -31,7 +36,10 @@ def accept(kinds, lines, goal, found, count, work):
     for j in range(6):
         theta[START + j] = theta[j]
     begin, end, ratio = polish(kinds, lines, goal, theta, work, STEPS)
-    theta[RAW_ERROR], theta[PIVOTS], theta[KNOWN], theta[CLAIMED] = begin, ratio, float(count), 0.0
+    theta[RAW_ERROR] = begin
+    theta[PIVOTS] = ratio
+    theta[KNOWN] = float(count)
+    theta[CLAIMED] = 0.0
     if not end < ACCEPT:
         return -1
     for j in range(6):
@@ -54,7 +62,8 @@ def twin(kinds, lines, goal, found, source, count, work):
 
     Two postures that are about to merge lie on both sides of where their common root, or two close ones, point.
     """
-    one, other = beyond(found, FOUND * source), beyond(found, FOUND * count)
+    one = beyond(found, FOUND * source)
+    other = beyond(found, FOUND * count)
     for j in range(6):
         d = one[j] - one[START + j]
         other[j] = one[START + j] - (d if kinds[j] == SLIDE else wrapped(d))

@@ -23,11 +23,13 @@ def eliminate_each(kinds, lines, goals, formulation, thetas, counts, suspects):
     block = np.empty(ELIMINATION_SCRATCH + 6 * CANDIDATES)
     w = raw(block)
     out = beyond(w, ELIMINATION_SCRATCH)
-    doubted, room = 0, thetas.shape[1]
+    doubted = 0
+    room = thetas.shape[1]
     for g in range(goals.shape[0]):
         count, _, suspect = eliminate(raw(kinds), raw(lines), beyond(raw(goals), 12 * g), formulation, w, out)
         doubted += int(suspect != 0)
-        counts[g], suspects[g] = min(count, room), suspect
+        counts[g] = min(count, room)
+        suspects[g] = suspect
         for k in range(min(count, room)):
             for j in range(6):
                 thetas[g, k, j] = out[6 * k + j]
@@ -41,7 +43,8 @@ def eigenvalues_each(matrices, re, im, missed):
 
     re, im: (N, n), NaN where not found. missed: (N,), how many.
     """
-    n, failures = matrices.shape[1], 0
+    n = matrices.shape[1]
+    failures = 0
     block = np.zeros(LARGEST_SIZE * (LARGEST_SIZE + 1) + EIGEN_SCRATCH)
     a = raw(block)
     scratch = beyond(a, LARGEST_SIZE * (LARGEST_SIZE + 1))

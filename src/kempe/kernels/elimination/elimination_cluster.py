@@ -30,7 +30,8 @@ MIX = 0.7548776662466927
 REAL = 1e-4
 """Imaginary part of an eigenvalue, relative to its size, up to which the real part is tried."""
 
-_SPACE, _MATRIX = 0, MOST * ROW
+_SPACE = 0
+_MATRIX = MOST * ROW
 _WORK = _MATRIX + 2 * MOST * ROW
 _VALUES = _WORK + 3 * MOST * ROW
 CLUSTER_SCRATCH = _VALUES + 2 * MOST + EIGEN_SCRATCH + ROW
@@ -55,8 +56,10 @@ def null_space(m, count, mask, order, x):
             first = max(last, FLOOR)
         if not last > 0.0:
             return math.inf, 0.0
-        order[2 * k], order[2 * k + 1] = float(column), float(row)
-        mask[column], mask[ROW + row] = 0.0, 0.0
+        order[2 * k] = float(column)
+        order[2 * k + 1] = float(row)
+        mask[column] = 0.0
+        mask[ROW + row] = 0.0
         clear(m, row, column)
     best, _, _ = largest_entry(m, m, mask)
     left = 0
@@ -76,21 +79,26 @@ def _entry(x, joint, i, j):
 @routine
 def _solved(a, b, n):
     """Least over largest pivot of the matrix a (n rows of stride ROW, lost); b becomes a^-1 b. Gauss-Jordan."""
-    least, largest = math.inf, 0.0
+    least = math.inf
+    largest = 0.0
     for k in range(n):
-        best, place = -1.0, k
+        best = -1.0
+        place = k
         for i in range(k, n):
             if abs(a[i * ROW + k]) > best:
-                best, place = abs(a[i * ROW + k]), i
+                best = abs(a[i * ROW + k])
+                place = i
         if not best > 0.0:
             return 0.0
-        least, largest = min(least, best), max(largest, best)
+        least = min(least, best)
+        largest = max(largest, best)
         for c in range(n):
             a[k * ROW + c], a[place * ROW + c] = a[place * ROW + c], a[k * ROW + c]
             b[k * ROW + c], b[place * ROW + c] = b[place * ROW + c], b[k * ROW + c]
         over = 1.0 / a[k * ROW + k]
         for c in range(n):
-            a[k * ROW + c], b[k * ROW + c] = a[k * ROW + c] * over, b[k * ROW + c] * over
+            a[k * ROW + c] = a[k * ROW + c] * over
+            b[k * ROW + c] = b[k * ROW + c] * over
         for i in range(n):
             f = a[i * ROW + k]
             for c in range(n if i != k else 0):
@@ -102,7 +110,8 @@ def _solved(a, b, n):
 @routine
 def _values_of(space, n, joint, half, left, right):
     """Pivot ratio; `right` becomes the matrix of a joint's values w'/u', its zero moved by `half`: n rows of ROW."""
-    c, s = math.cos(half), math.sin(half)
+    c = math.cos(half)
+    s = math.sin(half)
     for p in range(n):
         for q in range(n):
             left[p * ROW + q] = right[p * ROW + q] = 0.0
@@ -124,7 +133,8 @@ def _best_values(space, n, joint, out, work):
     """Pivot ratio; writes the matrix of a joint's values for the zero at which these are best determined."""
     best = -1.0
     for k in range(PLACES):
-        left, right = work, beyond(work, MOST * ROW)
+        left = work
+        right = beyond(work, MOST * ROW)
         ratio = _values_of(space, n, joint, 0.3 + k * math.pi / PLACES, left, right)
         if ratio > best:
             best = ratio
@@ -141,20 +151,24 @@ def postures_at(m, count, mask, order, x, scratch):
     complex, relative to its size, 1 where there is none. m: the 12x12 matrix there (12 rows of stride ROW, lost). x:
     count ROW numbers. mask, order: as of `null_space`. scratch: CLUSTER_SCRATCH numbers.
     """
-    space, matrix, work = beyond(scratch, _SPACE), beyond(scratch, _MATRIX), beyond(scratch, _WORK)
+    space = beyond(scratch, _SPACE)
+    matrix = beyond(scratch, _MATRIX)
+    work = beyond(scratch, _WORK)
     for i in range(CLUSTER_SCRATCH):
         scratch[i] = 0.0
     residue, last = null_space(m, count, mask, order, space)
     other = beyond(matrix, MOST * ROW)
     if not residue < last:
         return 0, math.inf, 0.0
-    error, margin = residue / last, 1.0
+    error = residue / last
+    margin = 1.0
     if not (_best_values(space, count, 0, matrix, work) > 0.0 and _best_values(space, count, 1, other, work) > 0.0):
         return 0, math.inf, 0.0
     for i in range(count * ROW):
         matrix[i] += MIX * other[i]
         work[i] = matrix[i]
-    re, im = beyond(scratch, _VALUES), beyond(scratch, _VALUES + MOST)
+    re = beyond(scratch, _VALUES)
+    im = beyond(scratch, _VALUES + MOST)
     if eigenvalues(work, count, ROW, re, im, beyond(scratch, _VALUES + 2 * MOST)) > 0:
         return 0, math.inf, 0.0
     vectors = 0
@@ -175,17 +189,22 @@ def postures_at(m, count, mask, order, x, scratch):
 @device
 def _combined(a, space, n, out):
     """Write the mixture of the space's vectors that the matrix a (n rows of stride ROW, lost) takes to zero."""
-    y, order = beyond(a, MOST * ROW), beyond(a, MOST * ROW + ROW)
+    y = beyond(a, MOST * ROW)
+    order = beyond(a, MOST * ROW + ROW)
     for j in range(n):
         order[j] = -1.0
     taken = 0
     for _ in range(n - 1):
-        best, row, column = 0.0, -1, -1
+        best = 0.0
+        row = -1
+        column = -1
         for i in range(n):
             for j in range(n):
                 size = abs(a[i * ROW + j])
                 if order[j] < 0.0 and taken >> i & 1 == 0 and size > best:
-                    best, row, column = size, i, j
+                    best = size
+                    row = i
+                    column = j
         if row < 0:
             break
         order[column] = float(row)

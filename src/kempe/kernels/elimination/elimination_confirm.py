@@ -35,34 +35,47 @@ from kempe.kernels.elimination.elimination import CANDIDATES, ELIMINATION_SCRATC
 from kempe.kernels.elimination.elimination_polish import polish as newton
 from kempe.kernels.forward.table_layout import SLIDE
 
-SIDES, WIDE, NARROW = 4, 1e-3, 1e-4
+SIDES = 4
+WIDE = 1e-3
+NARROW = 1e-4
 """Goals aside, each two opposite; how far they are, in radians and lengths of the chain: the first suits where roots
 have merged, the second where solutions are near each other."""
 
-STEPS, ASTRAY = 40, 0.5
+STEPS = 40
+ASTRAY = 0.5
 """Newton steps from a solution of a goal aside; how far from it a regular solution may be to which they lead."""
 
 REGULAR = 1e-4
 """Bound of the smallest singular value squared above which a solution has one partner at each goal aside."""
 
-ALONG, RELAXING, RELAXED = 0.02, 14, 1e-12
+ALONG = 0.02
+RELAXING = 14
+RELAXED = 1e-12
 """How far along its tangent a singular solution is looked at; steps that bring the tip back from there, and their
 damping: on curves all along which roots have merged they only halve the distance."""
 
-ON_A_CURVE, ISOLATED, FASTER = 1e-11, 1e-8, 10.0
+ON_A_CURVE = 1e-11
+ISOLATED = 1e-8
+FASTER = 10.0
 """The error after these steps up to which there is a curve of solutions, if they lead to none nearer; from which, if it
 grows so much faster than by the smallest singular value, the solution is isolated."""
 
 JOINED = 1.0
 """How far from each other samples of a curve may be, in radians and lengths of the chain, for one to stand for both."""
 
-CURVE, ALONE, OPEN = 0, 1, 2
+CURVE = 0
+ALONE = 1
+OPEN = 2
 """What a singular solution is: on a curve of solutions, isolated, or neither for sure."""
 
-SEEN, HITS, MOST_HITS, HIT = 0, 1, 2, 3
+SEEN = 0
+HITS = 1
+MOST_HITS = 2
+HIT = 3
 """Of each solution: sides that were followed to it so far, how often from the present side, how often from any."""
 
-AT_GOAL, AT_HITS = ELIMINATION_SCRATCH + 6 * CANDIDATES, ELIMINATION_SCRATCH + 6 * CANDIDATES + 12
+AT_GOAL = ELIMINATION_SCRATCH + 6 * CANDIDATES
+AT_HITS = ELIMINATION_SCRATCH + 6 * CANDIDATES + 12
 CONFIRM_SCRATCH = AT_HITS + HIT * MOST_SOLUTIONS
 """Numbers of scratch that an elimination with all that confirms it needs."""
 
@@ -70,16 +83,20 @@ CONFIRM_SCRATCH = AT_HITS + HIT * MOST_SOLUTIONS
 @routine
 def goal_aside(goal, side, far, out):
     """Write the goal moved so far in a random direction, for odd sides opposite to the one before."""
-    key, sign = mix(np.uint64(1), np.uint64(side // 2)), 1.0 - 2.0 * (side % 2)
+    key = mix(np.uint64(1), np.uint64(side // 2))
+    sign = 1.0 - 2.0 * (side % 2)
     x = 2.0 * unit(mix(key, np.uint64(0))) - 1.0
     y = 2.0 * unit(mix(key, np.uint64(1))) - 1.0
     z = 2.0 * unit(mix(key, np.uint64(2))) - 1.0
     size = math.sqrt(x * x + y * y + z * z) + 1e-300
     axis = (x / size, y / size, z / size)
-    c, s = math.cos(far), sign * math.sin(far)
+    c = math.cos(far)
+    s = sign * math.sin(far)
     for j in range(3):
         column = turned(axis, (goal[j], goal[4 + j], goal[8 + j]), c, s)
-        out[j], out[4 + j], out[8 + j] = column[0], column[1], column[2]
+        out[j] = column[0]
+        out[4 + j] = column[1]
+        out[8 + j] = column[2]
     for i in range(3):
         out[4 * i + 3] = goal[4 * i + 3] + sign * far * (2.0 * unit(mix(key, np.uint64(3 + i))) - 1.0)
 
@@ -90,7 +107,9 @@ def relaxed(m, theta):
     step = beyond(m.scratch, AT_AXES + 12 * m.n + m.n * m.n)
     for _ in range(RELAXING):
         error_at(m, theta)
-        n, k, size = columns_at(m), 0, ALONG
+        n = columns_at(m)
+        k = 0
+        size = ALONG
         if not normal_equations(m, n, RELAXED):
             return math.inf
         for i in range(n):
@@ -106,7 +125,9 @@ def relaxed(m, theta):
 @routine
 def kind_aside(d, row, sign):
     """CURVE, ALONE or OPEN: what a singular solution (row of `Found`) seems to be by one side of its tangent."""
-    m, theta, here = d.found.model, d.theta, beyond(row, SOLUTION)
+    m = d.found.model
+    theta = d.theta
+    here = beyond(row, SOLUTION)
     error_at(m, here)
     if not tangent(m, theta):
         return OPEN
@@ -124,14 +145,16 @@ def kind_aside(d, row, sign):
 @routine
 def kind_of(d, row):
     """CURVE, ALONE or OPEN, of a singular solution (row of `Found`)."""
-    one, other = kind_aside(d, row, 1.0), kind_aside(d, row, -1.0)
+    one = kind_aside(d, row, 1.0)
+    other = kind_aside(d, row, -1.0)
     return one if one == other else OPEN
 
 
 @routine
 def joined(d, k):
     """Whether sample k is on one curve with a sample before it: halfway between them there is a solution as well."""
-    m, here = d.found.model, beyond(d.found.rows, (SOLUTION + d.n) * k + SOLUTION)
+    m = d.found.model
+    here = beyond(d.found.rows, (SOLUTION + d.n) * k + SOLUTION)
     for j in range(k):
         other = beyond(d.found.rows, (SOLUTION + d.n) * j)
         far = distance(m, beyond(other, SOLUTION), here)
@@ -141,7 +164,8 @@ def joined(d, k):
             d.theta[i] = other[SOLUTION + i] + 0.5 * gap(m.kinds[i] == SLIDE, here[i], other[SOLUTION + i])
         if relaxed(m, d.theta) > ON_A_CURVE:
             continue
-        one, two = distance(m, d.theta, here), distance(m, d.theta, beyond(other, SOLUTION))
+        one = distance(m, d.theta, here)
+        two = distance(m, d.theta, beyond(other, SOLUTION))
         if max(one, two) < 0.75 * far:
             return True
     return False
@@ -189,7 +213,10 @@ def followed(d, scratch, thetas, candidates, count, side, hits):
 
     All is well if each leads to a solution, and to a regular one that is near no more than one does.
     """
-    m, order, start, well = d.found.model, beyond(d.ints, ORDER), d.candidates, True
+    m = d.found.model
+    order = beyond(d.ints, ORDER)
+    start = d.candidates
+    well = True
     for k in range(candidates):
         for i in range(d.n):
             d.theta[i] = start[i] = d.fixed[i]
@@ -202,11 +229,13 @@ def followed(d, scratch, thetas, candidates, count, side, hits):
                 d.theta[order[i]] = thetas[6 * k + i]
         before = count
         count = add(d.found, count, d.theta, -1.0, AGAIN)
-        at, least = -1, NEAR
+        at = -1
+        least = NEAR
         for j in range(count):
             far = distance(m, beyond(d.found.rows, (SOLUTION + d.n) * j + SOLUTION), d.theta)
             if far <= least:
-                at, least = j, far
+                at = j
+                least = far
         if at < 0 or count < before:
             well = False
             continue
@@ -225,7 +254,8 @@ def followed(d, scratch, thetas, candidates, count, side, hits):
 @routine
 def confirmed_by(d, far, count, scratch, thetas):
     """(new number of solutions, whether goals so far aside confirm that these are all)."""
-    goal, hits = beyond(scratch, AT_GOAL), beyond(scratch, AT_HITS)
+    goal = beyond(scratch, AT_GOAL)
+    hits = beyond(scratch, AT_HITS)
     for k in range(HIT * MOST_SOLUTIONS):
         hits[k] = 0.0
     for side in range(SIDES):

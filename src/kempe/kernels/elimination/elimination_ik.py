@@ -35,7 +35,9 @@ from kempe.kernels.elimination.elimination import ELIMINATION_SCRATCH, FREE, UNS
 from kempe.kernels.elimination.elimination_confirm import ALONE, CONFIRM_SCRATCH, confirmed, kind_of, thinned
 from kempe.kernels.forward.table_layout import SLIDE
 
-STARTS, PACES, PACE = 64, 40, 0.3
+STARTS = 64
+PACES = 40
+PACE = 0.3
 """Starts where a joint is nearly free; steps of a walk along what is nearly a self-motion, and their length."""
 
 FOLD = 1e-4
@@ -44,7 +46,8 @@ FOLD = 1e-4
 CROWDED = 16
 """More solutions than isolated ones are possible."""
 
-EVEN, UNEXPLAINED = -1, -2
+EVEN = -1
+UNEXPLAINED = -2
 """An even number of solutions; an odd one of which no solution is a double one."""
 
 
@@ -52,11 +55,13 @@ EVEN, UNEXPLAINED = -1, -2
 def searched(d, count):
     """New number of solutions after a few starts anywhere: it is hard to miss a self-motion."""
     for i in range(STARTS):
-        row, key = beyond(d.candidates, CANDIDATE * i), mix(np.uint64(0), np.uint64(i))
+        row = beyond(d.candidates, CANDIDATE * i)
+        key = mix(np.uint64(0), np.uint64(i))
         for j in range(6):
             x = 2.0 * unit(mix(key, np.uint64(j))) - 1.0
             row[j] = x if d.kinds[j] == SLIDE else math.pi * x
-        row[CANDIDATE_SLOT], row[SAMPLE] = -1.0, 0.0
+        row[CANDIDATE_SLOT] = -1.0
+        row[SAMPLE] = 0.0
     return take_candidates(d, beyond(d.ints, ORDER), 0, STARTS, AGAIN, count)
 
 
@@ -67,13 +72,17 @@ def walked(d, count):
     A goal next to one that has a curve of solutions has a few, anywhere along it: damped steps lead back to the curve,
     undamped ones along it. A true self-motion is left alone.
     """
-    m, k = d.found.model, 0
-    here, ahead, before = d.candidates, beyond(d.candidates, d.n), beyond(d.candidates, 2 * d.n)
+    m = d.found.model
+    k = 0
+    here = d.candidates
+    ahead = beyond(d.candidates, d.n)
+    before = beyond(d.candidates, 2 * d.n)
     while k < count:
         row = beyond(d.found.rows, (SOLUTION + d.n) * k)
         k += 1
         for i in range(d.n if row[WEAKEST] < MERGED else 0):
-            here[i], before[i] = row[SOLUTION + i], 0.0
+            here[i] = row[SOLUTION + i]
+            before[i] = 0.0
         for pace in range(PACES if row[WEAKEST] < MERGED else 0):
             error_at(m, here)
             if not tangent(m, ahead):
@@ -111,7 +120,9 @@ def parity(d, count):
 
     Where lines must stay at rest, most roots are no solutions, and any number is right.
     """
-    total, folds, at = 0.0, 0, 0
+    total = 0.0
+    folds = 0
+    at = 0
     if rests(d):
         return EVEN
     for k in range(count):
@@ -140,7 +151,11 @@ def eliminated(d, scratch, thetas):
 
     It is where each root of one formulation has a solution of its own, or of two, except for singular solutions.
     """
-    count, doubt, free, crowded, witnesses = 0, 1, False, False, 0
+    count = 0
+    doubt = 1
+    free = False
+    crowded = False
+    witnesses = 0
     resting = rests(d)
     for f in range(d.ints[N_FORMS]):
         k, strays, suspect = eliminate(d.kinds, d.six, d.goal, d.ints[FORMS + f], scratch, thetas)
@@ -148,12 +163,15 @@ def eliminated(d, scratch, thetas):
             row = beyond(d.candidates, CANDIDATE * i)
             for j in range(6):
                 row[j] = thetas[6 * i + j]
-            row[CANDIDATE_SLOT], row[SAMPLE] = -1.0, 0.0
-        before, free = count, free or suspect & FREE != 0
+            row[CANDIDATE_SLOT] = -1.0
+            row[SAMPLE] = 0.0
+        before = count
+        free = free or suspect & FREE != 0
         count = take_candidates(d, beyond(d.ints, ORDER), 0, k, ROOT if f == 0 else AGAIN, count)
         count = take_candidates(d, beyond(d.ints, ORDER), k, k + strays, AGAIN, count)
         if count > CROWDED:
-            crowded, count = True, thinned(d, 0, count)
+            crowded = True
+            count = thinned(d, 0, count)
         enough = count > 0 or f >= 2  # that there is no solution has to be said thrice
         each = resting or count == k  # no two were the same in the end, and none was missed that is known
         clean = suspect == 0 or (count == 0 and suspect == FREE)  # far away the leading matrix is small
@@ -174,7 +192,8 @@ def eliminated(d, scratch, thetas):
 )  # fmt: skip
 def general(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, which, out, counts):
     """Find all solutions by elimination, arguments as of `every_solution.closed`; counts[:, 1] is 1 in doubt."""
-    n, slots = ints[N_JOINTS], out.shape[1]
+    n = ints[N_JOINTS]
+    slots = out.shape[1]
     block = np.empty(target_scratch_size(n) + CONFIRM_SCRATCH)
     flags = np.empty(6 + slots, np.int64)
     d = target_scratch(raw(ints), raw(floats), raw(block), raw(flags), tol_linear, tol_angular)
@@ -182,7 +201,9 @@ def general(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, 
     for i in which:
         close_to = beyond(raw(near), n * i if near.shape[0] > 1 else 0)
         held = beyond(raw(locked), n * i if locked.shape[0] > 1 else 0)
-        sound, count, doubt = begin(d, beyond(raw(targets), 16 * i), close_to, held), 0, 0
+        sound = begin(d, beyond(raw(targets), 16 * i), close_to, held)
+        count = 0
+        doubt = 0
         if sound:
             count, doubt = eliminated(d, scratch, beyond(scratch, ELIMINATION_SCRATCH))
             count = split(d.found, count)
@@ -196,6 +217,7 @@ def general(ints, floats, targets, near, locked, tol_linear, tol_angular, sort, 
             if listed(d.found, count) > slots:
                 doubt = 1
         written = end(d, count, close_to, beyond(raw(out), slots * (n + INFO) * i), slots, sort)
-        counts[i, 0], counts[i, 1] = written if sound else -1, doubt
+        counts[i, 0] = written if sound else -1
+        counts[i, 1] = doubt
     keep(block)
     keep(flags)

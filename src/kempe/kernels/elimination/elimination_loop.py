@@ -28,18 +28,26 @@ from kempe.kernels.forward.table_layout import SLIDE
 LINE_STRIDE = 8
 """Numbers of a joint's line: direction (3), 0, point (3), 0."""
 
-NUMBER, IS_SLIDE = 3, 7
+NUMBER = 3
+IS_SLIDE = 7
 """Places in a line of the loop, where the zeros were: number of the joint, and whether it slides."""
 
-PAIR, TRIPLE, SOURCE, TARGET = 0, 16, 40, 48
+PAIR = 0
+TRIPLE = 16
+SOURCE = 40
+TARGET = 48
 """Places in the loop: lines Y_1, Y_2, lines X_1, X_2, X_3, and the removed joint's line seen from both sides."""
 
 LOOP_SIZE = 56
 
-EQUATIONS, SAMPLES, DIFFERENCES, SAMPLE_STRIDE = 14, 0, 32, 40
+EQUATIONS = 14
+SAMPLES = 0
+DIFFERENCES = 32
+SAMPLE_STRIDE = 40
 """The table of samples: a row an equation; its 27 samples of the triple, then eight differences of the pair's."""
 
-FANS, FANS_SIZE = 6 * (3 + 9 + 27), 6 * (3 + 9 + 27) + 16
+FANS = 6 * (3 + 9 + 27)
+FANS_SIZE = 6 * (3 + 9 + 27) + 16
 """Numbers of the sampled lines, and with what the pair's first sample needs."""
 
 
@@ -66,8 +74,12 @@ def _copy(lines, i, sign, loop, k):
 @device
 def _back(goal, loop, k):
     """Move the line loop[k:] by the inverse of the goal."""
-    hx, hy, hz = loop[k], loop[k + 1], loop[k + 2]
-    ox, oy, oz = loop[k + 4] - goal[3], loop[k + 5] - goal[7], loop[k + 6] - goal[11]
+    hx = loop[k]
+    hy = loop[k + 1]
+    hz = loop[k + 2]
+    ox = loop[k + 4] - goal[3]
+    oy = loop[k + 5] - goal[7]
+    oz = loop[k + 6] - goal[11]
     for j in range(3):
         loop[k + j] = goal[j] * hx + goal[4 + j] * hy + goal[8 + j] * hz
         loop[k + 4 + j] = goal[j] * ox + goal[4 + j] * oy + goal[8 + j] * oz
@@ -80,7 +92,8 @@ def arrange(kinds, lines, goal, formulation, loop):
     Joints before the removed one come after the goal's inverse, which is moved to the right through them. The loop
     walked backwards is a loop again: of inverse motions, hence of flipped lines.
     """
-    removed, backwards = removed_of(formulation), formulation // 18 == 1
+    removed = removed_of(formulation)
+    backwards = formulation // 18 == 1
     sign = -1.0 if backwards else 1.0
     for place in range(5):
         i = (removed + 1 + place) % 6
@@ -99,37 +112,80 @@ def arrange(kinds, lines, goal, formulation, loop):
 @routine
 def fan(line, sign, here, there):
     """Write the line here (l, p: 6 numbers), moved by a joint, to `there`: at 0, pi/2 and pi, or 0, 1 and -1."""
-    hx, hy, hz = sign * line[0], sign * line[1], sign * line[2]
-    lx, ly, lz, px, py, pz = here[0], here[1], here[2], here[3], here[4], here[5]
-    there[0], there[1], there[2], there[3], there[4], there[5] = lx, ly, lz, px, py, pz
+    hx = sign * line[0]
+    hy = sign * line[1]
+    hz = sign * line[2]
+    lx = here[0]
+    ly = here[1]
+    lz = here[2]
+    px = here[3]
+    py = here[4]
+    pz = here[5]
+    there[0] = lx
+    there[1] = ly
+    there[2] = lz
+    there[3] = px
+    there[4] = py
+    there[5] = pz
     if line[IS_SLIDE] != 0.0:
-        there[6], there[7], there[8], there[9], there[10], there[11] = lx, ly, lz, px + hx, py + hy, pz + hz
-        there[12], there[13], there[14], there[15], there[16], there[17] = lx, ly, lz, px - hx, py - hy, pz - hz
+        there[6] = lx
+        there[7] = ly
+        there[8] = lz
+        there[9] = px + hx
+        there[10] = py + hy
+        there[11] = pz + hz
+        there[12] = lx
+        there[13] = ly
+        there[14] = lz
+        there[15] = px - hx
+        there[16] = py - hy
+        there[17] = pz - hz
         return
-    ox, oy, oz = line[4], line[5], line[6]
+    ox = line[4]
+    oy = line[5]
+    oz = line[6]
     along = hx * lx + hy * ly + hz * lz
     there[6] = along * hx + (hy * lz - hz * ly)
     there[7] = along * hy + (hz * lx - hx * lz)
     there[8] = along * hz + (hx * ly - hy * lx)
-    there[12], there[13], there[14] = 2.0 * along * hx - lx, 2.0 * along * hy - ly, 2.0 * along * hz - lz
-    px, py, pz = px - ox, py - oy, pz - oz
+    there[12] = 2.0 * along * hx - lx
+    there[13] = 2.0 * along * hy - ly
+    there[14] = 2.0 * along * hz - lz
+    px = px - ox
+    py = py - oy
+    pz = pz - oz
     along = hx * px + hy * py + hz * pz
     there[9] = ox + along * hx + (hy * pz - hz * py)
     there[10] = oy + along * hy + (hz * px - hx * pz)
     there[11] = oz + along * hz + (hx * py - hy * px)
     along *= 2.0
-    there[15], there[16], there[17] = ox + along * hx - px, oy + along * hy - py, oz + along * hz - pz
+    there[15] = ox + along * hx - px
+    there[16] = oy + along * hy - py
+    there[17] = oz + along * hz - pz
 
 
 @routine
 def fourteen(line, out, stride):
     """Write the fourteen numbers of a line (l, p: 6 numbers) to out, `stride` apart."""
-    lx, ly, lz, px, py, pz = line[0], line[1], line[2], line[3], line[4], line[5]
-    pp, pl = px * px + py * py + pz * pz, px * lx + py * ly + pz * lz
-    out[0], out[stride], out[2 * stride] = lx, ly, lz
-    out[3 * stride], out[4 * stride], out[5 * stride] = px, py, pz
-    out[6 * stride], out[7 * stride], out[8 * stride] = py * lz - pz * ly, pz * lx - px * lz, px * ly - py * lx
-    out[9 * stride], out[10 * stride] = pp, pl
+    lx = line[0]
+    ly = line[1]
+    lz = line[2]
+    px = line[3]
+    py = line[4]
+    pz = line[5]
+    pp = px * px + py * py + pz * pz
+    pl = px * lx + py * ly + pz * lz
+    out[0] = lx
+    out[stride] = ly
+    out[2 * stride] = lz
+    out[3 * stride] = px
+    out[4 * stride] = py
+    out[5 * stride] = pz
+    out[6 * stride] = py * lz - pz * ly
+    out[7 * stride] = pz * lx - px * lz
+    out[8 * stride] = px * ly - py * lx
+    out[9 * stride] = pp
+    out[10 * stride] = pl
     out[11 * stride] = pp * lx - 2.0 * pl * px
     out[12 * stride] = pp * ly - 2.0 * pl * py
     out[13 * stride] = pp * lz - 2.0 * pl * pz
@@ -139,7 +195,8 @@ def fourteen(line, out, stride):
 def line_of(loop, k, out):
     """Write direction and point of the line loop[k:] side by side."""
     for j in range(3):
-        out[j], out[3 + j] = loop[k + j], loop[k + 4 + j]
+        out[j] = loop[k + j]
+        out[3 + j] = loop[k + 4 + j]
 
 
 @routine
@@ -174,7 +231,8 @@ def remove_pair(table, v):
     Reflections (Householder 1958) make the eight differences upper triangular: below, the pair has vanished.
     """
     for k in range(8):
-        rest, first = 0.0, table[k * SAMPLE_STRIDE + DIFFERENCES + k]
+        rest = 0.0
+        first = table[k * SAMPLE_STRIDE + DIFFERENCES + k]
         for e in range(k + 1, EQUATIONS):
             v[e] = table[e * SAMPLE_STRIDE + DIFFERENCES + k]
             rest += v[e] * v[e]

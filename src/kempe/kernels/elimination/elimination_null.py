@@ -54,14 +54,17 @@ def null_vectors(m, mask, order, x):
         size = math.sqrt(max(best, 0.0))
         if k == 0:
             first = max(size, FLOOR)
-        third, second = second, size
+        third = second
+        second = size
         if k == SIZE - 2 and not size > ALIKE * first:
             vectors = 2
             break
         if not size > 0.0:
             return 0, 0.0, 0.0
-        order[2 * k], order[2 * k + 1] = float(column), float(row)
-        mask[column], mask[ROW + row] = 0.0, 0.0
+        order[2 * k] = float(column)
+        order[2 * k + 1] = float(row)
+        mask[column] = 0.0
+        mask[ROW + row] = 0.0
         clear(m, row, column)
     left = 0
     for c in range(SIZE):
@@ -82,14 +85,20 @@ def angles_of(x):
     """
     a = b = d = 0.0
     for j in range(3):
-        m0, m1, m2, m3 = x[j], ROOT_1_3 * x[3 + j], ROOT_1_3 * x[6 + j], x[9 + j]
+        m0 = x[j]
+        m1 = ROOT_1_3 * x[3 + j]
+        m2 = ROOT_1_3 * x[6 + j]
+        m3 = x[9 + j]
         a += m0 * m0 + 2.0 * m1 * m1 + m2 * m2
         b += m0 * m1 + 2.0 * m1 * m2 + m2 * m3
         d += m1 * m1 + 2.0 * m2 * m2 + m3 * m3
-    first, across = math.atan2(2.0 * b, a - d), (a * d - b * b) / ((a + d) * (a + d) + FLOOR)
+    first = math.atan2(2.0 * b, a - d)
+    across = (a * d - b * b) / ((a + d) * (a + d) + FLOOR)
     a = b = d = 0.0
     for i in range(4):
-        n0, n1, n2 = x[3 * i], ROOT_1_2 * x[3 * i + 1], x[3 * i + 2]
+        n0 = x[3 * i]
+        n1 = ROOT_1_2 * x[3 * i + 1]
+        n2 = x[3 * i + 2]
         a += n0 * n0 + n1 * n1
         b += n0 * n1 + n1 * n2
         d += n1 * n1 + n2 * n2
@@ -129,11 +138,18 @@ def _products(x, joint, out):
                 u0, w0 = entry_of_b(x, i, j)
                 u1, w1 = entry_of_b(y, i, j)
                 f = 1.0
-            out[0], out[1], out[3] = out[0] + f * u0 * u0, out[1] + f * u0 * u1, out[3] + f * u1 * u1
-            out[4], out[5] = out[4] + f * u0 * w0, out[5] + f * u0 * w1
-            out[6], out[7] = out[6] + f * u1 * w0, out[7] + f * u1 * w1
-            out[8], out[9], out[11] = out[8] + f * w0 * w0, out[9] + f * w0 * w1, out[11] + f * w1 * w1
-    out[2], out[10] = out[1], out[9]
+            out[0] = out[0] + f * u0 * u0
+            out[1] = out[1] + f * u0 * u1
+            out[3] = out[3] + f * u1 * u1
+            out[4] = out[4] + f * u0 * w0
+            out[5] = out[5] + f * u0 * w1
+            out[6] = out[6] + f * u1 * w0
+            out[7] = out[7] + f * u1 * w1
+            out[8] = out[8] + f * w0 * w0
+            out[9] = out[9] + f * w0 * w1
+            out[11] = out[11] + f * w1 * w1
+    out[2] = out[1]
+    out[10] = out[9]
 
 
 @device
@@ -141,7 +157,8 @@ def _pencil(products, c, s, out):
     """Condition of the projection on (c U + s W); writes (c U + s W)^T U and (c U + s W)^T W, 2x2 each."""
     for i in range(2):
         for j in range(2):
-            uw, wu = products[4 + 2 * i + j], products[4 + 2 * j + i]
+            uw = products[4 + 2 * i + j]
+            wu = products[4 + 2 * j + i]
             out[2 * i + j] = c * products[2 * i + j] + s * wu
             out[4 + 2 * i + j] = c * uw + s * products[8 + 2 * i + j]
     # (c U + s W)^T (c U + s W)
@@ -159,7 +176,9 @@ def split(x, work):
     b, where U and W are the vectors' u and w parts: a 2x2 pencil. Complex roots belong to no posture. The separation
     is the pencil's discriminant, over what it can be: near 0 the two cannot be distinguished. work: 64 numbers.
     """
-    best, separation, joint = -1.0, 0.0, 0
+    best = -1.0
+    separation = 0.0
+    joint = 0
     for k in range(2):
         _products(x, k, work)
         for trial in range(3):
@@ -173,7 +192,8 @@ def split(x, work):
         size = beta * beta + 2.0 * alpha * alpha + 2.0 * gamma * gamma + FLOOR
         value = (beta * beta - 4.0 * alpha * gamma) / size
         if abs(value) > abs(separation):
-            separation, joint = value, k
+            separation = value
+            joint = k
     if not separation > 0.0:
         return 0, -separation
     m = beyond(work, 20 + 8 * joint)
@@ -184,7 +204,8 @@ def split(x, work):
     _combine(x, m, 2.0 * alpha, q, work)
     _combine(x, m, q, 2.0 * gamma, beyond(work, ROW + 24))
     for j in range(SIZE):
-        x[j], x[ROW + j] = work[j], work[ROW + 24 + j]
+        x[j] = work[j]
+        x[ROW + j] = work[ROW + 24 + j]
     return 2, separation
 
 
@@ -201,11 +222,14 @@ def _quadratic(m):
 @device
 def _combine(x, m, u, w, out):
     """Write y_0 x + y_1 (x + ROW), where (w m[0:4] - u m[4:8]) y = 0."""
-    a, b = w * m[0] - u * m[4], w * m[1] - u * m[5]
-    c, d = w * m[2] - u * m[6], w * m[3] - u * m[7]
+    a = w * m[0] - u * m[4]
+    b = w * m[1] - u * m[5]
+    c = w * m[2] - u * m[6]
+    d = w * m[3] - u * m[7]
     first = a * a + b * b > c * c + d * d
     y0, y1 = (-b, a) if first else (-d, c)
     size = math.sqrt(y0 * y0 + y1 * y1) + FLOOR
-    y0, y1 = y0 / size, y1 / size
+    y0 = y0 / size
+    y1 = y1 / size
     for j in range(SIZE):
         out[j] = y0 * x[j] + y1 * x[ROW + j]

@@ -36,18 +36,26 @@ PAIR_SIZE = 32 + 8 * COLUMN + 32
 @device
 def _carry(line, theta, here):
     """Move the line here (l, p) by the joint's motion, in place."""
-    hx, hy, hz = line[0], line[1], line[2]
+    hx = line[0]
+    hy = line[1]
+    hz = line[2]
     if line[IS_SLIDE] != 0.0:
-        here[3], here[4], here[5] = here[3] + theta * hx, here[4] + theta * hy, here[5] + theta * hz
+        here[3] = here[3] + theta * hx
+        here[4] = here[4] + theta * hy
+        here[5] = here[5] + theta * hz
         return
     s, c = sincos(theta)
     v = 1.0 - c
-    x, y, z = here[0], here[1], here[2]
+    x = here[0]
+    y = here[1]
+    z = here[2]
     along = v * (hx * x + hy * y + hz * z)
     here[0] = along * hx + c * x + s * (hy * z - hz * y)
     here[1] = along * hy + c * y + s * (hz * x - hx * z)
     here[2] = along * hz + c * z + s * (hx * y - hy * x)
-    x, y, z = here[3] - line[4], here[4] - line[5], here[5] - line[6]
+    x = here[3] - line[4]
+    y = here[4] - line[5]
+    z = here[5] - line[6]
     along = v * (hx * x + hy * y + hz * z)
     here[3] = line[4] + along * hx + c * x + s * (hy * z - hz * y)
     here[4] = line[5] + along * hy + c * y + s * (hz * x - hx * z)
@@ -58,12 +66,16 @@ def _carry(line, theta, here):
 def _split(columns, slides, to, sign):
     """Turn three samples in columns 5, 6, 7 into coefficients in columns `to` and `to + 1`, and the constant in 4."""
     for i in range(0, COLUMN, LANES):
-        f0, f1 = load_lanes(columns, 5 * COLUMN + i), load_lanes(columns, 6 * COLUMN + i)
+        f0 = load_lanes(columns, 5 * COLUMN + i)
+        f1 = load_lanes(columns, 6 * COLUMN + i)
         f2 = load_lanes(columns, 7 * COLUMN + i)
         if slides:
-            a, b, c = f0, 0.5 * (f1 - f2), 0.5 * (f1 + f2) - f0
+            a = f0
+            b = 0.5 * (f1 - f2)
+            c = 0.5 * (f1 + f2) - f0
         else:
-            a, b = 0.5 * (f0 + f2), 0.5 * (f0 - f2)
+            a = 0.5 * (f0 + f2)
+            b = 0.5 * (f0 - f2)
             c = f1 - a
         store(columns, to * COLUMN + i, sign * b)
         store(columns, (to + 1) * COLUMN + i, sign * c)
@@ -85,7 +97,8 @@ def _four(columns, y):
 
     Modified Gram-Schmidt. A column that is next to nothing beside the largest counts by its size instead.
     """
-    least, largest = 1.0, 0.0
+    least = 1.0
+    largest = 0.0
     for k in range(4):
         y[4 + k] = _dot(columns, k, k)
         largest = max(largest, y[4 + k])
@@ -115,7 +128,9 @@ def pair_of(loop, theta, work):
 
     Y_2 (X_1 X_2 X_3 source) = Y_1^-1 target: fourteen equations that are linear in cosines and sines.
     """
-    here, fans, columns = work, beyond(work, 8), beyond(work, 32)
+    here = work
+    fans = beyond(work, 8)
+    columns = beyond(work, 32)
     y = beyond(columns, 8 * COLUMN)
     for i in range(8 * COLUMN):
         columns[i] = 0.0
@@ -135,7 +150,8 @@ def pair_of(loop, theta, work):
     quality = _four(columns, y)
     for side in range(2):
         k = PAIR + LINE_STRIDE * (1 - side)
-        a, b = y[2 * side], y[2 * side + 1]
+        a = y[2 * side]
+        b = y[2 * side + 1]
         theta[int(loop[k + NUMBER])] = a if loop[k + IS_SLIDE] != 0.0 else math.atan2(b, a)
     return quality
 

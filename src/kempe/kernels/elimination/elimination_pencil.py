@@ -23,10 +23,14 @@ from kempe.kernels.base.scratch import beyond
 from kempe.kernels.base.vectors import LANES, entry, load_lanes, spread_lanes, store, where
 from kempe.kernels.elimination.elimination_loop import EQUATIONS, IS_SLIDE, LINE_STRIDE, SAMPLE_STRIDE, TRIPLE
 
-SIZE, ROW = 12, 16
+SIZE = 12
+ROW = 16
 """Rows of the matrix, and their stride."""
 
-P, Q, R, FORMS = 0, SIZE * ROW, 2 * SIZE * ROW, 3 * SIZE * ROW
+P = 0
+Q = SIZE * ROW
+R = 2 * SIZE * ROW
+FORMS = 3 * SIZE * ROW
 """Places of the three matrices, and numbers of all."""
 
 WIDE = 40
@@ -44,13 +48,17 @@ LOST_FLOOR = 1e-6
 FLOOR = 1e-300
 """What pivots are compared with where all is zero."""
 
-ROOT_1_3, ROOT_2_3, ROOT_1_2 = math.sqrt(1.0 / 3.0), math.sqrt(2.0 / 3.0), math.sqrt(0.5)
+ROOT_1_3 = math.sqrt(1.0 / 3.0)
+ROOT_2_3 = math.sqrt(2.0 / 3.0)
+ROOT_1_2 = math.sqrt(0.5)
 
 
 @device
 def _forms(t, k, step, slides, factor):
     """Turn the samples t[k], t[k + step], t[k + 2 step] of a joint into its quadratic form's coefficients, in place."""
-    a, b, c = t[k], t[k + step], t[k + 2 * step]
+    a = t[k]
+    b = t[k + step]
+    c = t[k + 2 * step]
     if slides:
         t[k + step] = 0.5 * (b - c) * factor
         t[k + 2 * step] = 0.5 * (b + c) - a
@@ -69,7 +77,9 @@ def assemble(table, loop, hidden, forms):
     """Write P, Q, R (FORMS numbers): rows u_a, w_a times six equations, columns 3 i + j of cubic i, quadratic j."""
     a = 1 if hidden == 0 else 0
     b = 1 if hidden == 2 else 2
-    hs, as_, bs = power_of_3(hidden), power_of_3(a), power_of_3(b)
+    hs = power_of_3(hidden)
+    as_ = power_of_3(a)
+    bs = power_of_3(b)
     slides_h = loop[TRIPLE + LINE_STRIDE * hidden + IS_SLIDE] != 0.0
     slides_a = loop[TRIPLE + LINE_STRIDE * a + IS_SLIDE] != 0.0
     slides_b = loop[TRIPLE + LINE_STRIDE * b + IS_SLIDE] != 0.0
@@ -89,7 +99,9 @@ def assemble(table, loop, hidden, forms):
         for i in range(3):
             m = beyond(forms, i * SIZE * ROW + e * ROW)
             for j in range(3):
-                c0, c1, c2 = t[i * hs + j * bs], t[i * hs + as_ + j * bs], t[i * hs + 2 * as_ + j * bs]
+                c0 = t[i * hs + j * bs]
+                c1 = t[i * hs + as_ + j * bs]
+                c2 = t[i * hs + 2 * as_ + j * bs]
                 m[j], m[3 + j], m[6 + j] = c0, ROOT_2_3 * c1, ROOT_1_3 * c2
                 n = 6 * ROW + j
                 m[n + 3], m[n + 6], m[n + 9] = ROOT_1_3 * c0, ROOT_2_3 * c1, c2
@@ -98,7 +110,9 @@ def assemble(table, loop, hidden, forms):
 @device
 def matrix_at(forms, u, w, out):
     """Write P u^2 + Q u w + R w^2 (12 rows of stride ROW)."""
-    uu, uw, ww = u * u, u * w, w * w
+    uu = u * u
+    uw = u * w
+    ww = w * w
     for i in range(0, SIZE * ROW, LANES):
         store(out, i, uu * load_lanes(forms, i) + uw * load_lanes(forms, Q + i) + ww * load_lanes(forms, R + i))
 
@@ -106,16 +120,20 @@ def matrix_at(forms, u, w, out):
 @routine
 def pivot_ratio(m):
     """Least over largest pivot of the matrix m (12 rows of stride ROW), which is lost: 0 if it is singular."""
-    least, largest = math.inf, 0.0
+    least = math.inf
+    largest = 0.0
     for k in range(SIZE):
-        best, place = -1.0, k
+        best = -1.0
+        place = k
         for i in range(k, SIZE):
             size = abs(m[i * ROW + k])
             if size > best:
-                best, place = size, i
+                best = size
+                place = i
         if not best > 0.0:
             return 0.0
-        least, largest = min(least, best), max(largest, best)
+        least = min(least, best)
+        largest = max(largest, best)
         if place != k:
             for c in range(0, ROW, LANES):
                 x = load_lanes(m, k * ROW + c)
@@ -143,7 +161,8 @@ def null_at_i(forms, re, im, free, mask):
     for j in range(ROW):
         mask[j] = 1.0 if j < SIZE else 0.0
         mask[ROW + j] = 1.0
-    first, steps = 0.0, SIZE - LOST
+    first = 0.0
+    steps = SIZE - LOST
     for k in range(steps + 1):
         best, row, column = largest_entry(re, im, mask)
         if k == 0:
@@ -155,14 +174,18 @@ def null_at_i(forms, re, im, free, mask):
                     free[2 * j] = float(c)
                     j += 1
             return k == steps and math.sqrt(best / first) < LOST_FLOOR
-        free[2 * k], free[2 * k + 1] = float(column), float(row)
-        mask[column], mask[ROW + row] = 0.0, 0.0
+        free[2 * k] = float(column)
+        free[2 * k + 1] = float(row)
+        mask[column] = 0.0
+        mask[ROW + row] = 0.0
         _divide(re, im, row, re[row * ROW + column], im[row * ROW + column])
         for i in range(SIZE):
             if i != row:
-                fr, fi = re[i * ROW + column], im[i * ROW + column]
+                fr = re[i * ROW + column]
+                fi = im[i * ROW + column]
                 for c in range(0, ROW, LANES):
-                    pr, pi = load_lanes(re, row * ROW + c), load_lanes(im, row * ROW + c)
+                    pr = load_lanes(re, row * ROW + c)
+                    pi = load_lanes(im, row * ROW + c)
                     store(re, i * ROW + c, load_lanes(re, i * ROW + c) - fr * pr + fi * pi)
                     store(im, i * ROW + c, load_lanes(im, i * ROW + c) - fr * pi - fi * pr)
     return False
@@ -172,9 +195,11 @@ def null_at_i(forms, re, im, free, mask):
 def _divide(re, im, row, x, y):
     """Divide a row by x + i y."""
     size = 1.0 / (x * x + y * y)
-    x, y = x * size, -y * size
+    x = x * size
+    y = -y * size
     for c in range(0, ROW, LANES):
-        a, b = load_lanes(re, row * ROW + c), load_lanes(im, row * ROW + c)
+        a = load_lanes(re, row * ROW + c)
+        b = load_lanes(im, row * ROW + c)
         store(re, row * ROW + c, x * a - y * b)
         store(im, row * ROW + c, x * b + y * a)
 
@@ -182,14 +207,17 @@ def _divide(re, im, row, x, y):
 @device
 def largest_entry(re, im, mask):
     """(squared size, row, column) of the largest entry in rows and columns that the mask (2 ROW numbers) leaves."""
-    best, place = spread_lanes(-1.0), spread_lanes(0.0)
+    best = spread_lanes(-1.0)
+    place = spread_lanes(0.0)
     for i in range(SIZE):
         if mask[ROW + i] != 0.0:
             for c in range(0, ROW, LANES):
-                x, y = load_lanes(re, i * ROW + c), load_lanes(im, i * ROW + c)
+                x = load_lanes(re, i * ROW + c)
+                y = load_lanes(im, i * ROW + c)
                 size = (x * x + y * y) * load_lanes(mask, c)
                 better = size > best
-                best, place = where(better, size, best), where(better, float(i * ROW + c), place)
+                best = where(better, size, best)
+                place = where(better, float(i * ROW + c), place)
     size = largest(best)
     lane = min(lane_of(best, size), LANES - 1)
     place = int(entry(place, lane)) + lane
@@ -203,27 +231,35 @@ def lead(forms, c, s, kept, count, wide):
     (u, w) = (c u' - s w', s u' + c w'). kept: `count` columns of P' and of Q', 2 numbers apart. wide: 12 rows of
     stride WIDE; H starts at column ROW.
     """
-    cc, cs, ss = c * c, c * s, s * s
+    cc = c * c
+    cs = c * s
+    ss = s * s
     for i in range(SIZE):
         for j in range(SIZE):
             k = i * ROW + j
             wide[i * WIDE + j] = forms[P + k] * ss - forms[Q + k] * cs + forms[R + k] * cc
         for j in range(count):
             k = i * ROW + int(kept[2 * j])
-            p, q, r = forms[P + k], forms[Q + k], forms[R + k]
+            p = forms[P + k]
+            q = forms[Q + k]
+            r = forms[R + k]
             wide[i * WIDE + ROW + j] = -(p * cc + q * cs + r * ss)
             wide[i * WIDE + ROW + count + j] = -(2.0 * cs * (r - p) + q * (cc - ss))
     width = ROW + 2 * count
-    least, largest = math.inf, FLOOR
+    least = math.inf
+    largest = FLOOR
     for k in range(SIZE):
-        best, place = -1.0, k
+        best = -1.0
+        place = k
         for i in range(k, SIZE):
             size = abs(wide[i * WIDE + k])
             if size > best:
-                best, place = size, i
+                best = size
+                place = i
         if not best > 0.0:
             return 0.0
-        least, largest = min(least, best), max(largest, best)
+        least = min(least, best)
+        largest = max(largest, best)
         if place != k:
             for j in range(0, width, LANES):
                 x = load_lanes(wide, k * WIDE + j)

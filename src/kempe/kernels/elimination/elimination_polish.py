@@ -25,7 +25,8 @@ TURN = POSE + 12
 POLISH_SIZE = TURN + 9
 """Numbers of scratch that Newton's method needs."""
 
-ENOUGH, NEARLY_ENOUGH = 1e-13, 1e-10
+ENOUGH = 1e-13
+NEARLY_ENOUGH = 1e-10
 """Error at which no further step is taken; error at which a step must halve it, else it is the last."""
 
 DISTURBANCE = 1e-4
@@ -41,39 +42,82 @@ def trace(kinds, lines, theta, work):
 
     Both in ground axes, seen at the ground's origin. work: POLISH_SIZE numbers.
     """
-    r0, r1, r2, r3, r4, r5, r6, r7, r8 = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
+    r0 = 1.0
+    r1 = 0.0
+    r2 = 0.0
+    r3 = 0.0
+    r4 = 1.0
+    r5 = 0.0
+    r6 = 0.0
+    r7 = 0.0
+    r8 = 1.0
     tx = ty = tz = 0.0
     for i in range(6):
         k = LINE_STRIDE * i
-        a, b, c = lines[k], lines[k + 1], lines[k + 2]
-        hx, hy, hz = r0 * a + r1 * b + r2 * c, r3 * a + r4 * b + r5 * c, r6 * a + r7 * b + r8 * c
+        a = lines[k]
+        b = lines[k + 1]
+        c = lines[k + 2]
+        hx = r0 * a + r1 * b + r2 * c
+        hy = r3 * a + r4 * b + r5 * c
+        hz = r6 * a + r7 * b + r8 * c
         if kinds[i] == SLIDE:
-            work[i], work[JACOBIAN + i], work[2 * JACOBIAN + i] = 0.0, 0.0, 0.0
-            work[3 * JACOBIAN + i], work[4 * JACOBIAN + i], work[5 * JACOBIAN + i] = hx, hy, hz
+            work[i] = 0.0
+            work[JACOBIAN + i] = 0.0
+            work[2 * JACOBIAN + i] = 0.0
+            work[3 * JACOBIAN + i] = hx
+            work[4 * JACOBIAN + i] = hy
+            work[5 * JACOBIAN + i] = hz
             d = theta[i]
-            tx, ty, tz = tx + d * hx, ty + d * hy, tz + d * hz
+            tx = tx + d * hx
+            ty = ty + d * hy
+            tz = tz + d * hz
             continue
-        a, b, c = lines[k + 4], lines[k + 5], lines[k + 6]
-        ox, oy, oz = r0 * a + r1 * b + r2 * c + tx, r3 * a + r4 * b + r5 * c + ty, r6 * a + r7 * b + r8 * c + tz
-        work[i], work[JACOBIAN + i], work[2 * JACOBIAN + i] = hx, hy, hz
+        a = lines[k + 4]
+        b = lines[k + 5]
+        c = lines[k + 6]
+        ox = r0 * a + r1 * b + r2 * c + tx
+        oy = r3 * a + r4 * b + r5 * c + ty
+        oz = r6 * a + r7 * b + r8 * c + tz
+        work[i] = hx
+        work[JACOBIAN + i] = hy
+        work[2 * JACOBIAN + i] = hz
         work[3 * JACOBIAN + i] = oy * hz - oz * hy
         work[4 * JACOBIAN + i] = oz * hx - ox * hz
         work[5 * JACOBIAN + i] = ox * hy - oy * hx
         s, c = sincos(theta[i])
         v = 1.0 - c
-        m0, m1, m2 = c + v * hx * hx, v * hx * hy - s * hz, v * hx * hz + s * hy
-        m3, m4, m5 = v * hx * hy + s * hz, c + v * hy * hy, v * hy * hz - s * hx
-        m6, m7, m8 = v * hx * hz - s * hy, v * hy * hz + s * hx, c + v * hz * hz
+        m0 = c + v * hx * hx
+        m1 = v * hx * hy - s * hz
+        m2 = v * hx * hz + s * hy
+        m3 = v * hx * hy + s * hz
+        m4 = c + v * hy * hy
+        m5 = v * hy * hz - s * hx
+        m6 = v * hx * hz - s * hy
+        m7 = v * hy * hz + s * hx
+        m8 = c + v * hz * hz
         r0, r3, r6 = m0 * r0 + m1 * r3 + m2 * r6, m3 * r0 + m4 * r3 + m5 * r6, m6 * r0 + m7 * r3 + m8 * r6
         r1, r4, r7 = m0 * r1 + m1 * r4 + m2 * r7, m3 * r1 + m4 * r4 + m5 * r7, m6 * r1 + m7 * r4 + m8 * r7
         r2, r5, r8 = m0 * r2 + m1 * r5 + m2 * r8, m3 * r2 + m4 * r5 + m5 * r8, m6 * r2 + m7 * r5 + m8 * r8
-        tx, ty, tz = tx - ox, ty - oy, tz - oz
+        tx = tx - ox
+        ty = ty - oy
+        tz = tz - oz
         tx, ty, tz = m0 * tx + m1 * ty + m2 * tz, m3 * tx + m4 * ty + m5 * tz, m6 * tx + m7 * ty + m8 * tz
-        tx, ty, tz = tx + ox, ty + oy, tz + oz
+        tx = tx + ox
+        ty = ty + oy
+        tz = tz + oz
     k = POSE
-    work[k], work[k + 1], work[k + 2], work[k + 3] = r0, r1, r2, tx
-    work[k + 4], work[k + 5], work[k + 6], work[k + 7] = r3, r4, r5, ty
-    work[k + 8], work[k + 9], work[k + 10], work[k + 11] = r6, r7, r8, tz
+    work[k] = r0
+    work[k + 1] = r1
+    work[k + 2] = r2
+    work[k + 3] = tx
+    work[k + 4] = r3
+    work[k + 5] = r4
+    work[k + 6] = r5
+    work[k + 7] = ty
+    work[k + 8] = r6
+    work[k + 9] = r7
+    work[k + 10] = r8
+    work[k + 11] = tz
 
 
 @routine
@@ -85,11 +129,15 @@ def compare(goal, work):
     """
     t = POSE
     for i in range(3):
-        a, b, c = goal[4 * i], goal[4 * i + 1], goal[4 * i + 2]
+        a = goal[4 * i]
+        b = goal[4 * i + 1]
+        c = goal[4 * i + 2]
         x = a * work[t] + b * work[t + 1] + c * work[t + 2]
         y = a * work[t + 4] + b * work[t + 5] + c * work[t + 6]
         z = a * work[t + 8] + b * work[t + 9] + c * work[t + 10]
-        work[TURN + 3 * i], work[TURN + 3 * i + 1], work[TURN + 3 * i + 2] = x, y, z
+        work[TURN + 3 * i] = x
+        work[TURN + 3 * i + 1] = y
+        work[TURN + 3 * i + 2] = z
         shift = goal[4 * i + 3] - (x * work[t + 3] + y * work[t + 7] + z * work[t + 11])
         work[(3 + i) * JACOBIAN + TWIST] = shift
     k = TURN
@@ -110,16 +158,20 @@ def solve_six(m):
 
     Gauss-Jordan elimination with partial pivoting, on six rows of stride JACOBIAN.
     """
-    least, largest = math.inf, 0.0
+    least = math.inf
+    largest = 0.0
     for k in range(6):
-        best, place = -1.0, k
+        best = -1.0
+        place = k
         for i in range(k, 6):
             size = abs(m[i * JACOBIAN + k])
             if size > best:
-                best, place = size, i
+                best = size
+                place = i
         if not best > 0.0:
             return 0.0
-        least, largest = min(least, best), max(largest, best)
+        least = min(least, best)
+        largest = max(largest, best)
         for c in range(0, JACOBIAN, LANES):
             row = load_lanes(m, place * JACOBIAN + c)
             store(m, place * JACOBIAN + c, load_lanes(m, k * JACOBIAN + c))
@@ -178,14 +230,22 @@ def polish(kinds, lines, goal, theta, work, steps):
 @routine
 def disturb(goal, out):
     """Write the goal, moved a little in no special direction."""
-    x, y, z = 0.55 * DISTURBANCE, -0.71 * DISTURBANCE, 0.44 * DISTURBANCE
+    x = 0.55 * DISTURBANCE
+    y = -0.71 * DISTURBANCE
+    z = 0.44 * DISTURBANCE
     size = 1.0 / math.sqrt(1.0 + x * x + y * y + z * z)
     for j in range(4):
-        a, b, c = goal[j], goal[4 + j], goal[8 + j]
+        a = goal[j]
+        b = goal[4 + j]
+        c = goal[8 + j]
         # Cayley's rotation of the vector (x, y, z): v + 2 (r x v + r x (r x v)) / (1 + r.r)
-        p, q, r = y * c - z * b, z * a - x * c, x * b - y * a
+        p = y * c - z * b
+        q = z * a - x * c
+        r = x * b - y * a
         f = 2.0 * size * size
         out[j] = a + f * (p + y * r - z * q)
         out[4 + j] = b + f * (q + z * p - x * r)
         out[8 + j] = c + f * (r + x * q - y * p)
-    out[3], out[7], out[11] = out[3] - z, out[7] + x, out[11] + y
+    out[3] = out[3] - z
+    out[7] = out[7] + x
+    out[11] = out[11] + y

@@ -12,13 +12,20 @@ from kempe.kernels.base._jit import device
 from kempe.kernels.base.scratch import beyond
 from kempe.kernels.elimination.elimination_polish import wrapped
 
-ROOT, ANGLE, IMAGINARY, STANDS_FOR = 3, 0, 1, 2
+ROOT = 3
+ANGLE = 0
+IMAGINARY = 1
+STANDS_FOR = 2
 """Numbers of a root: value of the hidden joint, imaginary part (an angle each), what it stands for."""
 
-NONE, OPTIONAL, EXPECTED = 0.0, 1.0, 2.0
+NONE = 0.0
+OPTIONAL = 1.0
+EXPECTED = 2.0
 """What a root stands for: no posture, at most one, one."""
 
-REAL, DOUBT, NEARLY = 1e-7, 1e-3, 1e-2
+REAL = 1e-7
+DOUBT = 1e-3
+NEARLY = 1e-2
 """Imaginary parts of angles: up to the first a root is real; up to the second a pair of postures that are about to
 merge may hide behind it; up to the third it is tried, and a root belongs to a posture whose value is so near."""
 
@@ -44,7 +51,8 @@ def write_roots(re, im, n, half, narrower, slides, roots):
     re, im: the roots as the tangent of half their angle, zero at twice the angle `half`; NaN for one that is not known.
     """
     for i in range(n):
-        t, root = re[i], beyond(roots, ROOT * i)
+        t = re[i]
+        root = beyond(roots, ROOT * i)
         root[IMAGINARY] = 2.0 * im[i] / (1.0 + t * t) / narrower
         size = abs(root[IMAGINARY])
         root[STANDS_FOR] = EXPECTED if size < TOGETHER else OPTIONAL if size < NEARLY else NONE
@@ -63,10 +71,13 @@ def is_with(roots, j, i):
 @device
 def together(roots, n, i):
     """(number of roots that share the value of root i; whether one comes before it; mean difference from its value)."""
-    count, mean, met = 0, 0.0, False
+    count = 0
+    mean = 0.0
+    met = False
     for j in range(n):
         if is_with(roots, j, i):
-            count, mean = count + 1, mean + wrapped(roots[ROOT * j + ANGLE] - roots[ROOT * i + ANGLE])
+            count = count + 1
+            mean = mean + wrapped(roots[ROOT * j + ANGLE] - roots[ROOT * i + ANGLE])
             met = met or j < i
     return count, met, mean / max(count, 1)
 
@@ -93,11 +104,14 @@ def expected(roots, n):
 @device
 def matched(roots, n, angle):
     """Whether a root is left for a posture with this value of the hidden joint; the nearest is marked as used."""
-    best, at = 0.0, -1
+    best = 0.0
+    at = -1
     for i in range(n):
-        what, d = roots[ROOT * i + STANDS_FOR], abs(wrapped(roots[ROOT * i + ANGLE] - angle))
+        what = roots[ROOT * i + STANDS_FOR]
+        d = abs(wrapped(roots[ROOT * i + ANGLE] - angle))
         if what != NONE and d < NEARLY and what - d > best:
-            best, at = what - d, i
+            best = what - d
+            at = i
     if at < 0:
         return False
     roots[ROOT * at + STANDS_FOR] = NONE

@@ -18,10 +18,14 @@ from kempe.kernels.elimination.elimination_loop import LINE_STRIDE, hidden_of, r
 from kempe.kernels.elimination.elimination_polish import POLISH_SIZE, POSE, trace, wrapped
 from kempe.kernels.forward.table_layout import SLIDE
 
-FIRST, SECOND, BEST = 5, 20, 8
+FIRST = 5
+SECOND = 20
+BEST = 8
 """Postures that every formulation is tried on; more of them, for the BEST formulations only."""
 
-SUSPECT, FAVOUR, HASTY = 0.1, 0.9, 0.5
+SUSPECT = 0.1
+FAVOUR = 0.9
+HASTY = 0.5
 """Factors of credit for a suspect answer; for an eigenproblem of 24 rows; for what few postures only have shown."""
 
 DIGITS = 14.0
@@ -36,7 +40,8 @@ def _credit(kinds, theta, w, count):
     """0 if the posture theta is not among the candidates, else by the digits that it had before Newton's steps."""
     best = 0.0
     for k in range(count):
-        p, far = FOUNDLINGS + FOUND * k, 0.0
+        p = FOUNDLINGS + FOUND * k
+        far = 0.0
         for j in range(6):
             d = w[p + j] - theta[j]
             far = max(far, abs(d if kinds[j] == SLIDE else wrapped(d)))
@@ -75,16 +80,21 @@ def score(kinds, lines, scores):
     answer earns little, and a second miss ends the trial with 0.
     """
     block = np.zeros(ELIMINATION_SCRATCH + 6 * CANDIDATES + 18 + POLISH_SIZE)
-    w, k, h, s = raw(block), raw(kinds), raw(lines), raw(scores)
+    w = raw(block)
+    k = raw(kinds)
+    h = raw(lines)
+    s = raw(scores)
     out = beyond(w, ELIMINATION_SCRATCH)
     goal = beyond(out, 6 * CANDIDATES)
-    theta, work = beyond(goal, 12), beyond(goal, 18)
+    theta = beyond(goal, 12)
+    work = beyond(goal, 18)
     for trial in range(FORMULATIONS + BEST):
         again = trial >= FORMULATIONS
         f = _best(s) if again else trial
         if again and not s[f] > 0.0:
             break
-        sum_, misses = 0.0, 2 if k[removed_of(f)] == SLIDE else 0
+        sum_ = 0.0
+        misses = 2 if k[removed_of(f)] == SLIDE else 0
         first, last = (FIRST, FIRST + SECOND) if again else (0, FIRST)
         for i in range(first, last):
             if misses > 1:

@@ -59,11 +59,13 @@ def jacobian(table, q, columns):
     Rows: linear, angular. A bad configuration makes all columns NaN. -1: wrong shapes, or columns that lie over q,
     which are written before all of q is read.
     """
-    numbers, j = raw(table), raw(columns)
+    numbers = raw(table)
+    j = raw(columns)
     ints = integers(numbers)
     if q.shape[0] != ints[NQ] or columns.shape[0] != 6 or columns.shape[1] != ints[NV]:
         return -1
-    here, there = q.ctypes.data, columns.ctypes.data
+    here = q.ctypes.data
+    there = columns.ctypes.data
     if here < there + 8 * columns.size and there < here + 8 * q.size:
         return -1
     return jacobian_at(ints, after(numbers, ints[SIZE]), raw(q), 0, ints[FRAME], False, j, 0, j, 0)

@@ -54,7 +54,10 @@ from kempe.kernels.forward.table_layout import (
 from kempe.kernels.forward.table_rows import rotation
 from kempe.kernels.forward.table_sweep import pose_at
 
-POSE, ROWS, POSITION_QUATERNION, POSITION = 16, 12, 7, 3
+POSE = 16
+ROWS = 12
+POSITION_QUATERNION = 7
+POSITION = 3
 """Numbers that are written of a pose: all, the upper three rows, position with quaternion wxyz, position."""
 
 
@@ -146,10 +149,12 @@ def count_variables(ints):
 @device
 def read_variables(ints, floats, q, start, nq, variables):
     """Whether all lanes can be swept; `variables` gets sine and cosine, slide, or quaternion of each row."""
-    near, far = True, spread_lanes(0.0)
+    near = True
+    far = spread_lanes(0.0)
     k = 0
     for row in range(ints[N_ROWS]):
-        kind, index = ints[HEADER + ROW_INTS * row + KIND], start + ints[HEADER + ROW_INTS * row + Q_INDEX]
+        kind = ints[HEADER + ROW_INTS * row + KIND]
+        index = start + ints[HEADER + ROW_INTS * row + Q_INDEX]
         kx = ROW_FLOATS * row
         multiplier = floats[kx + MULTIPLIER]
         if kind == BALL:
@@ -180,7 +185,10 @@ def strays(ints, floats, q, start):
     for row in range(ints[N_ROWS]):
         index = start + ints[HEADER + ROW_INTS * row + Q_INDEX]
         if ints[HEADER + ROW_INTS * row + KIND] == BALL:
-            w, x, y, z = q[index], q[index + 1], q[index + 2], q[index + 3]
+            w = q[index]
+            x = q[index + 1]
+            y = q[index + 2]
+            z = q[index + 3]
             if not SMALLEST_SQUARE <= w * w + x * x + y * y + z * z <= LARGEST_SQUARE:
                 return True
         elif not abs(floats[ROW_FLOATS * row + MULTIPLIER] * q[index]) <= REACH:
@@ -192,7 +200,9 @@ def strays(ints, floats, q, start):
 def sweep_lanes(ints, floats, variables):
     """The matrix rows of LANES poses, from `variables` as `read_variables` wrote them."""
     n_rows = ints[N_ROWS]
-    u, v, w = spread_row(floats, 0), spread_row(floats, 4), spread_row(floats, 8)
+    u = spread_row(floats, 0)
+    v = spread_row(floats, 4)
+    w = spread_row(floats, 8)
     row = k = 0
     while True:
         kind = ints[HEADER + ROW_INTS * row + KIND]
@@ -200,15 +210,22 @@ def sweep_lanes(ints, floats, variables):
         if kind == TURN:
             c = load_lanes(variables, k + LANES)
             k += 2 * LANES
-            u, v, w = times_turn(u, a, c), times_turn(v, a, c), times_turn(w, a, c)
+            u = times_turn(u, a, c)
+            v = times_turn(v, a, c)
+            w = times_turn(w, a, c)
         elif kind == SLIDE:
             k += LANES
-            u, v, w = times_slide(u, a), times_slide(v, a), times_slide(w, a)
+            u = times_slide(u, a)
+            v = times_slide(v, a)
+            w = times_slide(w, a)
         else:
-            x, y = load_lanes(variables, k + LANES), load_lanes(variables, k + 2 * LANES)
+            x = load_lanes(variables, k + LANES)
+            y = load_lanes(variables, k + 2 * LANES)
             r = rotation(a, x, y, load_lanes(variables, k + 3 * LANES))
             k += 4 * LANES
-            u, v, w = times_ball(u, r), times_ball(v, r), times_ball(w, r)
+            u = times_ball(u, r)
+            v = times_ball(v, r)
+            w = times_ball(w, r)
         row += 1
         if row == n_rows:
             break
@@ -216,18 +233,30 @@ def sweep_lanes(ints, floats, variables):
         u, v, w = times_placement(form, u, v, w, floats, ROW_FLOATS * row)
     u, v, w = times_placement(GENERAL, u, v, w, floats, ROW_FLOATS * n_rows)
     if ints[HEADER + ROW_INTS * n_rows + PARTICLE]:
-        zero, one = spread_lanes(0.0), spread_lanes(1.0)
-        u, v, w = (one, zero, zero, u[3]), (zero, one, zero, v[3]), (zero, zero, one, w[3])
+        zero = spread_lanes(0.0)
+        one = spread_lanes(1.0)
+        u = (one, zero, zero, u[3])
+        v = (zero, one, zero, v[3])
+        w = (zero, zero, one, w[3])
     return u, v, w
 
 
 @device
 def quaternion(u, v, w):
     """Unit quaternion wxyz, w >= 0, of the rotation in matrix rows, by the largest component (Shepperd 1978)."""
-    a, b, c = u[0], v[1], w[2]
-    wx, wy, wz = w[1] - v[2], u[2] - w[0], v[0] - u[1]
-    xy, xz, yz = v[0] + u[1], u[2] + w[0], w[1] + v[2]
-    ww, xx, yy, zz = 1.0 + a + b + c, 1.0 + a - b - c, 1.0 - a + b - c, 1.0 - a - b + c
+    a = u[0]
+    b = v[1]
+    c = w[2]
+    wx = w[1] - v[2]
+    wy = u[2] - w[0]
+    wz = v[0] - u[1]
+    xy = v[0] + u[1]
+    xz = u[2] + w[0]
+    yz = w[1] + v[2]
+    ww = 1.0 + a + b + c
+    xx = 1.0 + a - b - c
+    yy = 1.0 - a + b - c
+    zz = 1.0 - a - b + c
     best, p, q, r, s = larger(xx, wx, xx, xy, xz, ww, ww, wx, wy, wz)
     best, p, q, r, s = larger(yy, wy, xy, yy, yz, best, p, q, r, s)
     best, p, q, r, s = larger(zz, wz, xz, yz, zz, best, p, q, r, s)
@@ -255,7 +284,8 @@ def write_lanes(width, u, v, w, out, first):
     store_columns(out, first + 4, width, v[0], v[1], v[2], v[3])
     store_columns(out, first + 8, width, w[0], w[1], w[2], w[3])
     if width == POSE:
-        zero, one = spread_lanes(0.0), spread_lanes(1.0)
+        zero = spread_lanes(0.0)
+        one = spread_lanes(1.0)
         store_columns(out, first + 12, width, zero, zero, zero, one)
 
 
@@ -269,9 +299,13 @@ def write_one(width, pose, out, first):
     for k in range(3):
         out[first + k] = pose[4 * k + 3]
     if width == POSITION_QUATERNION:
-        u, v = (pose[0], pose[1], pose[2], 0.0), (pose[4], pose[5], pose[6], 0.0)
+        u = (pose[0], pose[1], pose[2], 0.0)
+        v = (pose[4], pose[5], pose[6], 0.0)
         a, b, c, d = quaternion(u, v, (pose[8], pose[9], pose[10], 0.0))
-        out[first + 3], out[first + 4], out[first + 5], out[first + 6] = a, b, c, d
+        out[first + 3] = a
+        out[first + 4] = b
+        out[first + 5] = c
+        out[first + 6] = d
 
 
 @kernel(I("_"), F("_"), F("N", "_"), OUT("N", "_"))
@@ -283,18 +317,26 @@ def chain_poses(ints, floats, q, out):
     others. One at a time go those with a coordinate beyond the polynomials' reach.
     """
     n, nq = q.shape
-    width, total = out.shape[1], count_variables(ints)
+    width = out.shape[1]
+    total = count_variables(ints)
     few = 0 < n < LANES
     scratch = np.empty(total * LANES + 4 * LANES + POSE + (LANES * (nq + width) if few else 0))
-    i_, f_, q_, out_, variables = raw(ints), raw(floats), raw(q), raw(out), raw(scratch)
-    spare, alone = raw(scratch[total * LANES :]), raw(scratch[total * LANES + 4 * LANES :])
+    i_ = raw(ints)
+    f_ = raw(floats)
+    q_ = raw(q)
+    out_ = raw(out)
+    variables = raw(scratch)
+    spare = raw(scratch[total * LANES :])
+    alone = raw(scratch[total * LANES + 4 * LANES :])
     held = raw(scratch[total * LANES + 4 * LANES + POSE :])
     count = n
     if few:
         for i in range(LANES):
             for k in range(nq):
                 held[i * nq + k] = q_[min(i, n - 1) * nq + k]
-        q_, out_, count = held, raw(scratch[total * LANES + 4 * LANES + POSE + LANES * nq :]), LANES
+        q_ = held
+        out_ = raw(scratch[total * LANES + 4 * LANES + POSE + LANES * nq :])
+        count = LANES
     side_by_side = ints[N_ROWS] > 0
     strayed = count if side_by_side else 0  # where to begin to look for those that go alone
     for block in range(0, strayed, LANES):

@@ -28,7 +28,8 @@ from kempe.kernels.forward.table_layout import (
 )
 from kempe.kernels.forward.table_rows import rotation, with_offset
 
-SMALLEST_SQUARE, LARGEST_SQUARE = 1e-200, 1e200
+SMALLEST_SQUARE = 1e-200
+LARGEST_SQUARE = 1e200
 """Squared norms of quaternions that lanes normalise without scaling."""
 
 
@@ -44,7 +45,10 @@ def sincos_of(floats, k, theta):
 @device
 def unit_quaternion(q, index, nq, inverse):
     """Whether lanes can be normalised, and the unit quaternion at q[index:], its inverse for a negative number."""
-    w, x, y, z = gather(q, index, nq), gather(q, index + 1, nq), gather(q, index + 2, nq), gather(q, index + 3, nq)
+    w = gather(q, index, nq)
+    x = gather(q, index + 1, nq)
+    y = gather(q, index + 2, nq)
+    z = gather(q, index + 3, nq)
     square = w * w + x * x + y * y + z * z
     scale = 1.0 / square_root(square)
     sign = -scale if inverse < 0.0 else scale
@@ -73,7 +77,8 @@ def by_number(ints, floats, row, theta, p):
 @device
 def by_quaternion(ints, floats, row, unit, p):
     """The point p under the motion of a row that turns by a unit quaternion, and its placement."""
-    r, (x, y, z) = rotation(unit[0], unit[1], unit[2], unit[3]), p
+    r = rotation(unit[0], unit[1], unit[2], unit[3])
+    (x, y, z) = p
     return placed(
         ints,
         floats,
@@ -87,7 +92,9 @@ def by_quaternion(ints, floats, row, unit, p):
 @device
 def placed(ints, floats, row, x, y, z):
     """The point (x, y, z) under the placement of a row."""
-    form, f, k = ints[HEADER + ROW_INTS * row + FORM], floats, ROW_FLOATS * row
+    form = ints[HEADER + ROW_INTS * row + FORM]
+    f = floats
+    k = ROW_FLOATS * row
     if row == 0:
         form = GENERAL
     if form == RX_FLAT:
@@ -104,11 +111,14 @@ def placed(ints, floats, row, x, y, z):
 @device
 def position_lanes(ints, floats, q, start, nq):
     """Whether all lanes can be swept, and the position (x, y, z) at the configurations q[start:]."""
-    n_rows, p = ints[N_ROWS], tip(ints, floats)
-    near, far = True, spread_lanes(0.0)
+    n_rows = ints[N_ROWS]
+    p = tip(ints, floats)
+    near = True
+    far = spread_lanes(0.0)
     for i in range(n_rows):
         row = n_rows - 1 - i
-        kind, index = ints[HEADER + ROW_INTS * row + KIND], start + ints[HEADER + ROW_INTS * row + Q_INDEX]
+        kind = ints[HEADER + ROW_INTS * row + KIND]
+        index = start + ints[HEADER + ROW_INTS * row + Q_INDEX]
         multiplier = floats[ROW_FLOATS * row + MULTIPLIER]
         if kind == BALL:
             sound, unit = unit_quaternion(q, index, nq, multiplier)

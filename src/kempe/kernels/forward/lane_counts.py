@@ -12,9 +12,12 @@ from numba.core import cgutils
 
 from kempe.kernels.base.vectors import DOUBLE, LANES, Vec, intrinsic
 
-INT32, INT64 = ir.IntType(32), ir.IntType(64)
+INT32 = ir.IntType(32)
+INT64 = ir.IntType(64)
 INTS = types.CPointer(types.int64)
-STEP, MUL_A, MUL_B = 0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
+STEP = 0x9E3779B97F4A7C15
+MUL_A = 0xBF58476D1CE4E5B9
+MUL_B = 0x94D049BB133111EB
 """The constants of SplitMix64 (Steele, Lea and Flood 2014)."""
 ONE = 0x3FF0000000000000
 """The bits of 1.0: with 52 random bits behind them, a number in [1, 2)."""

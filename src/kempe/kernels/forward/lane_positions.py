@@ -26,15 +26,18 @@ BLOCK = 256
 @device
 def drawn_position(ints, floats, keys, bounds, counter):
     """The positions (x, y, z) of the samples from `counter` on, one a lane."""
-    n_rows, p = ints[N_ROWS], tip(ints, floats)
+    n_rows = ints[N_ROWS]
+    p = tip(ints, floats)
     for i in range(n_rows):
         row = n_rows - 1 - i
-        index, multiplier = ints[HEADER + ROW_INTS * row + Q_INDEX], floats[ROW_FLOATS * row + MULTIPLIER]
+        index = ints[HEADER + ROW_INTS * row + Q_INDEX]
+        multiplier = floats[ROW_FLOATS * row + MULTIPLIER]
         u = units(keys[index], counter)
         if ints[HEADER + ROW_INTS * row + KIND] == BALL:
             sa, ca = sincos(2.0 * math.pi * units(keys[index + 1], counter))
             sb, cb = sincos(2.0 * math.pi * units(keys[index + 2], counter))
-            small, large = square_root(1.0 - u), square_root(u)
+            small = square_root(1.0 - u)
+            large = square_root(u)
             sign = math.copysign(1.0, multiplier)
             unit = small * sa, sign * (small * ca), sign * (large * sb), sign * (large * cb)
             p = by_quaternion(ints, floats, row, unit, p)
@@ -47,8 +50,14 @@ def drawn_position(ints, floats, keys, bounds, counter):
 @kernel(I("_"), F("_"), I("_"), F("_", 2), INT, OUT("N", 3), returns=False)
 def random_positions(ints, floats, keys, bounds, first, out):
     """Write the positions (N, 3) of the samples from number `first` on; `bounds` are (low, range) a coordinate."""
-    n, scratch = out.shape[0], np.empty(4 * LANES)
-    i_, f_, out_, spare, keys_, bounds_ = raw(ints), raw(floats), raw(out), raw(scratch), raw(keys), raw(bounds)
+    n = out.shape[0]
+    scratch = np.empty(4 * LANES)
+    i_ = raw(ints)
+    f_ = raw(floats)
+    out_ = raw(out)
+    spare = raw(scratch)
+    keys_ = raw(keys)
+    bounds_ = raw(bounds)
     for start in range(0, n, LANES):
         p = drawn_position(i_, f_, keys_, bounds_, first + start)
         store_points(out_, 3 * start, n - start, p, spare)
@@ -63,20 +72,29 @@ def count_cells(ints, floats, keys, bounds, first, n, grid, counts):
     numbers, two in each entry: of each cell, the last axis fastest, and after them of what falls outside.
     """
     scratch = np.empty(BLOCK)
-    i_, f_, keys_, bounds_, counts_, cells = (
-        raw(ints), raw(floats), raw(keys), raw(bounds), raw(counts), raw(scratch)
-    )  # fmt: skip
-    low_x, low_y, low_z = grid[0, 0], grid[1, 0], grid[2, 0]
-    by_x, by_y, by_z = grid[0, 1], grid[1, 1], grid[2, 1]
-    nx, ny, nz = grid[0, 2], grid[1, 2], grid[2, 2]
+    i_ = raw(ints)
+    f_ = raw(floats)
+    keys_ = raw(keys)
+    bounds_ = raw(bounds)
+    counts_ = raw(counts)
+    cells = raw(scratch)
+    low_x = grid[0, 0]
+    low_y = grid[1, 0]
+    low_z = grid[2, 0]
+    by_x = grid[0, 1]
+    by_y = grid[1, 1]
+    by_z = grid[2, 1]
+    nx = grid[0, 2]
+    ny = grid[1, 2]
+    nz = grid[2, 2]
     outside = spread_lanes(nx * ny * nz)
     for start in range(0, n, BLOCK):
         stop = min(BLOCK, n - start)
         for lane in range(0, stop, LANES):
             x, y, z = drawn_position(i_, f_, keys_, bounds_, first + start + lane)
-            x, y, z = (
-                rounded_down((x - low_x) * by_x), rounded_down((y - low_y) * by_y), rounded_down((z - low_z) * by_z)
-            )  # fmt: skip
+            x = rounded_down((x - low_x) * by_x)
+            y = rounded_down((y - low_y) * by_y)
+            z = rounded_down((z - low_z) * by_z)
             cell = (x * ny + y) * nz + z
             # NaN is neither above nor below, and so outside
             cell = where(x > -0.5, where(nx - 0.5 > x, cell, outside), outside)

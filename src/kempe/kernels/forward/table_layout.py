@@ -14,35 +14,59 @@ SLIDE along z by multiplier * q, BALL by the unit quaternion wxyz at q, inverted
 
 import numpy as np
 
-HEADER, ROW_INTS, OUTPUT_INTS = 8, 6, 2
-ROW_FLOATS, OUTPUT_FLOATS = 16, 12
+HEADER = 8
+ROW_INTS = 6
+OUTPUT_INTS = 2
+ROW_FLOATS = 16
+OUTPUT_FLOATS = 12
 
-N_ROWS, N_OUT, NQ, NV, IS_CHAIN, HAS_QUATERNION, SIZE, FRAME = 0, 1, 2, 3, 4, 5, 6, 7
+N_ROWS = 0
+N_OUT = 1
+NQ = 2
+NV = 3
+IS_CHAIN = 4
+HAS_QUATERNION = 5
+SIZE = 6
+FRAME = 7
 """Places in the header of `ints`."""
 
-KIND, PARENT, Q_INDEX, V_INDEX, FORM = 0, 1, 2, 3, 4
+KIND = 0
+PARENT = 1
+Q_INDEX = 2
+V_INDEX = 3
+FORM = 4
 """Places in a row of `ints`."""
 
-COS_OFFSET, SIN_OFFSET, MULTIPLIER = 12, 13, 14
+COS_OFFSET = 12
+SIN_OFFSET = 13
+MULTIPLIER = 14
 """Places in a row of `floats`, after the placement."""
 
-ROW, PARTICLE = 0, 1
+ROW = 0
+PARTICLE = 1
 """Places in an output of `ints`."""
 
-TURN, SLIDE, BALL = 0, 1, 2
+TURN = 0
+SLIDE = 1
+BALL = 2
 """Kinds of rows."""
 
-GENERAL, RX, RX_FLAT = 0, 1, 2
+GENERAL = 0
+RX = 1
+RX_FLAT = 2
 """Forms of placements: any; exactly [Rx(alpha) | p]; the same with p_y = 0."""
 
-WORLD_ALIGNED, WORLD, BODY = 0, 1, 2
+WORLD_ALIGNED = 0
+WORLD = 1
+BODY = 2
 """Frames of expression of a Jacobian: frame's origin, ground axes; ground's origin and axes; the frame's."""
 
 
 def fuse(ints: np.ndarray, floats: np.ndarray, frame: int = WORLD_ALIGNED) -> np.ndarray:
     """The table as one float64 array, integers first as the same bytes, for Jacobians in the given frame."""
     ints = ints.copy()
-    ints[SIZE], ints[FRAME] = len(ints), frame
+    ints[SIZE] = len(ints)
+    ints[FRAME] = frame
     return np.concatenate([ints.view(np.float64), floats])
 
 

@@ -58,9 +58,15 @@ def rotation(w, x, y, z):
 @device
 def unit_quaternion(q, k, multiplier):
     """The unit quaternion at q[k : k + 4], conjugated for a reversed joint; NaN for norms below 1e-307."""
-    w, x, y, z = q[k], q[k + 1], q[k + 2], q[k + 3]
+    w = q[k]
+    x = q[k + 1]
+    y = q[k + 2]
+    z = q[k + 3]
     size = max(max(abs(w), abs(x)), max(abs(y), abs(z)))  # scaled, for squares neither overflow nor vanish
-    w, x, y, z = w / size, x / size, y / size, z / size
+    w = w / size
+    x = x / size
+    y = y / size
+    z = z / size
     scale = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
     sign = math.copysign(scale, multiplier)
     return w * scale, x * sign, y * sign, z * sign
@@ -69,7 +75,9 @@ def unit_quaternion(q, k, multiplier):
 @device
 def placed(floats, k, a, b, c):
     """The rows of X @ [a; b; c; 0 0 0 1], X the 3x4 placement at floats[k:]."""
-    x, y, z = load4(floats, k), load4(floats, k + 4), load4(floats, k + 8)
+    x = load4(floats, k)
+    y = load4(floats, k + 4)
+    z = load4(floats, k + 8)
     return (
         entry(x, 0) * a + (entry(x, 1) * b + (entry(x, 2) * c + last_of(x))),
         entry(y, 0) * a + (entry(y, 1) * b + (entry(y, 2) * c + last_of(y))),
@@ -80,7 +88,8 @@ def placed(floats, k, a, b, c):
 @device
 def with_offset(floats, k, s, c):
     """Sine and cosine of the turn of the row at floats[k:], the offset added."""
-    cos_offset, sin_offset = floats[k + COS_OFFSET], floats[k + SIN_OFFSET]
+    cos_offset = floats[k + COS_OFFSET]
+    sin_offset = floats[k + SIN_OFFSET]
     return s * cos_offset + c * sin_offset, c * cos_offset - s * sin_offset
 
 
@@ -141,7 +150,8 @@ def row_poses(ints, floats, q, start, scratch):
     """Write the poses of all rows at the configuration q[start:] to scratch[poses_at(n_rows):]."""
     n_rows = ints[N_ROWS]
     sine = (n_rows + LANES - 1) // LANES * LANES
-    cosine, poses = 2 * sine, 3 * sine
+    cosine = 2 * sine
+    poses = 3 * sine
     for row in range(n_rows):
         scratch[row] = floats[ROW_FLOATS * row + MULTIPLIER] * q[start + ints[HEADER + ROW_INTS * row + Q_INDEX]]
     for row in range(n_rows, sine):
@@ -157,18 +167,26 @@ def row_poses(ints, floats, q, start, scratch):
         for row in range(n_rows):
             scratch[sine + row], scratch[cosine + row] = sincos_any(scratch[row])
     for row in range(n_rows):
-        k, kx = HEADER + ROW_INTS * row, ROW_FLOATS * row
-        kind, parent = ints[k + KIND], ints[k + PARENT]
+        k = HEADER + ROW_INTS * row
+        kx = ROW_FLOATS * row
+        kind = ints[k + KIND]
+        parent = ints[k + PARENT]
         a, b, c = placement(floats, kx)
         if kind == TURN:
             s, co = with_offset(floats, kx, scratch[sine + row], scratch[cosine + row])
-            a, b, c = times_turn(a, s, co), times_turn(b, s, co), times_turn(c, s, co)
+            a = times_turn(a, s, co)
+            b = times_turn(b, s, co)
+            c = times_turn(c, s, co)
         elif kind == SLIDE:
             theta = scratch[row]
-            a, b, c = times_slide(a, theta), times_slide(b, theta), times_slide(c, theta)
+            a = times_slide(a, theta)
+            b = times_slide(b, theta)
+            c = times_slide(c, theta)
         else:
             w, x, y, z = unit_quaternion(q, start + ints[k + Q_INDEX], floats[kx + MULTIPLIER])
-            a, b, c = pack4(1.0, 0.0, 0.0, 0.0), pack4(0.0, 1.0, 0.0, 0.0), pack4(0.0, 0.0, 1.0, 0.0)
+            a = pack4(1.0, 0.0, 0.0, 0.0)
+            b = pack4(0.0, 1.0, 0.0, 0.0)
+            c = pack4(0.0, 0.0, 1.0, 0.0)
             a, b, c = balled(w, x, y, z, a, b, c)
             a, b, c = placed(floats, kx, a, b, c)
         if parent >= 0:

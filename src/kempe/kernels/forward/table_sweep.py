@@ -95,12 +95,16 @@ def climb(ints, floats, q, start, with_columns, columns, first):
     With X_RF the pose of the frame F in the axes of row R, the column of a turn about z of R is, in axes of F
     and at its origin, R_RF^T (z x p_RF) and R_RF^T z: combinations of the rows of X_RF.
     """
-    n_rows, nv = ints[N_ROWS], ints[NV]
+    n_rows = ints[N_ROWS]
+    nv = ints[NV]
     row = ints[HEADER + ROW_INTS * n_rows + ROW]
     a, b, c = placement(floats, ROW_FLOATS * n_rows)
     while row >= 0:
-        k, kx = HEADER + ROW_INTS * row, ROW_FLOATS * row
-        kind, index, column = ints[k + KIND], start + ints[k + Q_INDEX], first + ints[k + V_INDEX]
+        k = HEADER + ROW_INTS * row
+        kx = ROW_FLOATS * row
+        kind = ints[k + KIND]
+        index = start + ints[k + Q_INDEX]
+        column = first + ints[k + V_INDEX]
         multiplier = floats[kx + MULTIPLIER]
         if kind == TURN:
             if with_columns:
@@ -147,16 +151,26 @@ def express(columns, first, nv, frame, particle, a, b, c):
 
     A particle has no orientation: its angular rows are zero and its axes are the ground's in all frames.
     """
-    px, py, pz = entry(a, 3), entry(b, 3), entry(c, 3)
+    px = entry(a, 3)
+    py = entry(b, 3)
+    pz = entry(c, 3)
     for j in range(first, first + nv):
         vx, vy, vz = rotated(a, b, c, columns[j], columns[j + nv], columns[j + 2 * nv])
         wx, wy, wz = rotated(a, b, c, columns[j + 3 * nv], columns[j + 4 * nv], columns[j + 5 * nv])
         if particle:
-            wx, wy, wz = 0.0, 0.0, 0.0
+            wx = 0.0
+            wy = 0.0
+            wz = 0.0
         if frame == WORLD:
-            vx, vy, vz = vx + (py * wz - pz * wy), vy + (pz * wx - px * wz), vz + (px * wy - py * wx)
-        columns[j], columns[j + nv], columns[j + 2 * nv] = vx, vy, vz
-        columns[j + 3 * nv], columns[j + 4 * nv], columns[j + 5 * nv] = wx, wy, wz
+            vx = vx + (py * wz - pz * wy)
+            vy = vy + (pz * wx - px * wz)
+            vz = vz + (px * wy - py * wx)
+        columns[j] = vx
+        columns[j + nv] = vy
+        columns[j + 2 * nv] = vz
+        columns[j + 3 * nv] = wx
+        columns[j + 4 * nv] = wy
+        columns[j + 5 * nv] = wz
 
 
 @device
@@ -181,8 +195,13 @@ def jacobian_at(ints, floats, q, start, frame, with_pose, out, k, columns, first
 @kernel(I("_"), F("_"), F("N", "_"), INT, OUT("N", 4, 4), OUT("N", 6, "_"))
 def jacobian(ints, floats, q, frame, pose, columns):
     """Number of bad configurations; writes poses (N, 4, 4) and Jacobians (N, 6, nv) of the first output."""
-    nq, size = q.shape[1], 6 * ints[NV]
-    i_, f_, q_, pose_, columns_ = raw(ints), raw(floats), raw(q), raw(pose), raw(columns)
+    nq = q.shape[1]
+    size = 6 * ints[NV]
+    i_ = raw(ints)
+    f_ = raw(floats)
+    q_ = raw(q)
+    pose_ = raw(pose)
+    columns_ = raw(columns)
     bad = 0
     for i in range(q.shape[0]):
         bad += jacobian_at(i_, f_, q_, i * nq, frame, True, pose_, 16 * i, columns_, i * size)
@@ -195,13 +214,15 @@ def jacobian(ints, floats, q, frame, pose, columns):
 @device
 def descend(ints, floats, q, start, out, first, scratch):
     """1 if an output is bad at the configuration q[start:], else 0; writes all poses to out[first:]."""
-    n_rows, n_out = ints[N_ROWS], ints[N_OUT]
+    n_rows = ints[N_ROWS]
+    n_out = ints[N_OUT]
     poses = poses_at(n_rows)
     row_poses(ints, floats, q, start, scratch)
     bad = 0
     for i in range(n_out):
         k = HEADER + ROW_INTS * n_rows + OUTPUT_INTS * i
-        row, particle = ints[k + ROW], ints[k + PARTICLE]
+        row = ints[k + ROW]
+        particle = ints[k + PARTICLE]
         a, b, c = placement(floats, ROW_FLOATS * n_rows + OUTPUT_FLOATS * i)
         if row >= 0:
             a, b, c = placed(scratch, poses + OUTPUT_FLOATS * row, a, b, c)
@@ -221,9 +242,14 @@ def poses1(ints, floats, q, out):
 @kernel(I("_"), F("_"), F("N", "_"), OUT("N", "_", 4, 4))
 def poses(ints, floats, q, out):
     """Number of bad configurations; writes the poses (N, n_out, 4, 4) of all outputs at q (N, nq)."""
-    nq, size = q.shape[1], 16 * ints[N_OUT]
+    nq = q.shape[1]
+    size = 16 * ints[N_OUT]
     scratch = np.empty(scratch_size(ints[N_ROWS]))
-    i_, f_, q_, out_, scratch_ = raw(ints), raw(floats), raw(q), raw(out), raw(scratch)
+    i_ = raw(ints)
+    f_ = raw(floats)
+    q_ = raw(q)
+    out_ = raw(out)
+    scratch_ = raw(scratch)
     bad = 0
     for i in range(q.shape[0]):
         bad += descend(i_, f_, q_, i * nq, out_, i * size, scratch_)

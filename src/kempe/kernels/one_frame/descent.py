@@ -54,12 +54,14 @@ def turning_part(chain, e, tip, a):
     the z axis counts, g being the goal's and n = c x g, the error is e = r/sin r n and by its derivative
     m = r/sin r ((c.g) a - (a.g) c) + (sin r - r cos r)/sin^3 r (n.a) n - e x a.
     """
-    g, phi = chain.goal, (e[3], e[4], e[5])
+    g = chain.goal
+    phi = (e[3], e[4], e[5])
     square = dot(phi, phi)
     angle = math.sqrt(square)
     small = angle < 1e-3
     if g[POINTS] != 0.0:
-        c, goal = column(tip[2]), (g[2], g[6], g[10])
+        c = column(tip[2])
+        goal = (g[2], g[6], g[10])
         sine = max(math.sin(min(angle, math.pi)), 1e-3 * angle)
         f = 1.0 + square / 6.0 if small else angle / sine
         s = (1.0 + 0.4 * square) / 3.0 if small else (sine - angle * math.cos(angle)) / sine**3
@@ -86,9 +88,11 @@ def fill_hessian(chain, e, tip, h):
         h[k] = 0.0
     for j in range(chain.columns):
         a, t, turns = column_at(chain, j, tip)
-        f, m = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        f = (0.0, 0.0, 0.0)
+        m = (0.0, 0.0, 0.0)
         if turns:
-            f, m = cross(force, a), turning_part(chain, e, tip, a)
+            f = cross(force, a)
+            m = turning_part(chain, e, tip, a)
         t = (w[0] * w[0] * t[0] - f[0], w[1] * w[1] * t[1] - f[1], w[2] * w[2] * t[2] - f[2])
         row = chain.notes[COLUMN_INTS * j + OWNER]
         for i in range(j, chain.columns):
@@ -136,7 +140,8 @@ def unit_step(chain, v):
 @device
 def newton_pass(chain, e, h, damping, a, b):
     """Whether the Newton step of FREE coordinates, the others' given, met no limit; who met one stays."""
-    n, jacobian = chain.nv, chain.jacobian
+    n = chain.nv
+    jacobian = chain.jacobian
     for i in range(n):
         b[i] = 0.0
         if jacobian[JACOBIAN_STRIDE * i + FREE] != 0.0:
@@ -166,7 +171,8 @@ def newton_step(chain, e, h, damping, a, b):
             damping = factor_damped(chain, h, damping, a)
             if newton_pass(chain, e, h, damping, a, b):
                 break
-        promise, square = 0.0, 0.0
+        promise = 0.0
+        square = 0.0
         for i in range(chain.nv):
             d = unit_step(chain, i)
             slope = along(chain.jacobian, i, e)
@@ -189,8 +195,13 @@ def descend(chain, limit, kept):
     n = chain.nv
     block = np.empty(2 * n * n + n)
     h = raw(block)
-    a, b = beyond(h, n * n), beyond(h, 2 * n * n)
-    best, promise, square, damping, steps = np.inf, 1.0, 1.0, 1e-3, 0
+    a = beyond(h, n * n)
+    b = beyond(h, 2 * n * n)
+    best = np.inf
+    promise = 1.0
+    square = 1.0
+    damping = 1e-3
+    steps = 0
     e_best = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     while True:
         tip = trace(chain)
@@ -200,7 +211,8 @@ def descend(chain, limit, kept):
             if best < np.inf:
                 ratio = (best - new) / promise
                 damping = max(damping * (0.1 if ratio > 0.75 else (1.0 if ratio > 0.25 else 4.0)), 1e-12)
-            best, e_best = new, e
+            best = new
+            e_best = e
             for k in range(chain.nq):
                 kept[k] = chain.q[k]
             fill_jacobian(chain, tip)

@@ -34,10 +34,13 @@ def answer_nearest(problem, i, one):
     They begin at the answer as it is, whose energy stands for its linear error, and at random. `one` is the only one
     that is made, counted from 1: errors are written after the last one. With 0 all are made.
     """
-    chain, best = problem.chain, answer_of(problem, i)
-    least, steps = best[chain.nq + LINEAR], int(best[chain.nq + STEPS])
+    chain = problem.chain
+    best = answer_of(problem, i)
+    least = best[chain.nq + LINEAR]
+    steps = int(best[chain.nq + STEPS])
     begin(problem, i, problem.home)
-    most, only = min(problem.tries, DESCENTS), one - 1
+    most = min(problem.tries, DESCENTS)
+    only = one - 1
     for k in range(max(only, 0), only + 1 if only >= 0 else most):
         if k == 0:
             copy(chain.q, best, 0, chain.nq)
@@ -49,7 +52,8 @@ def answer_nearest(problem, i, one):
             least = reached
             copy(best, problem.kept, 0, chain.nq)
     if 0 <= only < most - 1:
-        best[chain.nq + LINEAR], best[chain.nq + STEPS] = least, steps
+        best[chain.nq + LINEAR] = least
+        best[chain.nq + STEPS] = steps
         return
     copy(chain.q, best, 0, chain.nq)
     solved, linear, angular = judged(problem, problem.home)
@@ -66,8 +70,11 @@ def approach(
 
     `first` is the only descent that is made, counted from 1, or 0 for all of them: see `answer_nearest`.
     """
-    columns, nq, nv = count_columns(raw(ints)), ints[NQ], ints[NV]
-    notes, block = np.empty(problem_ints(columns, nv), np.int64), np.empty(problem_floats(columns, nq, nv))
+    columns = count_columns(raw(ints))
+    nq = ints[NQ]
+    nv = ints[NV]
+    notes = np.empty(problem_ints(columns, nv), np.int64)
+    block = np.empty(problem_floats(columns, nq, nv))
     problem = problem_of(
         ints, floats, limits, task, targets, seeds, seed, 0, start_limit, iteration_limit, tol_linear, tol_angular,
         length, out, columns, raw(notes), raw(block),

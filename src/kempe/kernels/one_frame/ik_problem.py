@@ -97,7 +97,9 @@ class IkProblem(NamedTuple):
 @routine
 def aim(chain, target, k):
     """Whether the 4x4 pose target[k:] is sound where the task reads it; makes it the goal."""
-    g, sound, turns = chain.goal, True, False
+    g = chain.goal
+    sound = True
+    turns = False
     for i in range(3):
         g[4 * i + 3] = target[k + 4 * i + 3] if g[WEIGHTS + i] != 0.0 else 0.0
         sound = sound and abs(g[4 * i + 3]) < LARGEST
@@ -124,7 +126,8 @@ def begin(problem, i, home):
 
     Where they are not sound, the answer is BAD_INPUT.
     """
-    chain, nq = problem.chain, problem.chain.nq
+    chain = problem.chain
+    nq = problem.chain.nq
     sound = aim(chain, problem.targets, 16 * i)
     for k in range(4):
         sound = sound and problem.targets[16 * i + 12 + k] == (1.0 if k == 3 else 0.0)
@@ -148,7 +151,11 @@ def answer_of(problem, i):
 def write(problem, i, status, linear, angular, steps, starts):
     """Write all but the configuration of answer i."""
     out = beyond(answer_of(problem, i), problem.chain.nq)
-    out[LINEAR], out[ANGULAR], out[STATUS], out[STEPS], out[STARTS] = linear, angular, status, steps, starts
+    out[LINEAR] = linear
+    out[ANGULAR] = angular
+    out[STATUS] = status
+    out[STEPS] = steps
+    out[STARTS] = starts
 
 
 @device
@@ -214,14 +221,18 @@ def characteristic_length(ints, floats):
 @routine
 def prepare(chain, limits, circular, task):
     """Fill the chain's notes, factors, box and weights, which no goal changes."""
-    ints, box, notes, places = chain.ints, chain.box, chain.notes, COLUMN_INTS * chain.columns
+    ints = chain.ints
+    box = chain.box
+    notes = chain.notes
+    places = COLUMN_INTS * chain.columns
     for v in range(chain.nv):
         k = BOX_STRIDE * v
         free = circular[v] != 0
         box[k + LOW] = -np.inf if free else limits[v]
         box[k + HIGH] = np.inf if free else limits[chain.nv + v]
         box[k + SCALE] = chain.length
-        notes[places + PLACE_INTS * v + PLACE], notes[places + PLACE_INTS * v + ROUND] = -1, 0
+        notes[places + PLACE_INTS * v + PLACE] = -1
+        notes[places + PLACE_INTS * v + ROUND] = 0
     column = 0
     for row in range(ints[N_ROWS]):
         k = HEADER + ROW_INTS * row
@@ -234,7 +245,8 @@ def prepare(chain, limits, circular, task):
             if ints[k + KIND] != SLIDE:
                 box[BOX_STRIDE * v + SCALE] = 1.0
             if ints[k + KIND] == BALL:
-                box[BOX_STRIDE * v + LOW], box[BOX_STRIDE * v + HIGH] = -np.inf, np.inf
+                box[BOX_STRIDE * v + LOW] = -np.inf
+                box[BOX_STRIDE * v + HIGH] = np.inf
             chain.axes[AXES_STRIDE * column + FACTOR] = chain.floats[ROW_FLOATS * row + MULTIPLIER]
             column += 1
     for column in range(chain.columns):
@@ -252,8 +264,12 @@ def problem_of(
     length, out, columns, notes, block,
 ):  # fmt: skip
     """The problem for the arguments of a kernel, in scratch of these two sizes, and `home` for one goal."""
-    table, numbers, bounds, circular = raw(ints), raw(floats), raw(limits), beyond(raw(task), 7)
-    nq, nv = ints[NQ], ints[NV]
+    table = raw(ints)
+    numbers = raw(floats)
+    bounds = raw(limits)
+    circular = beyond(raw(task), 7)
+    nq = ints[NQ]
+    nv = ints[NV]
     axes = block
     box = beyond(axes, AXES_STRIDE * columns)
     jacobian = beyond(box, BOX_STRIDE * nv)
@@ -262,7 +278,9 @@ def problem_of(
     unit_length = length if length > 0.0 else characteristic_length(table, numbers)
     chain = ChainScratch(table, numbers, notes, axes, box, jacobian, q, goal, columns, nq, nv, unit_length)
     prepare(chain, bounds, circular, raw(task))
-    rest, kept, home = beyond(q, nq), beyond(q, 2 * nq), beyond(q, 3 * nq)
+    rest = beyond(q, nq)
+    kept = beyond(q, 2 * nq)
+    home = beyond(q, 3 * nq)
     if seeds.shape[1] == 0:
         middle(chain, bounds, rest)
     seed_step = seeds.shape[1] * nq if seeds.shape[0] > 1 else 0

@@ -16,19 +16,35 @@ from kempe.kernels.base.vectors import LANES, load_lanes, spread_lanes, square_r
 from kempe.kernels.forward.table_layout import FORM, GENERAL, HEADER, KIND, ROW_FLOATS, ROW_INTS, SLIDE, TURN, V_INDEX
 from kempe.kernels.one_frame.residual import pointing_error
 
-FACTOR, OFFSET = 12, 13
+FACTOR = 12
+OFFSET = 13
 """A row of `Lanes.floats`, after its placement: factor and constant of its motion."""
 
-WHOLE, PLACE, POINTING, SOME = 0, 1, 2, 3
+WHOLE = 0
+PLACE = 1
+POINTING = 2
+SOME = 3
 """Tasks: the pose; the position; a direction, with the position or alone; some of the six rows."""
 
-GOAL, BEST, STALL, COUNT, FOUND, ROWS = 0, 12, 13, 14, 15, 16
+GOAL = 0
+BEST = 12
+STALL = 13
+COUNT = 14
+FOUND = 15
+ROWS = 16
 """Places in the lanes: goal; least energy, steps that hardly lowered it, steps, 1 if within tolerance; the rows."""
 
-AXIS, POINT, ROW_LANES = 0, 3, 6
+AXIS = 0
+POINT = 3
+ROW_LANES = 6
 """A row: its axis times FACTOR (velocities by its coordinate), a point on it."""
 
-U, KEPT, STEP, FREE, COLUMN, COORDINATE_LANES = 0, 1, 2, 3, 4, 10
+U = 0
+KEPT = 1
+STEP = 2
+FREE = 3
+COLUMN = 4
+COORDINATE_LANES = 10
 """A coordinate: its value, that of the least energy, the step, 1 if it may move, its column of the Jacobian."""
 
 
@@ -121,11 +137,17 @@ def placed_lanes(f, k, general, a, b, c, p):
 @routine
 def trace_lanes(s):
     """Pose of the tips, three columns of the rotation and the position; writes axes and points."""
-    f, lanes = s.floats, s.lanes
-    one, zero = spread_lanes(1.0), spread_lanes(0.0)
-    a, b, c, p = (one, zero, zero), (zero, one, zero), (zero, zero, one), (zero, zero, zero)
+    f = s.floats
+    lanes = s.lanes
+    one = spread_lanes(1.0)
+    zero = spread_lanes(0.0)
+    a = (one, zero, zero)
+    b = (zero, one, zero)
+    c = (zero, zero, one)
+    p = (zero, zero, zero)
     for row in range(s.rows):
-        k, at = HEADER + ROW_INTS * row, ROW_FLOATS * row
+        k = HEADER + ROW_INTS * row
+        at = ROW_FLOATS * row
         a, b, c, p = placed_lanes(f, at, s.ints[k + FORM] == GENERAL, a, b, c, p)
         factor = f[at + FACTOR]
         store3(lanes, lane_row(row) + AXIS, scaled(factor, c))
@@ -151,14 +173,31 @@ def rotation_vector(m):
 
     By the quaternion whose largest entry is found first (Shepperd 1978).
     """
-    xx, yy, zz, ww = m[0] - m[4] - m[8], m[4] - m[0] - m[8], m[8] - m[0] - m[4], m[0] + m[4] + m[8]
-    wx, wy, wz = m[7] - m[5], m[2] - m[6], m[3] - m[1]
-    xy, xz, yz = m[1] + m[3], m[2] + m[6], m[5] + m[7]
-    by_y, by_z = yy > xx, zz > greatest_of(xx, yy)
-    x, y, z, w = where(by_y, xy, 1.0 + xx), where(by_y, 1.0 + yy, xy), where(by_y, yz, xz), where(by_y, wy, wx)
-    x, y, z, w = where(by_z, xz, x), where(by_z, yz, y), where(by_z, 1.0 + zz, z), where(by_z, wz, w)
+    xx = m[0] - m[4] - m[8]
+    yy = m[4] - m[0] - m[8]
+    zz = m[8] - m[0] - m[4]
+    ww = m[0] + m[4] + m[8]
+    wx = m[7] - m[5]
+    wy = m[2] - m[6]
+    wz = m[3] - m[1]
+    xy = m[1] + m[3]
+    xz = m[2] + m[6]
+    yz = m[5] + m[7]
+    by_y = yy > xx
+    by_z = zz > greatest_of(xx, yy)
+    x = where(by_y, xy, 1.0 + xx)
+    y = where(by_y, 1.0 + yy, xy)
+    z = where(by_y, yz, xz)
+    w = where(by_y, wy, wx)
+    x = where(by_z, xz, x)
+    y = where(by_z, yz, y)
+    z = where(by_z, 1.0 + zz, z)
+    w = where(by_z, wz, w)
     by_w = ww > greatest_of(greatest_of(xx, yy), zz)
-    x, y, z, w = where(by_w, wx, x), where(by_w, wy, y), where(by_w, wz, z), where(by_w, 1.0 + ww, w)
+    x = where(by_w, wx, x)
+    y = where(by_w, wy, y)
+    z = where(by_w, wz, z)
+    w = where(by_w, 1.0 + ww, w)
     size = square_root(x * x + y * y + z * z)
     tiny = 1e-300 > size
     factor = 2.0 * atan2(size, abs(w)) / where(tiny, 1.0, size)
@@ -169,7 +208,9 @@ def rotation_vector(m):
 @device
 def turn_error(lanes, a, b, c):
     """Rotation vector from the tips' rotations to the goals'."""
-    g, h, k = goal_row(lanes, 0), goal_row(lanes, 1), goal_row(lanes, 2)
+    g = goal_row(lanes, 0)
+    h = goal_row(lanes, 1)
+    k = goal_row(lanes, 2)
     return rotation_vector(
         (
             dot(g, (a[0], b[0], c[0])), dot(g, (a[1], b[1], c[1])), dot(g, (a[2], b[2], c[2])),
@@ -182,7 +223,8 @@ def turn_error(lanes, a, b, c):
 @device
 def error_lanes(s, a, b, c, p):
     """The six errors [linear; angular] of tips; those that the task leaves out are zero."""
-    lanes, w = s.lanes, s.weights
+    lanes = s.lanes
+    w = s.weights
     d = (
         load_lanes(lanes, (GOAL + 3) * LANES) - p[0], load_lanes(lanes, (GOAL + 7) * LANES) - p[1],
         load_lanes(lanes, (GOAL + 11) * LANES) - p[2],
@@ -262,7 +304,8 @@ def may_move(u, push, low, high):
 @routine
 def fill_lanes(s, e, p):
     """J D J^T (lower triangle) at the configurations traced last; writes the columns and D, who may move."""
-    lanes, limits = s.lanes, s.limits
+    lanes = s.lanes
+    limits = s.limits
     m = nothing()
     for row in range(s.rows):
         k = HEADER + ROW_INTS * row

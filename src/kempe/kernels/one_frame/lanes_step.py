@@ -31,13 +31,16 @@ from kempe.kernels.one_frame.lanes import (
     trace_lanes,
 )
 
-DAMPING, DAMPING_FLOOR, DAMPING_CAP = 0.05, 1e-10, 0.3
+DAMPING = 0.05
+DAMPING_FLOOR = 1e-10
+DAMPING_CAP = 0.3
 """Damping: DAMPING * E, at most DAMPING_CAP, plus DAMPING_FLOOR. Factors of 0.02 to 0.3 do equally well."""
 
 NEAR = 1e-14
 """Energy from which one step leads to rounding error, seldom two."""
 
-PATIENCE, SLOW = 3, 0.7
+PATIENCE = 3
+SLOW = 0.7
 """A start is given up after PATIENCE steps that do not lower the energy below SLOW of the least before.
 
 Towards a goal it falls to a quarter or less, as a rule even where the chain is singular. To wait for steps without any
@@ -80,7 +83,9 @@ def across(c, m):
 
     What is added keeps the matrix regular, and takes no part: errors have no component along c.
     """
-    x, y, z = without(c, (m[6], m[10], m[15])), without(c, (m[7], m[11], m[16])), without(c, (m[8], m[12], m[17]))
+    x = without(c, (m[6], m[10], m[15]))
+    y = without(c, (m[7], m[11], m[16]))
+    z = without(c, (m[8], m[12], m[17]))
     h = (
         m[9] * c[0] + m[13] * c[1] + m[18] * c[2],
         m[13] * c[0] + m[14] * c[1] + m[19] * c[2],
@@ -118,12 +123,20 @@ def first_steps(s, y):
 
     D J^T y, cut off at the limits; those that were stopped there leave D.
     """
-    lanes, limits = s.lanes, s.limits
+    lanes = s.lanes
+    limits = s.limits
     o = spread_lanes(0.0)
-    a, d0, d1, d2, d3, d4, d5 = o, o, o, o, o, o, o
+    a = o
+    d0 = o
+    d1 = o
+    d2 = o
+    d3 = o
+    d4 = o
+    d5 = o
     for v in range(s.nv):
         at = lane_coordinate(s, v)
-        x, u = column_lanes(lanes, at), load_lanes(lanes, (at + U) * LANES)
+        x = column_lanes(lanes, at)
+        u = load_lanes(lanes, (at + U) * LANES)
         free = load_lanes(lanes, (at + FREE) * LANES)
         wish = free * dot6(x, y)
         step = least_of(greatest_of(wish, limits[2 * v] - u), limits[2 * v + 1] - u)
@@ -131,9 +144,14 @@ def first_steps(s, y):
         stopped = where(step == wish, o, 1.0)
         store(lanes, (at + STEP) * LANES, step)
         store(lanes, (at + FREE) * LANES, free - stopped)
-        a, step = a + stopped, stopped * step
-        d0, d1, d2 = d0 + step * x[0], d1 + step * x[1], d2 + step * x[2]
-        d3, d4, d5 = d3 + step * x[3], d4 + step * x[4], d5 + step * x[5]
+        a = a + stopped
+        step = stopped * step
+        d0 = d0 + step * x[0]
+        d1 = d1 + step * x[1]
+        d2 = d2 + step * x[2]
+        d3 = d3 + step * x[3]
+        d4 = d4 + step * x[4]
+        d5 = d5 + step * x[5]
     return a, (d0, d1, d2, d3, d4, d5)
 
 
@@ -152,7 +170,8 @@ def second_steps(s, y, again):
 @device
 def advance_lanes(s):
     """Move the coordinates by their steps, never out of the limits."""
-    lanes, limits = s.lanes, s.limits
+    lanes = s.lanes
+    limits = s.limits
     for v in range(s.nv):
         at = lane_coordinate(s, v)
         u = load_lanes(lanes, (at + U) * LANES) + load_lanes(lanes, (at + STEP) * LANES)
@@ -166,10 +185,13 @@ def keep_better(s, e, limit, linear, angular):
     limit: steps at most; linear, angular: squares of the tolerances, in the lanes' units.
     """
     lanes = s.lanes
-    far, off = e[0] * e[0] + e[1] * e[1] + e[2] * e[2], e[3] * e[3] + e[4] * e[4] + e[5] * e[5]
+    far = e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
+    off = e[3] * e[3] + e[4] * e[4] + e[5] * e[5]
     energy = 0.5 * (far + off)
-    best, stall = load_lanes(lanes, BEST * LANES), load_lanes(lanes, STALL * LANES)
-    count, found = load_lanes(lanes, COUNT * LANES), load_lanes(lanes, FOUND * LANES)
+    best = load_lanes(lanes, BEST * LANES)
+    stall = load_lanes(lanes, STALL * LANES)
+    count = load_lanes(lanes, COUNT * LANES)
+    found = load_lanes(lanes, FOUND * LANES)
     better = best > energy
     best, stall = where(better, energy, best), where(SLOW * best > energy, 0.0, stall + 1.0)
     within = where(far > linear, 0.0, where(off > angular, 0.0, spread_lanes(1.0)))
@@ -183,7 +205,8 @@ def keep_better(s, e, limit, linear, angular):
     store(lanes, FOUND * LANES, found)
     for v in range(s.nv):
         at = lane_coordinate(s, v)
-        u, kept = load_lanes(lanes, (at + U) * LANES), load_lanes(lanes, (at + KEPT) * LANES)
+        u = load_lanes(lanes, (at + U) * LANES)
+        kept = load_lanes(lanes, (at + KEPT) * LANES)
         store(lanes, (at + KEPT) * LANES, where(better, u, kept))
     return bits(over > 0.5), energy
 

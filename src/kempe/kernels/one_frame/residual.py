@@ -32,22 +32,36 @@ from kempe.kernels.forward.table_layout import (
     TURN,
 )
 
-AXIS, POINT, FACTOR, AXES_STRIDE = 0, 4, 8, 9
+AXIS = 0
+POINT = 4
+FACTOR = 8
+AXES_STRIDE = 9
 """A column, in `Chain.axes`: its axis times FACTOR, a point on it, FACTOR (multiplier times scale)."""
 
-OWNER, TURNS, COLUMN_INTS = 0, 1, 2
+OWNER = 0
+TURNS = 1
+COLUMN_INTS = 2
 """A column, in `Chain.notes`: its velocity coordinate; 1 if it turns, 0 if it slides."""
 
-PLACE, ROUND, PLACE_INTS = 0, 1, 2
+PLACE = 0
+ROUND = 1
+PLACE_INTS = 2
 """A velocity coordinate, in `Chain.notes` after the columns: index in q (-1 if unread); 1 if of a ball."""
 
-LOW, HIGH, SCALE, BOX_STRIDE = 0, 1, 2, 4
+LOW = 0
+HIGH = 1
+SCALE = 2
+BOX_STRIDE = 4
 """A velocity coordinate, in `Chain.box`: the limits that the solver keeps, and its unit."""
 
-FREE, STEP, JACOBIAN_STRIDE = 6, 7, 8
+FREE = 6
+STEP = 7
+JACOBIAN_STRIDE = 8
 """A velocity coordinate, in `Chain.jacobian`: six rows of its column, whether it may move, the step."""
 
-WEIGHTS, POINTS, GOAL_SIZE = 12, 18, 19
+WEIGHTS = 12
+POINTS = 18
+GOAL_SIZE = 19
 """Places in `Chain.goal`, after the 3x4 pose: six weights; 1 if of rotations only the direction of z counts."""
 
 
@@ -80,7 +94,10 @@ def ball_rotation(q, k, multiplier):
 
     Its inverse for a reversed joint, which a negative multiplier marks.
     """
-    w, x, y, z = q[k], q[k + 1], q[k + 2], q[k + 3]
+    w = q[k]
+    x = q[k + 1]
+    y = q[k + 2]
+    z = q[k + 3]
     s = 2.0 / (w * w + x * x + y * y + z * z)
     if multiplier < 0.0:
         w = -w
@@ -112,13 +129,20 @@ def placed(f, k, a, b, c, p):
 @routine
 def trace(chain):
     """Pose of the tip at q, three columns of its rotation and its position; writes axes and points."""
-    n, floats, axes = chain.ints[N_ROWS], chain.floats, chain.axes
-    a, b, c = pack4(1.0, 0.0, 0.0, 0.0), pack4(0.0, 1.0, 0.0, 0.0), pack4(0.0, 0.0, 1.0, 0.0)
+    n = chain.ints[N_ROWS]
+    floats = chain.floats
+    axes = chain.axes
+    a = pack4(1.0, 0.0, 0.0, 0.0)
+    b = pack4(0.0, 1.0, 0.0, 0.0)
+    c = pack4(0.0, 0.0, 1.0, 0.0)
     p = pack4(0.0, 0.0, 0.0, 0.0)
     column = 0
     for row in range(n):
-        k, f = HEADER + ROW_INTS * row, ROW_FLOATS * row
-        kind, index, m = chain.ints[k + KIND], chain.ints[k + Q_INDEX], floats[f + MULTIPLIER]
+        k = HEADER + ROW_INTS * row
+        f = ROW_FLOATS * row
+        kind = chain.ints[k + KIND]
+        index = chain.ints[k + Q_INDEX]
+        m = floats[f + MULTIPLIER]
         a, b, c, p = placed(floats, f, a, b, c, p)
         if kind == BALL:
             r = ball_rotation(chain.q, index, m)
@@ -129,7 +153,9 @@ def trace(chain):
             write_axis(axes, column, x if m > 0.0 else -a, p)
             write_axis(axes, column + 1, y if m > 0.0 else -b, p)
             write_axis(axes, column + 2, z if m > 0.0 else -c, p)
-            a, b, c = x, y, z
+            a = x
+            b = y
+            c = z
             column += 3
             continue
         write_axis(axes, column, axes[AXES_STRIDE * column + FACTOR] * c, p)
@@ -153,7 +179,8 @@ def pointing_error(a, c, goal):
 
     For floats and vectors alike.
     """
-    n, cosine = cross(c, goal), dot(c, goal)
+    n = cross(c, goal)
+    cosine = dot(c, goal)
     sine = square_root(dot(n, n))
     vague = 1e-12 > sine
     factor = where(vague, 1.0, atan2(sine, cosine) / where(vague, 1.0, sine))
@@ -186,7 +213,8 @@ def turn_error(g, a, b, c):
 @device
 def error(goal, tip):
     """The six weighted errors [linear; angular] of a tip as `trace` gives it."""
-    g, w = goal, WEIGHTS
+    g = goal
+    w = WEIGHTS
     a, b, c, p = tip
     turn = turn_error(g, a, b, c)
     return (
@@ -211,18 +239,25 @@ def distances(chain, e):
 @device
 def column_at(chain, number, tip):
     """Axis of a column, the velocity that it gives the tip, and whether it turns."""
-    k, a, p = AXES_STRIDE * number, chain.axes, tip[3]
-    x, y, z = a[k], a[k + 1], a[k + 2]
+    k = AXES_STRIDE * number
+    a = chain.axes
+    p = tip[3]
+    x = a[k]
+    y = a[k + 1]
+    z = a[k + 2]
     if chain.notes[COLUMN_INTS * number + TURNS] == 0:
         return (x, y, z), (x, y, z), False
-    u, v, w = entry(p, 0) - a[k + POINT], entry(p, 1) - a[k + POINT + 1], entry(p, 2) - a[k + POINT + 2]
+    u = entry(p, 0) - a[k + POINT]
+    v = entry(p, 1) - a[k + POINT + 1]
+    w = entry(p, 2) - a[k + POINT + 2]
     return (x, y, z), (y * w - z * v, z * u - x * w, x * v - y * u), True
 
 
 @device
 def fill_jacobian(chain, tip):
     """Write the weighted Jacobian at the configuration traced last; shared coordinates add up."""
-    jacobian, g = chain.jacobian, chain.goal
+    jacobian = chain.jacobian
+    g = chain.goal
     for v in range(chain.nv):
         for i in range(6):
             jacobian[JACOBIAN_STRIDE * v + i] = 0.0

@@ -39,7 +39,10 @@ def attempt(chain, limit, tol_linear, tol_angular, kept):
 
     Within tolerance, it goes on as long as that pays: usually a step or two to rounding error.
     """
-    best, stall, steps, found = np.inf, 0, 0, False
+    best = np.inf
+    stall = 0
+    steps = 0
+    found = False
     while True:
         tip = trace(chain)
         e = error(chain.goal, tip)
@@ -61,7 +64,10 @@ def attempt(chain, limit, tol_linear, tol_angular, kept):
 @routine
 def one_by_one(problem, i):
     """Search from one start after the other until one reaches goal i, which is the chain's, and write the answer."""
-    chain, best, steps, least = problem.chain, answer_of(problem, i), np.int64(0), np.inf
+    chain = problem.chain
+    best = answer_of(problem, i)
+    steps = np.int64(0)
+    least = np.inf
     copy(best, problem.home, 0, chain.nq)
     for start in range(problem.tries):
         go_to(problem, i, start, problem.home)
@@ -88,8 +94,11 @@ def reach_one_by_one(
     length, out,
 ):  # fmt: skip
     """As `schedule.reach`, for all chains, but slower."""
-    columns, nq, nv = count_columns(raw(ints)), ints[NQ], ints[NV]
-    notes, block = np.empty(problem_ints(columns, nv), np.int64), np.empty(problem_floats(columns, nq, nv))
+    columns = count_columns(raw(ints))
+    nq = ints[NQ]
+    nv = ints[NV]
+    notes = np.empty(problem_ints(columns, nv), np.int64)
+    block = np.empty(problem_floats(columns, nq, nv))
     problem = problem_of(
         ints, floats, limits, task, targets, seeds, seed, first, start_limit, iteration_limit, tol_linear, tol_angular,
         length, out, columns, raw(notes), raw(block),

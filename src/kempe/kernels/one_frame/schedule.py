@@ -83,12 +83,21 @@ HOLD = 5
 ROUNDED = 1e-24
 """Energy that more steps would hardly lower."""
 
-TARGET, FIRST, NEXT, ANSWER, SPENT, BEST_START, DONE, SLOT = 0, 1, 2, 3, 4, 5, 6, 6 + AHEAD
+TARGET = 0
+FIRST = 1
+NEXT = 2
+ANSWER = 3
+SPENT = 4
+BEST_START = 5
+DONE = 6
+SLOT = 6 + AHEAD
 """Places in the record of a slot: its goal (-1 where the slot is free), the first start that is not committed, the next
 start to begin, the start that reached the goal (`tries` where none did), the sum of the steps of committed starts, the
 start that came nearest. The steps of start k stand at DONE + k % AHEAD, -1 while it runs."""
 
-OF_SLOT, START, LANE = 0, 1, 2
+OF_SLOT = 0
+START = 1
+LANE = 2
 """Places in the record of a lane: the slot whose start it runs (-1 where it is idle), and that start."""
 
 NONE = -1
@@ -127,7 +136,10 @@ def scheduler_ints(rows):
 def scheduler(problem, notes, block, count):
     """The scheduler of a problem, its chain in the units of the lanes; all slots are free."""
     chain = problem.chain
-    rows, nq, nv, ints = chain.columns, chain.nq, chain.nv, chain.ints
+    rows = chain.columns
+    nq = chain.nq
+    nv = chain.nv
+    ints = chain.ints
     lanes = aligned(block)
     floats = beyond(lanes, LANES * (ROWS + ROW_LANES * rows + COORDINATE_LANES * nv))
     limits = beyond(floats, ROW_FLOATS * (rows + 1))
@@ -141,14 +153,16 @@ def scheduler(problem, notes, block, count):
             floats[at + k] = chain.floats[at + k] / (chain.length if k % 4 == 3 else 1.0)
         if row == rows:
             break
-        v, slides = ints[HEADER + ROW_INTS * row + V_INDEX], ints[HEADER + ROW_INTS * row + KIND] == SLIDE
+        v = ints[HEADER + ROW_INTS * row + V_INDEX]
+        slides = ints[HEADER + ROW_INTS * row + KIND] == SLIDE
         unit = chain.box[BOX_STRIDE * v + SCALE] / (chain.length if slides else 1.0)
         floats[at + FACTOR] = chain.floats[at + MULTIPLIER] * unit
         floats[at + OFFSET] = math.atan2(chain.floats[at + SIN_OFFSET], chain.floats[at + COS_OFFSET])
         last[row] = 1
         for other in range(row):
             if ints[HEADER + ROW_INTS * other + V_INDEX] == v:
-                last[other], last[row] = last[other] & 2, 3
+                last[other] = last[other] & 2
+                last[row] = 3
     for v in range(nv):
         k = BOX_STRIDE * v
         limits[2 * v] = chain.box[k + LOW] / chain.box[k + SCALE]
@@ -160,7 +174,8 @@ def scheduler(problem, notes, block, count):
     whole = weights[0] + weights[1] + weights[2] + turns == 6.0
     task = PLACE if turns == 0 else POINTING if chain.goal[POINTS] != 0.0 else WHOLE if whole else SOME
     for d in range(LANES):
-        notes[SLOT * d + TARGET], places[LANE * d + OF_SLOT] = NONE, NONE
+        notes[SLOT * d + TARGET] = NONE
+        places[LANE * d + OF_SLOT] = NONE
     for k in range(LANES * (ROWS + ROW_LANES * rows + COORDINATE_LANES * nv)):
         lanes[k] = 0.0
     s = Lanes(ints, floats, limits, last, weights, lanes, rows, nv, task)
@@ -176,15 +191,21 @@ def default_of(h, d):
 @routine
 def start_next(h, lane, d):
     """Begin the next start of the slot in the lane."""
-    problem, s = h.problem, h.lanes
-    slot, chain, p = beyond(h.slots, SLOT * d), problem.chain, beyond(s.lanes, lane)
-    i, start = slot[TARGET], slot[NEXT]
+    problem = h.problem
+    s = h.lanes
+    slot = beyond(h.slots, SLOT * d)
+    chain = problem.chain
+    p = beyond(s.lanes, lane)
+    i = slot[TARGET]
+    start = slot[NEXT]
     slot[NEXT] = start + 1
     slot[DONE + start % AHEAD] = NONE
-    h.places[LANE * lane + OF_SLOT], h.places[LANE * lane + START] = d, start
+    h.places[LANE * lane + OF_SLOT] = d
+    h.places[LANE * lane + START] = start
     go_to(problem, i, start, default_of(h, d))
     for v in range(s.nv):
-        k, u = place_of(chain, v), 0.0
+        k = place_of(chain, v)
+        u = 0.0
         if k >= 0:
             u = chain.q[k] / chain.box[BOX_STRIDE * v + SCALE]
             if problem.circular[v] != 0:
@@ -195,7 +216,10 @@ def start_next(h, lane, d):
         p[(GOAL + 4 * k + 3) * LANES] = target[4 * k + 3] / chain.length if s.weights[k] != 0.0 else 0.0
         for j in range(3):
             p[(GOAL + 4 * k + j) * LANES] = target[4 * k + j] if s.task != PLACE else 0.0
-    p[BEST * LANES], p[STALL * LANES], p[COUNT * LANES], p[FOUND * LANES] = np.inf, 0.0, 0.0, 0.0
+    p[BEST * LANES] = np.inf
+    p[STALL * LANES] = 0.0
+    p[COUNT * LANES] = 0.0
+    p[FOUND * LANES] = 0.0
 
 
 @device
@@ -210,11 +234,13 @@ def begun_of(h, d):
 @device
 def least_begun(h):
     """(starts begun and not committed, slot) where they are fewest; AHEAD if none may begin another."""
-    least, at = AHEAD, 0
+    least = AHEAD
+    at = 0
     for d in range(LANES):
         begun = begun_of(h, d)
         if begun < least:
-            least, at = begun, d
+            least = begun
+            at = d
     return least, at
 
 
@@ -232,11 +258,16 @@ def assign(h, lane, queue, may_help):
         slot = beyond(h.slots, SLOT * free)
         while slot[TARGET] < 0 and queue < h.count:
             if begin(h.problem, queue, default_of(h, free)):
-                slot[TARGET], slot[FIRST], slot[NEXT], slot[ANSWER] = queue, 0, 0, h.problem.tries
-                slot[SPENT], slot[BEST_START] = 0, NONE
+                slot[TARGET] = queue
+                slot[FIRST] = 0
+                slot[NEXT] = 0
+                slot[ANSWER] = h.problem.tries
+                slot[SPENT] = 0
+                slot[BEST_START] = NONE
                 h.least[free] = np.inf
                 copy(answer_of(h.problem, queue), default_of(h, free), 0, h.problem.chain.nq)
-                begun, d = 0, free
+                begun = 0
+                d = free
             queue += 1
     if begun == 0 or (begun < AHEAD and may_help):
         start_next(h, lane, d)
@@ -246,8 +277,10 @@ def assign(h, lane, queue, may_help):
 @device
 def commit(h, d):
     """Count the starts of a slot that are done, in order; write the answer where one reached the goal or all failed."""
-    slot, problem = beyond(h.slots, SLOT * d), h.problem
-    i, end = slot[TARGET], slot[ANSWER]
+    slot = beyond(h.slots, SLOT * d)
+    problem = h.problem
+    i = slot[TARGET]
+    end = slot[ANSWER]
     while slot[FIRST] < min(end + 1, problem.tries) and slot[FIRST] < slot[NEXT]:
         steps = slot[DONE + slot[FIRST] % AHEAD]
         if steps < 0:
@@ -267,7 +300,8 @@ def commit(h, d):
 @device
 def load(h, lane, d, what):
     """Set q of the chain to `what` a lane holds: U, or KEPT."""
-    chain, s = h.problem.chain, h.lanes
+    chain = h.problem.chain
+    s = h.lanes
     copy(chain.q, default_of(h, d), 0, chain.nq)
     for v in range(s.nv):
         k = place_of(chain, v)
@@ -280,7 +314,9 @@ def load(h, lane, d, what):
 @routine
 def accepted(h, lane, d, what, enough):
     """Whether what a lane holds is an answer, of energy below `enough`; writes it and lets all later starts go."""
-    problem, chain, slot = h.problem, h.problem.chain, beyond(h.slots, SLOT * d)
+    problem = h.problem
+    chain = h.problem.chain
+    slot = beyond(h.slots, SLOT * d)
     start = h.places[LANE * lane + START]
     load(h, lane, d, what)
     aim(chain, problem.targets, 16 * slot[TARGET])
@@ -289,7 +325,8 @@ def accepted(h, lane, d, what, enough):
         return False
     out = answer_of(problem, slot[TARGET])
     copy(out, chain.q, 0, chain.nq)
-    out[chain.nq + LINEAR], out[chain.nq + ANGULAR] = linear, angular
+    out[chain.nq + LINEAR] = linear
+    out[chain.nq + ANGULAR] = angular
     slot[ANSWER] = start
     for other in range(LANES):
         if h.places[LANE * other + OF_SLOT] == d and h.places[LANE * other + START] > start:
@@ -300,10 +337,13 @@ def accepted(h, lane, d, what, enough):
 @routine
 def retire(h, lane):
     """End the start of a lane: keep it as the answer or as the nearest so far; let it go on if one step more pays."""
-    d, start = h.places[LANE * lane + OF_SLOT], h.places[LANE * lane + START]
-    slot, p = beyond(h.slots, SLOT * d), beyond(h.lanes.lanes, lane)
+    d = h.places[LANE * lane + OF_SLOT]
+    start = h.places[LANE * lane + START]
+    slot = beyond(h.slots, SLOT * d)
+    p = beyond(h.lanes.lanes, lane)
     out = answer_of(h.problem, slot[TARGET])
-    energy, found = p[BEST * LANES], p[FOUND * LANES]
+    energy = p[BEST * LANES]
+    found = p[FOUND * LANES]
     spent = p[COUNT * LANES] >= h.problem.iteration_limit
     if found == 1.0 and p[STALL * LANES] == 0.0 and energy >= ENOUGH and not spent:  # one step from rounding error
         p[COUNT * LANES] += 1.0
@@ -333,8 +373,13 @@ def busy_lanes(h):
 @device
 def search(h):
     """Run the lanes until each goal is reached or has failed from all its starts."""
-    problem, queue, busy, alone, changed = h.problem, np.int64(0), 0, 0, True
-    linear, angular = (problem.tol_linear / problem.chain.length) ** 2, problem.tol_angular**2
+    problem = h.problem
+    queue = np.int64(0)
+    busy = 0
+    alone = 0
+    changed = True
+    linear = (problem.tol_linear / problem.chain.length) ** 2
+    angular = problem.tol_angular**2
     hold = HOLD if problem.seed_count > problem.first else 0
     while True:
         if changed or alone == hold:
@@ -343,7 +388,8 @@ def search(h):
                     before = queue
                     queue = assign(h, lane, queue, alone >= hold)
                     alone = alone if queue == before else 0
-            busy, changed = busy_lanes(h), False
+            busy = busy_lanes(h)
+            changed = False
             if busy == 0:
                 return
         done = step_lanes(h.lanes, problem.iteration_limit, linear, angular) & busy
@@ -352,7 +398,8 @@ def search(h):
             for lane in range(LANES):
                 if done >> lane & 1 and h.places[LANE * lane + OF_SLOT] >= 0:  # those before may have let it go
                     retire(h, lane)
-            busy, changed = busy_lanes(h), True
+            busy = busy_lanes(h)
+            changed = True
 
 
 @kernel(*ARGUMENTS)
@@ -376,8 +423,11 @@ def reach(
     its energy: `fallback.approach` goes on from there. BAD_INPUT, q and errors NaN: a goal or seed that is not finite
     or above 1e100, a goal that is no pose.
     """
-    columns, nq, nv = count_columns(raw(ints)), ints[NQ], ints[NV]
-    whole, size = problem_ints(columns, nv), problem_floats(columns, nq, nv)
+    columns = count_columns(raw(ints))
+    nq = ints[NQ]
+    nv = ints[NV]
+    whole = problem_ints(columns, nv)
+    size = problem_floats(columns, nq, nv)
     notes = np.empty(whole + scheduler_ints(columns), np.int64)
     block = np.empty(size + scheduler_floats(columns, nq, nv))
     problem = problem_of(

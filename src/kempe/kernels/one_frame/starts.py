@@ -20,7 +20,8 @@ NUDGE = 0.02
 The exact middle is often singular (a stretched arm), where no step leads out."""
 
 
-LATE, WIDER = 64, 2.0
+LATE = 64
+WIDER = 2.0
 """Every other start from this one on is drawn from so much of the range that half of the coordinates are at a limit."""
 
 
@@ -38,11 +39,14 @@ def draw(chain, home, key, spread):
 
     Where a limit is missing, the range is a turn, or twice the chain's length, about `home`.
     """
-    q, box = chain.q, chain.box
+    q = chain.q
+    box = chain.box
     copy(q, home, 0, chain.nq)
     v = 0
     while v < chain.nv:
-        i, low, high = place_of(chain, v), box[BOX_STRIDE * v + LOW], box[BOX_STRIDE * v + HIGH]
+        i = place_of(chain, v)
+        low = box[BOX_STRIDE * v + LOW]
+        high = box[BOX_STRIDE * v + HIGH]
         fresh = mix(key, np.uint64(v))
         if is_round(chain, v):
             if spread > NUDGE:
@@ -65,13 +69,18 @@ def draw(chain, home, key, spread):
 @routine
 def take(chain, seeds, k):
     """Whether the configuration seeds[k:] is sound; writes it to q, inside the solver's limits."""
-    q, box, sound = chain.q, chain.box, True
+    q = chain.q
+    box = chain.box
+    sound = True
     copy(q, seeds, k, chain.nq)
     v = 0
     while v < chain.nv:
         i = place_of(chain, v)
         if is_round(chain, v):
-            w, x, y, z = q[i], q[i + 1], q[i + 2], q[i + 3]
+            w = q[i]
+            x = q[i + 1]
+            y = q[i + 2]
+            z = q[i + 3]
             size = math.sqrt(w * w + x * x + y * y + z * z)
             sound = sound and 0.0 < size < LARGEST
             q[i], q[i + 1], q[i + 2], q[i + 3] = w / size, x / size, y / size, z / size
@@ -94,7 +103,9 @@ def middle(chain, limits, home):
         home[k] = 0.0
     v = 0
     while v < chain.nv:
-        i, low, high = place_of(chain, v), limits[v], limits[chain.nv + v]
+        i = place_of(chain, v)
+        low = limits[v]
+        high = limits[chain.nv + v]
         if is_round(chain, v):
             home[i] = 1.0
             v += 3
@@ -108,9 +119,12 @@ def middle(chain, limits, home):
 def wrap(chain, limits, circular, home):
     """Turn circular coordinates of q by whole turns: into the limits, there as near to `home` as can be."""
     for v in range(chain.nv):
-        i, low, high = place_of(chain, v), limits[v], limits[chain.nv + v]
+        i = place_of(chain, v)
+        low = limits[v]
+        high = limits[chain.nv + v]
         if circular[v] != 0 and i >= 0:
-            x, near = chain.q[i], min(max(home[i], low), high)
+            x = chain.q[i]
+            near = min(max(home[i], low), high)
             x -= 2.0 * math.pi * math.ceil((x - near) / (2.0 * math.pi) - 0.5)
             if x > high:
                 x -= 2.0 * math.pi

@@ -37,31 +37,46 @@ def is_round(chain, v):
 @device
 def blocked(chain, v, push):
     """Whether coordinate v stands at a limit and `push` points outwards."""
-    q, box, k = chain.q[place_of(chain, v)], chain.box, BOX_STRIDE * v
+    q = chain.q[place_of(chain, v)]
+    box = chain.box
+    k = BOX_STRIDE * v
     return (push > 0.0 and q >= box[k + HIGH]) or (push < 0.0 and q <= box[k + LOW])
 
 
 @device
 def within(chain, v, step):
     """The step of coordinate v cut off at its limits."""
-    q, box, k = chain.q[place_of(chain, v)], chain.box, BOX_STRIDE * v
+    q = chain.q[place_of(chain, v)]
+    box = chain.box
+    k = BOX_STRIDE * v
     return min(max(step, box[k + LOW] - q), box[k + HIGH] - q)
 
 
 @device
 def normal6(jacobian, count, damping):
     """Lower triangle (21 numbers, row by row) of J D J^T + damping I, D picking the columns marked FREE."""
-    r0, r1, r2 = pack4(damping, 0.0, 0.0, 0.0), pack4(0.0, damping, 0.0, 0.0), pack4(0.0, 0.0, damping, 0.0)
+    r0 = pack4(damping, 0.0, 0.0, 0.0)
+    r1 = pack4(0.0, damping, 0.0, 0.0)
+    r2 = pack4(0.0, 0.0, damping, 0.0)
     r4 = r5 = pack4(0.0, 0.0, 0.0, 0.0)
     a33 = a44 = a55 = damping
     a54 = 0.0
     for i in range(count):
         k = JACOBIAN_STRIDE * i
         if jacobian[k + FREE] != 0.0:
-            head, c3, c4, c5 = load4(jacobian, k), jacobian[k + 3], jacobian[k + 4], jacobian[k + 5]
-            r0, r1, r2 = r0 + jacobian[k] * head, r1 + jacobian[k + 1] * head, r2 + jacobian[k + 2] * head
-            r4, r5 = r4 + c4 * head, r5 + c5 * head
-            a33, a44, a54, a55 = a33 + c3 * c3, a44 + c4 * c4, a54 + c5 * c4, a55 + c5 * c5
+            head = load4(jacobian, k)
+            c3 = jacobian[k + 3]
+            c4 = jacobian[k + 4]
+            c5 = jacobian[k + 5]
+            r0 = r0 + jacobian[k] * head
+            r1 = r1 + jacobian[k + 1] * head
+            r2 = r2 + jacobian[k + 2] * head
+            r4 = r4 + c4 * head
+            r5 = r5 + c5 * head
+            a33 = a33 + c3 * c3
+            a44 = a44 + c4 * c4
+            a54 = a54 + c5 * c4
+            a55 = a55 + c5 * c5
     return (
         entry(r0, 0), entry(r0, 1), entry(r1, 1), entry(r0, 2), entry(r1, 2), entry(r2, 2),
         entry(r0, 3), entry(r1, 3), entry(r2, 3), a33,
@@ -78,7 +93,8 @@ def damped_step(chain, e, damping):
     damping I)^-1 e (Wampler 1986; Nakamura and Hanafusa 1986), D marking them. Those that it would carry out
     of their limits stop there, and the rest takes the step anew with what is left of the error.
     """
-    jacobian, box = chain.jacobian, chain.box
+    jacobian = chain.jacobian
+    box = chain.box
     for v in range(chain.nv):
         k = JACOBIAN_STRIDE * v
         jacobian[k + FREE] = 0.0 if blocked(chain, v, along(jacobian, v, e)) else 1.0
@@ -108,10 +124,13 @@ def damped_step(chain, e, damping):
 @device
 def advance(chain):
     """Move q by the step, never out of the limits."""
-    q, box, jacobian = chain.q, chain.box, chain.jacobian
+    q = chain.q
+    box = chain.box
+    jacobian = chain.jacobian
     v = 0
     while v < chain.nv:
-        i, k = place_of(chain, v), JACOBIAN_STRIDE * v + STEP
+        i = place_of(chain, v)
+        k = JACOBIAN_STRIDE * v + STEP
         if is_round(chain, v):
             turn_ball(q, i, jacobian[k], jacobian[k + JACOBIAN_STRIDE], jacobian[k + 2 * JACOBIAN_STRIDE])
             v += 3

@@ -86,7 +86,9 @@ from kempe.kernels.series.jet_layout import (
 def _times_constant(source, b, r, k, at, target, s, to, floats, f):
     """Write pose (source[b, r, k, at:]) @ X to target[b, s, k, to:], X the 3x4 placement at floats[f:]."""
     for i in range(3):
-        x, y, z = source[b, r, k, at + 3 * i], source[b, r, k, at + 3 * i + 1], source[b, r, k, at + 3 * i + 2]
+        x = source[b, r, k, at + 3 * i]
+        y = source[b, r, k, at + 3 * i + 1]
+        z = source[b, r, k, at + 3 * i + 2]
         for j in range(3):
             target[b, s, k, to + 3 * i + j] = x * floats[f + j] + y * floats[f + 4 + j] + z * floats[f + 8 + j]
         p = x * floats[f + 3] + y * floats[f + 7] + z * floats[f + 11]
@@ -106,20 +108,25 @@ def _constant(target, b, s, k, to, floats, f):
 def _turn(v, b, r, k, iv, multiplier, poses, extra):
     """Write order k of a turn about z; orders 0 of sine and cosine are there."""
     if k > 0:
-        s, c = 0.0, 0.0
+        s = 0.0
+        c = 0.0
         for j in range(1, k + 1):
             d = j * multiplier * v[b, j, iv]
             s += d * extra[b, r, k - j, 1]
             c -= d * extra[b, r, k - j, 0]
         extra[b, r, k, 0], extra[b, r, k, 1] = s / k, c / k
     for i in range(3):
-        x, y = 0.0, 0.0
+        x = 0.0
+        y = 0.0
         for j in range(k + 1):
-            s, c = extra[b, r, j, 0], extra[b, r, j, 1]
-            x0, y0 = poses[b, r, k - j, BEFORE + 3 * i], poses[b, r, k - j, BEFORE + 3 * i + 1]
+            s = extra[b, r, j, 0]
+            c = extra[b, r, j, 1]
+            x0 = poses[b, r, k - j, BEFORE + 3 * i]
+            y0 = poses[b, r, k - j, BEFORE + 3 * i + 1]
             x += c * x0 + s * y0
             y += c * y0 - s * x0
-        poses[b, r, k, AFTER + 3 * i], poses[b, r, k, AFTER + 3 * i + 1] = x, y
+        poses[b, r, k, AFTER + 3 * i] = x
+        poses[b, r, k, AFTER + 3 * i + 1] = y
         poses[b, r, k, AFTER + 3 * i + 2] = poses[b, r, k, BEFORE + 3 * i + 2]
         poses[b, r, k, AFTER + 9 + i] = poses[b, r, k, BEFORE + 9 + i]
 
@@ -142,8 +149,12 @@ def _rotation_series(v, b, r, k, iv, extra):
     for i in range(6):
         extra[b, r, k, OUTER + i] = 0.0
     for j in range(1, k):
-        x, y, z = v[b, j, iv], v[b, j, iv + 1], v[b, j, iv + 2]
-        a, d, e = v[b, k - j, iv], v[b, k - j, iv + 1], v[b, k - j, iv + 2]
+        x = v[b, j, iv]
+        y = v[b, j, iv + 1]
+        z = v[b, j, iv + 2]
+        a = v[b, k - j, iv]
+        d = v[b, k - j, iv + 1]
+        e = v[b, k - j, iv + 2]
         extra[b, r, k, OUTER] += x * a
         extra[b, r, k, OUTER + 1] += y * d
         extra[b, r, k, OUTER + 2] += z * e
@@ -164,14 +175,23 @@ def _rotation_series(v, b, r, k, iv, extra):
         factor = -factor / (2 * n * (2 * n + 1))
         one += factor * extra[b, r, k, POWERS + n - 1]
         two += factor / (2 * n + 2) * extra[b, r, k, POWERS + n - 1]
-    extra[b, r, k, WEIGHT_1], extra[b, r, k, WEIGHT_2] = one, two
+    extra[b, r, k, WEIGHT_1] = one
+    extra[b, r, k, WEIGHT_2] = two
     for i in range(9):
         extra[b, r, k, TURNED + i] = 1.0 if k == 0 and i % 4 == 0 else 0.0
     for j in range(1, k + 1):
-        a, d = extra[b, r, k - j, WEIGHT_1], extra[b, r, k - j, WEIGHT_2]
-        x, y, z, o = v[b, j, iv], v[b, j, iv + 1], v[b, j, iv + 2], OUTER
-        xx, yy, zz = extra[b, r, j, o], extra[b, r, j, o + 1], extra[b, r, j, o + 2]
-        xy, xz, yz = extra[b, r, j, o + 3], extra[b, r, j, o + 4], extra[b, r, j, o + 5]
+        a = extra[b, r, k - j, WEIGHT_1]
+        d = extra[b, r, k - j, WEIGHT_2]
+        x = v[b, j, iv]
+        y = v[b, j, iv + 1]
+        z = v[b, j, iv + 2]
+        o = OUTER
+        xx = extra[b, r, j, o]
+        yy = extra[b, r, j, o + 1]
+        zz = extra[b, r, j, o + 2]
+        xy = extra[b, r, j, o + 3]
+        xz = extra[b, r, j, o + 4]
+        yz = extra[b, r, j, o + 5]
         extra[b, r, k, 0] -= d * (yy + zz)
         extra[b, r, k, 4] -= d * (xx + zz)
         extra[b, r, k, 8] -= d * (xx + yy)
@@ -190,15 +210,22 @@ def _ball(v, b, r, k, iv, multiplier, turn, poses, extra):
     forward = multiplier > 0.0
     for i in range(3):
         poses[b, r, k, AFTER + 9 + i] = poses[b, r, k, BEFORE + 9 + i]
-        x, y, z = poses[b, r, k, BEFORE + 3 * i], poses[b, r, k, BEFORE + 3 * i + 1], poses[b, r, k, BEFORE + 3 * i + 2]
+        x = poses[b, r, k, BEFORE + 3 * i]
+        y = poses[b, r, k, BEFORE + 3 * i + 1]
+        z = poses[b, r, k, BEFORE + 3 * i + 2]
         if forward:  # the constant turn comes first
             for j in range(3):
                 poses[b, r, k, BEFORE + 3 * i + j] = x * turn[j] + y * turn[3 + j] + z * turn[6 + j]
     for i in range(3):
-        a0, a1, a2 = 0.0, 0.0, 0.0
+        a0 = 0.0
+        a1 = 0.0
+        a2 = 0.0
         for j in range(k + 1):
-            m, o = k - j, BEFORE + 3 * i
-            x, y, z = poses[b, r, j, o], poses[b, r, j, o + 1], poses[b, r, j, o + 2]
+            m = k - j
+            o = BEFORE + 3 * i
+            x = poses[b, r, j, o]
+            y = poses[b, r, j, o + 1]
+            z = poses[b, r, j, o + 2]
             if forward:
                 a0 += x * extra[b, r, m, 0] + y * extra[b, r, m, 3] + z * extra[b, r, m, 6]
                 a1 += x * extra[b, r, m, 1] + y * extra[b, r, m, 4] + z * extra[b, r, m, 7]
@@ -213,7 +240,8 @@ def _ball(v, b, r, k, iv, multiplier, turn, poses, extra):
                 a0 * turn[1] + a1 * turn[4] + a2 * turn[7],
                 a0 * turn[2] + a1 * turn[5] + a2 * turn[8],
             )
-        poses[b, r, k, AFTER + 3 * i], poses[b, r, k, AFTER + 3 * i + 1] = a0, a1
+        poses[b, r, k, AFTER + 3 * i] = a0
+        poses[b, r, k, AFTER + 3 * i + 1] = a1
         poses[b, r, k, AFTER + 3 * i + 2] = a2
 
 
@@ -221,8 +249,12 @@ def _ball(v, b, r, k, iv, multiplier, turn, poses, extra):
 def sweep_order(ints, floats, q, start, v, b, k, poses, extra):
     """Write order k of the poses of all rows."""
     for r in range(ints[N_ROWS]):
-        h, f = HEADER + ROW_INTS * r, ROW_FLOATS * r
-        kind, parent, iv, multiplier = ints[h + KIND], ints[h + PARENT], ints[h + V_INDEX], floats[f + MULTIPLIER]
+        h = HEADER + ROW_INTS * r
+        f = ROW_FLOATS * r
+        kind = ints[h + KIND]
+        parent = ints[h + PARENT]
+        iv = ints[h + V_INDEX]
+        multiplier = floats[f + MULTIPLIER]
         at = start + ints[h + Q_INDEX]
         if parent < 0:
             _constant(poses, b, r, k, BEFORE, floats, f)
@@ -231,7 +263,8 @@ def sweep_order(ints, floats, q, start, v, b, k, poses, extra):
         if kind == TURN:
             if k == 0:
                 theta = multiplier * q[at]
-                s, c = math.sin(theta), math.cos(theta)
+                s = math.sin(theta)
+                c = math.cos(theta)
                 extra[b, r, 0, 0] = s * floats[f + COS_OFFSET] + c * floats[f + SIN_OFFSET]
                 extra[b, r, 0, 1] = c * floats[f + COS_OFFSET] - s * floats[f + SIN_OFFSET]
             _turn(v, b, r, k, iv, multiplier, poses, extra)
@@ -247,7 +280,8 @@ def output_order(ints, floats, b, k, poses, frames):
     """Write order k of the poses of all outputs, from those of the rows."""
     n = ints[N_ROWS]
     for i in range(ints[N_OUT]):
-        h, f = HEADER + ROW_INTS * n + OUTPUT_INTS * i, ROW_FLOATS * n + OUTPUT_FLOATS * i
+        h = HEADER + ROW_INTS * n + OUTPUT_INTS * i
+        f = ROW_FLOATS * n + OUTPUT_FLOATS * i
         row = ints[h + ROW]
         if row < 0:
             _constant(frames, b, i, k, 0, floats, f)
@@ -294,9 +328,11 @@ def place_order(frames, b, a, k, i):
 @routine
 def _tape(ties, numbers, q, start, v, b, k, frames, tie, series, width, out):
     """Write order k of the equations of a recorded expression; `series` holds the lower orders of its nodes."""
-    t, a = 1 + TIE_INTS * tie, 2 * tie
+    t = 1 + TIE_INTS * tie
+    a = 2 * tie
     data = ties[t + DATA]
-    tape, work = ties[data + TAPE_INTS], beyond(series, width * ties[data + TAPE_WORK])
+    tape = ties[data + TAPE_INTS]
+    work = beyond(series, width * ties[data + TAPE_WORK])
     for i in range(ties[tape + N_INPUTS]):
         at = data + TAPE_INPUTS + INPUT_INTS * i
         what = ties[at]
@@ -319,7 +355,10 @@ def violation_order(ties, numbers, q, start, v, b, k, frames, series, width, out
     per_length = numbers[0]
     for tie in range(ties[0]):
         t = 1 + TIE_INTS * tie
-        mask, turns, row, a = ties[t + MASK], ties[t + TURNS], ties[t + FIRST_ROW], 2 * tie
+        mask = ties[t + MASK]
+        turns = ties[t + TURNS]
+        row = ties[t + FIRST_ROW]
+        a = 2 * tie
         if turns == LINEAR:
             out[b, k, row] = _linear(ties, numbers, q, start, v, b, k, tie)
             continue
@@ -341,7 +380,8 @@ def violation_order(ties, numbers, q, start, v, b, k, frames, series, width, out
                 row += 1
         if turns == FULL or turns == ANGLE:
             for i in range(0 if turns == FULL else 2, 3):
-                g, h = (i + 1) % 3, (i + 2) % 3
+                g = (i + 1) % 3
+                h = (i + 2) % 3
                 out[b, k, row] = 0.5 * (between(frames, b, a, k, h, g) - between(frames, b, a, k, g, h))
                 row += 1
         if turns == ALIGN:
@@ -363,8 +403,13 @@ def jets(ints, floats, ties, numbers, q, v, first, last, poses, extra, frames, s
     Of the nodes of all tapes: series (N, n_nodes, K + 1).
     frames: (N, n_out, K + 1, 12), rotations row by row and positions; out: equations (N, K + 1, m).
     """
-    q_, nq, width, size = raw(q), q.shape[1], series.shape[2], series.shape[1] * series.shape[2]
-    ties_, numbers_, series_ = raw(ties), raw(numbers), raw(series)
+    q_ = raw(q)
+    nq = q.shape[1]
+    width = series.shape[2]
+    size = series.shape[1] * series.shape[2]
+    ties_ = raw(ties)
+    numbers_ = raw(numbers)
+    series_ = raw(series)
     for b in range(q.shape[0]):
         for k in range(first, last + 1):
             sweep_order(ints, floats, q_, b * nq, v, b, k, poses, extra)

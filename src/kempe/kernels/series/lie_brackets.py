@@ -79,8 +79,12 @@ def tops(ints, order, n_order, work, n, width, top, step):
     for o in range(n_order):
         i = order[o]
         p = node_at(ints, 0, i)
-        op, left, right = ints[p + OP], ints[p + LEFT], ints[p + RIGHT]
-        y, a, b = top + step * i, top + step * left, top + step * right
+        op = ints[p + OP]
+        left = ints[p + LEFT]
+        right = ints[p + RIGHT]
+        y = top + step * i
+        a = top + step * left
+        b = top + step * right
         if op == ADD or op == SUB:
             sign = 1.0 if op == ADD else -1.0
             for s in range(n):
@@ -150,13 +154,18 @@ def fill_velocities(f, n, v, step, u, top):
     The nodes of A lie at width * place, those of B at top + half * place; without B, top is negative. u lies at
     u + n * column.
     """
-    work, width = f.work, f.width
+    work = f.work
+    width = f.width
     for s in range(n):
         for r in range(f.rank):
             work[f.right + r] = 0.0
         for e in range(f.n_entries):
-            row, column, node = f.entries[3 * e], f.entries[3 * e + 1], f.entries[3 * e + 2]
-            x, a, total = v + step * column, width * node, 0.0
+            row = f.entries[3 * e]
+            column = f.entries[3 * e + 1]
+            node = f.entries[3 * e + 2]
+            x = v + step * column
+            a = width * node
+            total = 0.0
             if f.pivots[column] < 0:
                 total = work[a] * work[x + s]
             part = s
@@ -164,7 +173,8 @@ def fill_velocities(f, n, v, step, u, top):
                 total += work[a + part] * work[x + (s ^ part)]
                 part = (part - 1) & s
             if top >= 0:
-                y, b = u + n * column, top + f.half * node
+                y = u + n * column
+                b = top + f.half * node
                 total += work[b] * work[y + s]
                 part = s
                 while part > 0:
@@ -184,7 +194,8 @@ def fill_velocities(f, n, v, step, u, top):
 def half_turns(work, n, q, qstep, w, wstep, out, ostep):
     """Add q (0, w) / 2 to the four elements at out, out + ostep, ..."""
     for i in range(3):
-        j, k = (i + 1) % 3 + 1, (i + 2) % 3 + 1
+        j = (i + 1) % 3 + 1
+        k = (i + 2) % 3 + 1
         x = w + wstep * i
         product(work, n, q + qstep * (i + 1), x, out, -0.5)
         product(work, n, q, x, out + ostep * (i + 1), 0.5)
@@ -200,23 +211,32 @@ def write_motion(f, n, v, step, out, ostep):
         for s in range(n):
             f.work[out + ostep * i + s] = f.work[v + step * column + s] if column >= 0 else 0.0
     for i in range(f.n_balls):
-        slot, column = f.balls[2 * i], f.balls[2 * i + 1]
+        slot = f.balls[2 * i]
+        column = f.balls[2 * i + 1]
         half_turns(f.work, n, f.state + f.width * slot, f.width, v + step * column, step, out + ostep * slot, ostep)
 
 
 @routine
 def write_word(f, out, to):
     """Write to out[to:] the velocities, in units, that move the state as the first numbers of `moves` do."""
-    work, d = f.work, f.width
+    work = f.work
+    d = f.width
     for i in range(f.n_slots):
         column = f.slots[2 * i]
         if column >= 0:
             out[to + column] = work[f.moves + d * i] / f.units[column]
     for i in range(f.n_balls):
-        at, by = f.state + d * f.balls[2 * i], f.moves + d * f.balls[2 * i]
+        at = f.state + d * f.balls[2 * i]
+        by = f.moves + d * f.balls[2 * i]
         column = f.balls[2 * i + 1]
-        a, x, y, z = work[at], work[at + d], work[at + 2 * d], work[at + 3 * d]
-        da, dx, dy, dz = work[by], work[by + d], work[by + 2 * d], work[by + 3 * d]
+        a = work[at]
+        x = work[at + d]
+        y = work[at + 2 * d]
+        z = work[at + 3 * d]
+        da = work[by]
+        dx = work[by + d]
+        dy = work[by + 2 * d]
+        dz = work[by + 3 * d]
         per = 2.0 / (a * a + x * x + y * y + z * z)
         out[to + column] = per * (a * dx - x * da - y * dz + z * dy) / f.units[column]
         out[to + column + 1] = per * (a * dy - y * da - z * dx + x * dz) / f.units[column + 1]
@@ -246,24 +266,32 @@ def write_inputs(f, n, source, target, step):
 @routine
 def magnitudes(f, n_inputs):
     """Write for all nodes the sum of the sizes of what their rates are summed from, by the first letter alone."""
-    ints, work, width, out = f.ints, f.work, f.width, f.sizes
+    ints = f.ints
+    work = f.work
+    width = f.width
+    out = f.sizes
     for i in range(n_inputs):
         work[out + i] = abs(work[width * i + 1])
     for o in range(f.n_order):
         i = f.order[o]
         p = node_at(ints, 0, i)
-        op, left, right = ints[p + OP], ints[p + LEFT], ints[p + RIGHT]
+        op = ints[p + OP]
+        left = ints[p + LEFT]
+        right = ints[p + RIGHT]
         if op == NUMBER or PARTIALS <= op <= LOOKUP:
             work[out + i] = 0.0
             continue
-        first, second = work[out + left], 0.0
+        first = work[out + left]
+        second = 0.0
         if op == ADD or op == SUB:
             second = work[out + right]
         elif op == MUL:
-            first, second = first * abs(work[width * right]), work[out + right] * abs(work[width * left])
+            first = first * abs(work[width * right])
+            second = work[out + right] * abs(work[width * left])
         elif op == DIV:
             by = abs(work[width * right])
-            first, second = first / by, work[out + right] * abs(work[width * i]) / by
+            first = first / by
+            second = work[out + right] * abs(work[width * i]) / by
         elif ATAN2 <= op <= NEAREST:
             first *= abs(work[width * ints[p + NODE_INTS + LEFT]])
             second = work[out + right] * abs(work[width * ints[p + NODE_INTS + RIGHT]])
@@ -279,7 +307,9 @@ def steepness(f):
     for r in range(f.rank):
         work[f.right + r] = 0.0
     for e in range(f.n_entries):
-        row, column, node = f.entries[3 * e], f.entries[3 * e + 1], f.entries[3 * e + 2]
+        row = f.entries[3 * e]
+        column = f.entries[3 * e + 1]
+        node = f.entries[3 * e + 2]
         work[f.right + row] += work[f.sizes + node] * abs(work[f.own + column])
     most = 0.0
     for column in range(f.columns):
@@ -315,7 +345,8 @@ def forth(f, letters, at):
 @routine
 def back(f, j):
     """Put in place of the motions W their brackets [X_j, W], and of their rounding that of these."""
-    n, work = 1 << j, f.work
+    n = 1 << j
+    work = f.work
     v = f.own + f.columns * (n - 1)
     write_inputs(f, n, f.moves, f.others, f.half)
     tops(f.ints, f.order, f.n_order, work, n, f.width, f.others, f.half)
@@ -324,7 +355,8 @@ def back(f, j):
     fill_velocities(f, n, f.changed, f.half, v, f.others)
     write_motion(f, n, f.changed, f.half, f.drift, f.half)
     for i in range(f.n_balls):
-        slot, column = f.balls[2 * i], f.balls[2 * i + 1]
+        slot = f.balls[2 * i]
+        column = f.balls[2 * i + 1]
         half_turns(work, n, f.moves + f.width * slot, f.width, v + n * column, n, f.drift + f.half * slot, f.half)
     before = size_of(f, 0, f.moves, f.width)
     gain = size_of(f, 0, f.drift, f.half) / before if before > 0.0 else 0.0
@@ -350,8 +382,12 @@ def words(ints, floats, order, entries, pivots, inverse, slots, balls, q, inputs
     none; `balls` the first slot and the first column of quaternions. `q` is the state, `inputs` are those of the tape.
     The free entries of `letters` are the letters' coefficients, in `units` of the columns; the last letter is Y.
     """
-    count, columns, rank, n_slots = letters.shape[1], len(pivots), len(inverse), len(slots)
-    nodes, width = ints[N_NODES], 1 << (count - 1)
+    count = letters.shape[1]
+    columns = len(pivots)
+    rank = len(inverse)
+    n_slots = len(slots)
+    nodes = ints[N_NODES]
+    width = 1 << (count - 1)
     half = max(width // 2, 1)
     state = nodes * width
     moves = state + n_slots * width

@@ -65,11 +65,14 @@ from kempe.kernels.series.jet_layout import (
     TURNS,
 )
 
-DAMPING_LEAST, DAMPING_FIRST, DAMPING_MOST = 1e-14, 1e-4, 1e4
+DAMPING_LEAST = 1e-14
+DAMPING_FIRST = 1e-4
+DAMPING_MOST = 1e4
 """Levenberg-Marquardt damping, as a part of the mean square of the Jacobian's columns."""
 STUCK = 0.98
 """Part of the squared residual that an undamped step leaves where it is no use to go on."""
-ENOUGH2, SHORTEST = 1e-32, 1e-14
+ENOUGH2 = 1e-32
+SHORTEST = 1e-14
 """Square of the residual, and length of a step, from which more iterations change nothing."""
 
 
@@ -80,7 +83,10 @@ def _column(ties, numbers, tie, frames, M, rates, x, y, z, px, py, pz, J, b, col
     M: the nine entries of R_AB; rates: for each row of a TAPE tie what the twist of B against A, in axes of A, does.
     """
     t = 1 + TIE_INTS * tie
-    a, mask, turns, row = 2 * tie, ties[t + MASK], ties[t + TURNS], ties[t + FIRST_ROW]
+    a = 2 * tie
+    mask = ties[t + MASK]
+    turns = ties[t + TURNS]
+    row = ties[t + FIRST_ROW]
     if turns == DISTANCE:
         total = 0.0
         total += px * (frames[0, a + 1, 0, 9] - frames[0, a, 0, 9])
@@ -122,22 +128,38 @@ def _column(ties, numbers, tie, frames, M, rates, x, y, z, px, py, pz, J, b, col
 @routine
 def _columns(ints, floats, ties, numbers, tie, poses, frames, M, rates, row, sign, J, b):
     """Add the columns of one row of the table, which moves B against A in the direction `sign`."""
-    h, f = HEADER + ROW_INTS * row, ROW_FLOATS * row
-    kind, iv, multiplier = ints[h + KIND], ints[h + V_INDEX], floats[f + MULTIPLIER]
+    h = HEADER + ROW_INTS * row
+    f = ROW_FLOATS * row
+    kind = ints[h + KIND]
+    iv = ints[h + V_INDEX]
+    multiplier = floats[f + MULTIPLIER]
     o = 2 * tie + 1
     dx = frames[0, o, 0, 9] - poses[0, row, 0, AFTER + 9]
     dy = frames[0, o, 0, 10] - poses[0, row, 0, AFTER + 10]
     dz = frames[0, o, 0, 11] - poses[0, row, 0, AFTER + 11]
     for i in range(3):
-        column, at, factor = iv, AFTER + 2, sign * multiplier
+        column = iv
+        at = AFTER + 2
+        factor = sign * multiplier
         if kind != TURN and kind != SLIDE:
-            column, at, factor = iv + i, (AFTER if multiplier > 0.0 else BEFORE) + i, sign * multiplier
+            column = iv + i
+            at = (AFTER if multiplier > 0.0 else BEFORE) + i
+            factor = sign * multiplier
         elif i > 0:
             break
-        x, y, z = factor * poses[0, row, 0, at], factor * poses[0, row, 0, at + 3], factor * poses[0, row, 0, at + 6]
-        px, py, pz = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
+        x = factor * poses[0, row, 0, at]
+        y = factor * poses[0, row, 0, at + 3]
+        z = factor * poses[0, row, 0, at + 6]
+        px = y * dz - z * dy
+        py = z * dx - x * dz
+        pz = x * dy - y * dx
         if kind == SLIDE:
-            px, py, pz, x, y, z = x, y, z, 0.0, 0.0, 0.0
+            px = x
+            py = y
+            pz = z
+            x = 0.0
+            y = 0.0
+            z = 0.0
         _column(ties, numbers, tie, frames, M, rates, x, y, z, px, py, pz, J, b, column)
 
 
@@ -148,7 +170,8 @@ def _rates(ties, numbers, tie, M, work, rates, J, b):
     `work` holds the values of all nodes, M the entries of R_AB.
     """
     t = 1 + TIE_INTS * tie
-    data, unit = ties[t + DATA], numbers[1 + tie]
+    data = ties[t + DATA]
+    unit = numbers[1 + tie]
     tape = ties[data + TAPE_INTS]
     adjoint = beyond(work, ties[tape + N_NODES])
     for o in range(ties[t + ROWS]):
@@ -157,12 +180,15 @@ def _rates(ties, numbers, tie, M, work, rates, J, b):
             rates[6 * o + i] = 0.0
         for i in range(ties[tape + N_INPUTS]):
             at = data + TAPE_INPUTS + INPUT_INTS * i
-            what, g = ties[at], unit * adjoint[i]
+            what = ties[at]
+            g = unit * adjoint[i]
             if what < 3:
                 rates[6 * o + what] += g
             elif what < COORDINATE:  # the rate of column c of R is w x c
-                i0, j = (what - 3) // 3, (what - 3) % 3
-                i1, i2 = (i0 + 1) % 3, (i0 + 2) % 3
+                i0 = (what - 3) // 3
+                j = (what - 3) % 3
+                i1 = (i0 + 1) % 3
+                i2 = (i0 + 2) % 3
                 rates[6 * o + 3 + i1] += g * M[3 * i2 + j]
                 rates[6 * o + 3 + i2] -= g * M[3 * i1 + j]
             else:
@@ -176,7 +202,8 @@ def _linearise(ints, floats, tied, q, start, v, poses, extra, frames, value, M, 
     tied: the ties, their numbers and room for their tapes.
     """
     ties, numbers, work = tied
-    n, count = ints[N_ROWS], ties[0]
+    n = ints[N_ROWS]
+    count = ties[0]
     sweep_order(ints, floats, q, start, v, 0, 0, poses, extra)
     output_order(ints, floats, 0, 0, poses, frames)
     violation_order(ties, numbers, q, start, v, 0, 0, frames, work, 1, value)
@@ -190,7 +217,8 @@ def _linearise(ints, floats, tied, q, start, v, poses, extra, frames, value, M, 
                 J[b, ties[t + FIRST_ROW], ties[1 + TIE_INTS * count + 2 * e + 1]] += numbers[1 + count + e]
             continue
         h = HEADER + ROW_INTS * n + OUTPUT_INTS * 2 * tie
-        left, right = ints[h], ints[h + OUTPUT_INTS]
+        left = ints[h]
+        right = ints[h + OUTPUT_INTS]
         for i in range(9):
             M[i] = between(frames, 0, 2 * tie, 0, i // 3, i % 3)
         if ties[t + TURNS] == TAPE:
@@ -222,7 +250,8 @@ def _apart(places, scale, center, q, start, x):
 
     places: for each velocity coordinate its place in q, -1 - place for the first of a ball, -1e9 for its others.
     """
-    total, j = 0.0, 0
+    total = 0.0
+    j = 0
     while j < places.shape[0]:
         i = places[j]
         if i >= 0:
@@ -231,8 +260,14 @@ def _apart(places, scale, center, q, start, x):
             j += 1
             continue
         i = -1 - i
-        a0, a1, a2, a3 = center[i], center[i + 1], center[i + 2], center[i + 3]
-        b0, b1, b2, b3 = q[start + i], q[start + i + 1], q[start + i + 2], q[start + i + 3]
+        a0 = center[i]
+        a1 = center[i + 1]
+        a2 = center[i + 2]
+        a3 = center[i + 3]
+        b0 = q[start + i]
+        b1 = q[start + i + 1]
+        b2 = q[start + i + 2]
+        b3 = q[start + i + 3]
         w = a0 * b0 + a1 * b1 + a2 * b2 + a3 * b3
         u = a0 * b1 - a1 * b0 - a2 * b3 + a3 * b2
         v = a0 * b2 - a2 * b0 - a3 * b1 + a1 * b3
@@ -241,7 +276,9 @@ def _apart(places, scale, center, q, start, x):
         f = 2.0 if sine < 1e-12 else 2.0 * math.atan2(sine, abs(w)) / sine
         if w < 0.0:
             f = -f
-        x[j], x[j + 1], x[j + 2] = f * u, f * v, f * z
+        x[j] = f * u
+        x[j + 1] = f * v
+        x[j + 2] = f * z
         total += x[j] * x[j] + x[j + 1] * x[j + 1] + x[j + 2] * x[j + 2]
         j += 3
     return total
@@ -267,7 +304,8 @@ def _move(places, scale, q, start, x, target, at):
 @routine
 def _normal(J, b, scale, value, x, radius, distance2, A, g, damping):
     """Write J^T J + damping and -J^T residual, the equation of the sphere included where radius > 0."""
-    m, n = J.shape[1], J.shape[2]
+    m = J.shape[1]
+    n = J.shape[2]
     for i in range(n):
         s = 0.0
         for r in range(m):
@@ -315,16 +353,35 @@ def project(ints, floats, ties, numbers, places, scale, centers, q, radius, iter
     no longer than `longest`. info (N, 3): residual of the equations (norm), distance from the center, iterations.
     out (N, m): the equations where it ends, J (N, m, nv): their Jacobian; with 0 iterations, those where it is.
     """
-    m, nv, nq, n = J.shape[1], J.shape[2], q.shape[1], max(ints[N_ROWS], 1)
-    v, value = np.zeros((1, 1, nv + 1)), np.zeros((1, 1, m + 1))
-    poses, extra = np.zeros((1, n, 1, POSE_SIZE)), np.zeros((1, n, 1, POWERS + 1))
+    m = J.shape[1]
+    nv = J.shape[2]
+    nq = q.shape[1]
+    n = max(ints[N_ROWS], 1)
+    v = np.zeros((1, 1, nv + 1))
+    value = np.zeros((1, 1, m + 1))
+    poses = np.zeros((1, n, 1, POSE_SIZE))
+    extra = np.zeros((1, n, 1, POWERS + 1))
     frames = np.zeros((1, max(ints[N_OUT], 1), 1, 12))
-    A, g, x, trial, step, M = np.zeros(nv * nv), np.zeros(nv), np.zeros(nv), np.zeros(nq), np.zeros(nv), np.zeros(9)
-    work, rates = np.zeros(_work_size(ties) + 1), np.zeros(6 * m + 1)
+    A = np.zeros(nv * nv)
+    g = np.zeros(nv)
+    x = np.zeros(nv)
+    trial = np.zeros(nq)
+    step = np.zeros(nv)
+    M = np.zeros(9)
+    work = np.zeros(_work_size(ties) + 1)
+    rates = np.zeros(6 * m + 1)
     tied = raw(ties), raw(numbers), raw(work)
-    A_, g_, q_, trial_ = raw(A), raw(g), raw(q), raw(trial)
+    A_ = raw(A)
+    g_ = raw(g)
+    q_ = raw(q)
+    trial_ = raw(trial)
     for b in range(q.shape[0]):
-        center, damping, count, fresh, size2, distance2 = centers[b], DAMPING_FIRST, 0, False, np.inf, 0.0
+        center = centers[b]
+        damping = DAMPING_FIRST
+        count = 0
+        fresh = False
+        size2 = np.inf
+        distance2 = 0.0
         while True:
             if not fresh:
                 _linearise(ints, floats, tied, q_, b * nq, v, poses, extra, frames, value, M, rates, J, b)
@@ -354,7 +411,8 @@ def project(ints, floats, ties, numbers, places, scale, centers, q, radius, iter
                 for j in range(nq):
                     q[b, j] = trial[j]
                 stuck = damping <= DAMPING_LEAST and new_size2 > STUCK * size2
-                size2, damping = new_size2, max(0.02 * damping, DAMPING_LEAST)
+                size2 = new_size2
+                damping = max(0.02 * damping, DAMPING_LEAST)
             else:
                 stuck = False
                 damping = max(30.0 * damping, 1e-12)
@@ -362,7 +420,9 @@ def project(ints, floats, ties, numbers, places, scale, centers, q, radius, iter
                 count = iterations
         for i in range(m):
             out[b, i] = value[0, 0, i]
-        info[b, 0], info[b, 1], info[b, 2] = math.sqrt(_size2(value, m, 0.0, 0.0)), math.sqrt(distance2), float(count)
+        info[b, 0] = math.sqrt(_size2(value, m, 0.0, 0.0))
+        info[b, 1] = math.sqrt(distance2)
+        info[b, 2] = float(count)
     keep(A)
     keep(g)
     keep(trial)

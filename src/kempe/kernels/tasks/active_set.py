@@ -124,25 +124,30 @@ def stop_at_limits(loops, work):
     for v in range(loops.nv):
         if work.stop[v] == work.stop[v] or sort_of(loops, v) >= L.BALL_FIRST:
             continue
-        low, high = room(loops, v, 1), room(loops, v, 2)
+        low = room(loops, v, 1)
+        high = room(loops, v, 2)
         if work.step[v] < low:
-            work.stop[v], changed = low, True
+            work.stop[v] = low
+            changed = True
         elif work.step[v] > high:
-            work.stop[v], changed = high, True
+            work.stop[v] = high
+            changed = True
     return changed
 
 
 @routine
 def count_rows(loops, work, release):
     """Whether rows between bounds that did not count must, or with `release` the other way round; changes that."""
-    m, changed = loops.plan[L.N_ROWS], False
+    m = loops.plan[L.N_ROWS]
+    changed = False
     for i in range(m):
         work.ahead[i] = 0.0
     for v in range(loops.nv):
         if work.step[v] != 0.0:
             add_product(loops, v, work.step[v], work.ahead, 1)
     for i in range(m):
-        low, high = work.low[i], work.high[i]
+        low = work.low[i]
+        high = work.high[i]
         if low == high or work.weak[i] >= OFF:
             continue
         x = work.value[i] + work.ahead[i]
@@ -162,15 +167,18 @@ def count_rows(loops, work, release):
 @routine
 def let_go(loops, work):
     """Whether a coordinate stops though it would rather go back inside; lets the one go that wants to most."""
-    worst, which = SLIP, -1
+    worst = SLIP
+    which = -1
     for v in range(loops.nv):
         x = work.stop[v]
         if x == x:
             slope = x - work.wish[v] + product(loops, v, work.y)
-            low, high = room(loops, v, 1), room(loops, v, 2)
+            low = room(loops, v, 1)
+            high = room(loops, v, 2)
             pull = -slope if x <= low else slope
             if low < high and pull > worst:
-                worst, which = pull, v
+                worst = pull
+                which = v
     if which >= 0:
         work.stop[which] = np.nan
     return which >= 0
@@ -193,7 +201,8 @@ def step_to(loops, work, passes, between, exact):
 @routine
 def take(loops, work, longest):
     """Size of the step, in radians and characteristic lengths, and which part of it is taken: turns up to `longest`."""
-    size, turn = 0.0, 0.0
+    size = 0.0
+    turn = 0.0
     for v in range(loops.nv):
         size = max(size, abs(work.step[v]))
         if sort_of(loops, v) != L.SLIDE:
@@ -203,7 +212,8 @@ def take(loops, work, longest):
     for v in range(loops.nv):
         work.step[v] *= part
     for v in range(loops.nv):
-        sort, i = sort_of(loops, v), place_of(loops, v)
+        sort = sort_of(loops, v)
+        i = place_of(loops, v)
         if sort == L.BALL_FIRST:
             turn_ball(q, i, work.step[v], work.step[v + 1], work.step[v + 2])
         elif sort != L.BALL_MORE:

@@ -32,7 +32,8 @@ FAINT = 1e-6
 @device
 def fits(loops, ask, k, ball):
     """Whether tie k holds the position of a frame that the base moves against the ground, in a stage of its own."""
-    plan, ints = loops.plan, loops.ints
+    plan = loops.plan
+    ints = loops.ints
     tie = plan[L.AT_TIES] + L.TIE_INTS * k
     outputs = HEADER + ROW_INTS * loops.n_rows + OUTPUT_INTS * 2 * k
     turns = plan[tie + L.TURNS]
@@ -50,8 +51,10 @@ def fits(loops, ask, k, ball):
 def squared(m):
     """The square of a symmetric 4x4 matrix, ten numbers row by row from the diagonal on, divided by its trace."""
     a, b, c, d, e, f, g, h, i, j = m
-    p, q, r, s = a * a + b * b + c * c + d * d, b * b + e * e + f * f + g * g, c * c + f * f + h * h + i * i, (
-        d * d + g * g + i * i + j * j)  # fmt: skip
+    p = a * a + b * b + c * c + d * d
+    q = b * b + e * e + f * f + g * g
+    r = c * c + f * f + h * h + i * i
+    s = d * d + g * g + i * i + j * j
     n = 1.0 / max(p + q + r + s, 1e-300)
     return (
         p * n, (a * b + b * e + c * f + d * g) * n, (a * c + b * f + c * h + d * i) * n,
@@ -75,13 +78,25 @@ def rotation_for(h):
     for _ in range(SQUARINGS):
         m = squared(m)
     if m[0] > FAINT:
-        w, x, y, z = m[0], m[1], m[2], m[3]
+        w = m[0]
+        x = m[1]
+        y = m[2]
+        z = m[3]
     elif m[4] >= m[7] and m[4] >= m[9]:
-        w, x, y, z = m[1], m[4], m[5], m[6]
+        w = m[1]
+        x = m[4]
+        y = m[5]
+        z = m[6]
     elif m[7] >= m[9]:
-        w, x, y, z = m[2], m[5], m[7], m[8]
+        w = m[2]
+        x = m[5]
+        y = m[7]
+        z = m[8]
     else:
-        w, x, y, z = m[3], m[6], m[8], m[9]
+        w = m[3]
+        x = m[6]
+        y = m[8]
+        z = m[9]
     n = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
     return w * n, x * n, y * n, z * n
 
@@ -92,7 +107,11 @@ def spread_of(loops, ask, ball, hard):
 
     Places are measured from the first frame and its goal, which are returned, too.
     """
-    count, first, aim, p, g = 0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    count = 0
+    first = (0.0, 0.0, 0.0)
+    aim = (0.0, 0.0, 0.0)
+    p = (0.0, 0.0, 0.0)
+    g = (0.0, 0.0, 0.0)
     h = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     square = loops.weights[L.LENGTH] * loops.weights[L.LENGTH]
     for k in range(loops.plan[L.N_TIES]):
@@ -100,11 +119,13 @@ def spread_of(loops, ask, ball, hard):
             continue
         r_a, p_a, r_b, p_b = ends_of(loops, k)
         if count == 0:
-            first, aim = p_b, p_a
+            first = p_b
+            aim = p_a
         x = (p_b[0] - first[0], p_b[1] - first[1], p_b[2] - first[2])
         y = (p_a[0] - aim[0], p_a[1] - aim[1], p_a[2] - aim[2])
         count += 1
-        p, g = (p[0] + x[0], p[1] + x[1], p[2] + x[2]), (g[0] + y[0], g[1] + y[1], g[2] + y[2])
+        p = (p[0] + x[0], p[1] + x[1], p[2] + x[2])
+        g = (g[0] + y[0], g[1] + y[1], g[2] + y[2])
         t = square if loops.plan[loops.plan[L.AT_TIES] + L.TIE_INTS * k + L.TURNS] == L.FULL else 0.0
         h = (
             h[0] + x[0] * y[0] + t * (r_b[0] * r_a[0] + r_b[1] * r_a[1] + r_b[2] * r_a[2]),
@@ -118,7 +139,8 @@ def spread_of(loops, ask, ball, hard):
             h[8] + x[2] * y[2] + t * (r_b[6] * r_a[6] + r_b[7] * r_a[7] + r_b[8] * r_a[8]),
         )
     n = 1.0 / max(count, 1)
-    p, g = (p[0] * n, p[1] * n, p[2] * n), (g[0] * n, g[1] * n, g[2] * n)
+    p = (p[0] * n, p[1] * n, p[2] * n)
+    g = (g[0] * n, g[1] * n, g[2] * n)
     c = float(count)
     h = (h[0] - c * p[0] * g[0], h[1] - c * p[0] * g[1], h[2] - c * p[0] * g[2], h[3] - c * p[1] * g[0],
          h[4] - c * p[1] * g[1], h[5] - c * p[1] * g[2], h[6] - c * p[2] * g[0], h[7] - c * p[2] * g[1],
@@ -134,7 +156,9 @@ def fit_base(loops, ask):
     Least is the sum of squares of distances and, by the characteristic length, of rotation matrices (Kabsch, 1976).
     Soft tasks count where no hard one holds a frame.
     """
-    plan, q, row = loops.plan, loops.q, loops.plan[L.BASE_ROW]
+    plan = loops.plan
+    q = loops.q
+    row = loops.plan[L.BASE_ROW]
     if plan[L.BASE_TIE] < 0:
         return
     row_poses(loops.ints, loops.floats, q, 0, loops.scratch)
@@ -155,7 +179,8 @@ def fit_base(loops, ask):
          g[2] - p[2] + w * u[2] + x * u[1] - y * u[0])  # fmt: skip
     for i in range(row, row + 3):
         a, b, c = placement(loops.poses, OUTPUT_FLOATS * i)
-        at, v = loops.ints[HEADER + ROW_INTS * i + Q_INDEX], loops.ints[HEADER + ROW_INTS * i + V_INDEX]
+        at = loops.ints[HEADER + ROW_INTS * i + Q_INDEX]
+        v = loops.ints[HEADER + ROW_INTS * i + V_INDEX]
         x = q[at] + (entry(a, 2) * d[0] + entry(b, 2) * d[1] + entry(c, 2) * d[2]) / loops.floats[
             ROW_FLOATS * i + MULTIPLIER]  # fmt: skip
         q[at] = min(max(x, number(loops, 1, v)), number(loops, 2, v))

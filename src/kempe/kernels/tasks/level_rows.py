@@ -55,7 +55,8 @@ def assess(loops, work):
 @device
 def square_of_tie(loops, ask, k):
     """Weighted squared residual of a tie."""
-    tie, total = loops.plan[L.AT_TIES] + L.TIE_INTS * k, 0.0
+    tie = loops.plan[L.AT_TIES] + L.TIE_INTS * k
+    total = 0.0
     at = loops.plan[tie + L.FIRST_ROW]
     for i in range(at, at + loops.plan[tie + L.ROWS]):
         total += loops.error[i] * loops.error[i]
@@ -75,12 +76,14 @@ def square_of(loops, ask, first, last, hard_only):
 @routine
 def missed(loops, ask, first, last):
     """The largest squared residual of a hard tie of these stages, as a part of its squared tolerance."""
-    plan, worst = loops.plan, 0.0
+    plan = loops.plan
+    worst = 0.0
     for k in range(plan[L.N_TIES]):
         if ask.stage[k] < first or ask.stage[k] > last or ask.hard[k] == 0:
             continue
         tie = plan[L.AT_TIES] + L.TIE_INTS * k
-        at, lengths = plan[tie + L.FIRST_ROW], plan[tie + L.LENGTHS]
+        at = plan[tie + L.FIRST_ROW]
+        lengths = plan[tie + L.LENGTHS]
         linear = angular = 0.0
         for i in range(plan[tie + L.ROWS]):
             x = loops.error[at + i]
@@ -88,7 +91,8 @@ def missed(loops, ask, first, last):
                 linear += x * x
             else:
                 angular += x * x
-        a, b = ask.tolerance[2 * k], ask.tolerance[2 * k + 1]
+        a = ask.tolerance[2 * k]
+        b = ask.tolerance[2 * k + 1]
         worst = max(worst, max(linear / (a * a), angular / (b * b)))
     return worst
 
@@ -98,7 +102,8 @@ def count_in(loops, work, ask, stage, held, damping, hard_only):
     """Mark the rows that count: of stages before `stage` with D = held, of it with `damping` by weight, no others."""
     plan = loops.plan
     for k in range(plan[L.N_TIES]):
-        tie, s = plan[L.AT_TIES] + L.TIE_INTS * k, ask.stage[k]
+        tie = plan[L.AT_TIES] + L.TIE_INTS * k
+        s = ask.stage[k]
         d = OFF
         if 0 <= s < stage and not (hard_only and ask.hard[k] == 0):
             d = held
@@ -116,11 +121,13 @@ def unbind(loops, work):
     plan = loops.plan
     for k in range(plan[L.N_TIES]):
         tie = plan[L.AT_TIES] + L.TIE_INTS * k
-        at, bound = plan[tie + L.FIRST_ROW], plan[L.AT_BOUNDS] + plan[tie + L.BOUND]
+        at = plan[tie + L.FIRST_ROW]
+        bound = plan[L.AT_BOUNDS] + plan[tie + L.BOUND]
         for i in range(plan[tie + L.ROWS]):
             work.low[at + i] = work.high[at + i] = 0.0
             if plan[tie + L.BOUND] >= 0:
-                work.low[at + i], work.high[at + i] = loops.weights[bound + 2 * i], loops.weights[bound + 2 * i + 1]
+                work.low[at + i] = loops.weights[bound + 2 * i]
+                work.high[at + i] = loops.weights[bound + 2 * i + 1]
 
 
 @routine
@@ -149,8 +156,15 @@ def is_hard(loops, ask, stage):
 @routine
 def rigid(pin, k):
     """Whether the 3x4 pose at pin[k:] has a rotation: rows of length one, the third the product of the others."""
-    a, b, c, d, e, f = pin[k], pin[k + 1], pin[k + 2], pin[k + 4], pin[k + 5], pin[k + 6]
-    x, y, z = b * f - c * e - pin[k + 8], c * d - a * f - pin[k + 9], a * e - b * d - pin[k + 10]
+    a = pin[k]
+    b = pin[k + 1]
+    c = pin[k + 2]
+    d = pin[k + 4]
+    e = pin[k + 5]
+    f = pin[k + 6]
+    x = b * f - c * e - pin[k + 8]
+    y = c * d - a * f - pin[k + 9]
+    z = a * e - b * d - pin[k + 10]
     off = max(abs(a * a + b * b + c * c - 1.0), abs(d * d + e * e + f * f - 1.0))
     return max(off, max(abs(a * d + b * e + c * f), max(abs(x), max(abs(y), abs(z))))) <= RIGID
 
@@ -171,7 +185,8 @@ def harden(loops, ask, last):
     changed = False
     for k in range(loops.plan[L.N_TIES]):
         if 0 < ask.stage[k] < last and ask.hard[k] == 0:
-            ask.hard[k], changed = 1, True
+            ask.hard[k] = 1
+            changed = True
     return changed
 
 

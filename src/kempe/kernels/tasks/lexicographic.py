@@ -23,31 +23,42 @@ from kempe.kernels.constraints.loop_coordinates import distance, is_held, number
 from kempe.kernels.tasks.active_set import LEAST, LONGEST, OFF, free_all, mark_pushed, step_to, take
 from kempe.kernels.tasks.level_rows import assess, count_in, is_hard, missed, square_of
 
-DAMPING, MOST_DAMPING = 0.1, 0.1
+DAMPING = 0.1
+MOST_DAMPING = 0.1
 """Damping by the square of the residual, and its largest."""
-STALL, WORTH = 4, 0.95
+STALL = 4
+WORTH = 0.95
 """Steps without a decrease of the squared residual to this part of it, after which a start is given up."""
 PASSES = 2
 """Solves of one step: the second with what the first led out of its bounds."""
-TIGHT, ROUNDING = 1e-22, 1e-25
+TIGHT = 1e-22
+ROUNDING = 1e-25
 """Square of what a soft stage misses from which on it is met, and of what earlier ones may miss after each step."""
-CLOSING, MORE, LONG = 6, 3, 12
+CLOSING = 6
+MORE = 3
+LONG = 12
 """Steps that they may take for that: after a step, at the end, and after a push."""
 """What the last stage lowers: nothing; the distance to `goal`. Anything else is the address of a function."""
 STREAK = 3
 """Steps that must succeed after one that did not, before the steps of an aim grow again."""
 FURTHEST = 3.0
 """How many times longer than the step a trial along it may be."""
-FLAT, FLAT_AIM, FLAT_HARD = 1e-15, 1e-13, 1e-8
+FLAT = 1e-15
+FLAT_AIM = 1e-13
+FLAT_HARD = 1e-8
 """Decreases to this part of a value, twice in a row, end its lowering: of a soft stage, an aim, and a hard stage, which
 is missed anyway."""
 CLEAR = 1e-9
 """Decreases from this part of a value on say what curvature is; smaller ones are too near to rounding."""
-NUDGE, PROBE, SADDLE = 0.05, 4, 1e-7
+NUDGE = 0.05
+PROBE = 4
+SADDLE = 1e-7
 """A push, in radians and characteristic lengths, the steps after it, and the part of the value that they must save."""
-STRAIGHT, LITTLE = 0.01, 1e-6
+STRAIGHT = 0.01
+LITTLE = 1e-6
 """How well a small step must keep what straight equations promise, as a part of it, and the least promise."""
-LONGER, TRUST = 4.0, 0.1
+LONGER = 4.0
+TRUST = 0.1
 """Where it does, the next may be so much longer and is damped by so much less."""
 
 
@@ -68,7 +79,8 @@ def foreseen(loops, work, part):
 @device
 def is_straight(square, before, after):
     """Whether a short step led from the squared residual `before` to `square`, near the predicted `after`."""
-    first, promised = math.sqrt(before), math.sqrt(after)
+    first = math.sqrt(before)
+    promised = math.sqrt(after)
     small = 0.5 * first < promised < (1.0 - LITTLE) * first
     return small and abs(math.sqrt(square) - promised) <= STRAIGHT * (first - promised)
 
@@ -80,8 +92,16 @@ def descend(loops, work, ask, last, enough, limit):
     Writes its configuration to `kept`. `enough` is a square, or 0 for the tolerances of the hard ties, which alone
     count then; once these are met, some more steps make the error as small as possible.
     """
-    best, before, steps, idle, good = np.inf, np.inf, 0, 0, False
-    hard_only, longest, trust, from_, to = enough == 0.0, LONGEST, 1.0, 0.0, 0.0
+    best = np.inf
+    before = np.inf
+    steps = 0
+    idle = 0
+    good = False
+    hard_only = enough == 0.0
+    longest = LONGEST
+    trust = 1.0
+    from_ = 0.0
+    to = 0.0
     for v in range(loops.nv):
         work.wish[v] = 0.0
     while True:
@@ -91,7 +111,9 @@ def descend(loops, work, ask, last, enough, limit):
             break
         met = missed(loops, ask, 0, last) <= 1.0 if hard_only else square <= enough
         if met and not good:
-            good, best, limit = True, np.inf, min(limit, steps + MORE) if hard_only else steps
+            good = True
+            best = np.inf
+            limit = min(limit, steps + MORE) if hard_only else steps
         if square < best and met == good:
             best = square
             copy(work.kept, loops.q, 0, loops.nq)
@@ -102,7 +124,8 @@ def descend(loops, work, ask, last, enough, limit):
         if square > WORTH * before and not straight:
             idle += 1
         else:
-            idle, before = 0, square
+            idle = 0
+            before = square
         if (good and square <= ROUNDING) or steps >= limit or idle >= STALL:
             break
         damping = trust * min(DAMPING * square, MOST_DAMPING) + 10.0 * LEAST
@@ -110,7 +133,8 @@ def descend(loops, work, ask, last, enough, limit):
         mark_pushed(loops, work)
         step_to(loops, work, PASSES, ask.between, False)
         _, part = take(loops, work, longest)
-        from_, to = square, foreseen(loops, work, part)
+        from_ = square
+        to = foreseen(loops, work, part)
         steps += 1
     return best, good, steps
 
@@ -144,7 +168,10 @@ def slope_of(loops, work, ask, stage, mode, part):
 
     Both at the q that was assessed last.
     """
-    slope, bend, plan, m = 0.0, 0.0, loops.plan, loops.plan[L.N_ROWS]
+    slope = 0.0
+    bend = 0.0
+    plan = loops.plan
+    m = loops.plan[L.N_ROWS]
     if mode != NOTHING:
         for v in range(loops.nv):
             slope -= work.wish[v] * work.step[v] / part
@@ -177,7 +204,9 @@ def look_along(loops, work, ask, stage, bound, mode, part, best, slope, longest)
     Every trial is closed; one that is much too long or too short is made once more with the length of the parabola.
     `trial` is where the least is, `way` the first step. A trial counts where earlier stages are within the bound.
     """
-    share, least, curve = 1.0, best, 0.0
+    share = 1.0
+    least = best
+    curve = 0.0
     copy(work.way, work.step, 0, loops.nv)
     for trial in range(2):
         if trial == 1:
@@ -224,8 +253,15 @@ def ease(loops, work, ask, stage, bound, limit, mode, stop):
     reached; moves q there and assesses it. Earlier stages stay within the bound.
     """
     copy(work.best, loops.q, 0, loops.nq)
-    damping, part, steps, idle, streak, late, longest = 1e-3, 1.0, 0, 0, 0, False, LONGEST
-    best, flat = value_of(loops, work, ask, stage, mode, part), FLAT_AIM
+    damping = 1e-3
+    part = 1.0
+    steps = 0
+    idle = 0
+    streak = 0
+    late = False
+    longest = LONGEST
+    best = value_of(loops, work, ask, stage, mode, part)
+    flat = FLAT_AIM
     if mode == NOTHING:
         flat = FLAT_HARD if is_hard(loops, ask, stage) else FLAT
     while steps < limit and best == best and not (mode == NOTHING and best <= TIGHT):
@@ -243,7 +279,8 @@ def ease(loops, work, ask, stage, bound, limit, mode, stop):
         size, _ = take(loops, work, longest)
         slope, bend = slope_of(loops, work, ask, stage, mode, part)
         least, curve, share = look_along(loops, work, ask, stage, bound, mode, part, best, slope, longest)
-        better, fall = least < best, best - least
+        better = least < best
+        fall = best - least
         longest = longest * LONGER if better and share >= FURTHEST else LONGEST
         if not better or fall > CLEAR * abs(best):
             damping = damping_for(loops, work, damping, curve - bend, better)
@@ -255,7 +292,8 @@ def ease(loops, work, ask, stage, bound, limit, mode, stop):
                 part = min(2.0 * part, 1.0 if mode == AHEAD else 1e3)
             streak += 1
         else:
-            part, streak = 0.3 * part, -STREAK
+            part = 0.3 * part
+            streak = -STREAK
         lost = not better and mode == NOTHING and -slope <= flat * abs(best)
         if idle >= 2 or lost or size < 1e-10 or damping > 1e4 or part < 1e-9:
             break
@@ -272,7 +310,9 @@ def nudge(loops, key):
     for v in range(loops.nv):
         if is_held(loops, v):
             continue
-        sort, i, x = sort_of(loops, v), place_of(loops, v), NUDGE * (2.0 * unit(mix(key, np.uint64(v))) - 1.0)
+        sort = sort_of(loops, v)
+        i = place_of(loops, v)
+        x = NUDGE * (2.0 * unit(mix(key, np.uint64(v))) - 1.0)
         if sort == L.BALL_FIRST:
             turn_ball(loops.q, i, x, 0.7 * x, -0.4 * x)
         elif sort != L.BALL_MORE:
@@ -292,7 +332,8 @@ def lower(loops, work, ask, stage, limit, mode, stop):
     if mode == NOTHING and not late and best > TIGHT and steps < limit:
         copy(work.rest, loops.q, 0, loops.nq)
         nudge(loops, mix(np.uint64(0), np.uint64(stage)))
-        used, least = 0, np.inf
+        used = 0
+        least = np.inf
         if close(loops, work, ask, stage - 1, bound[0], LONG) <= bound[0]:
             used, late, least = ease(loops, work, ask, stage, bound, min(PROBE, limit - steps), mode, stop)
         steps += used

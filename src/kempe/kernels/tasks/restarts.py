@@ -19,11 +19,14 @@ from kempe.kernels.tasks.level_rows import assess, square_of_tie
 NEAR = 0.6
 """Part of the ranges, about the first start and about their middles in turn, from which the first starts are drawn:
 what is far from all limits leads to more answers."""
-PLAIN, WIDE, WIDER = 8, 1.35, 2.0
+PLAIN = 8
+WIDE = 1.35
+WIDER = 2.0
 """Starts that are drawn so. Of those after them, of four one is drawn from all of the ranges, one WIDE and two WIDER
 times as far about the middle and cut off at the limits, which puts a quarter and a half of the coordinates there: what
 is left by then are mostly answers at limits."""
-AGAIN, LOWER = 6, 0.99
+AGAIN = 6
+LOWER = 0.99
 """Starts that begin at what another has reached, after the last that came to less than this part of its square."""
 NEARLY = 1e-3
 """Part of the largest square that a tie misses, up to which another one is as good as met."""
@@ -83,7 +86,8 @@ def begin_at(loops, work, ask, last, key, count):
         for v in range(loops.nv):
             work.way[v] = 1.0 if unit(mix(fresh, np.uint64(v))) < share else 0.0
     for v in range(loops.nv):
-        sort, i = sort_of(loops, v), place_of(loops, v)
+        sort = sort_of(loops, v)
+        i = place_of(loops, v)
         if work.way[v] != 0.0 and not is_held(loops, v):
             if sort == L.BALL_FIRST:
                 copy(beyond(loops.q, i), work.aside, i, 4)
@@ -97,18 +101,24 @@ def mark_own(loops, work, ask, last, all_missed):
 
     The equations must be those of q. Rows between bounds keep nothing.
     """
-    plan, worst, which = loops.plan, 0.0, -1
+    plan = loops.plan
+    worst = 0.0
+    which = -1
     for k in range(plan[L.N_TIES]):
         if 0 <= ask.stage[k] <= last and ask.hard[k] != 0:
             square = square_of_tie(loops, ask, k)
             if square > worst:
-                worst, which = square, k
-    own, kept = False, False
+                worst = square
+                which = k
+    own = False
+    kept = False
     for v in range(loops.nv):
         work.way[v] = 0.0
         if is_held(loops, v):
             continue
-        at, moves, keeps = plan[L.AT_VARS] + v, False, False
+        at = plan[L.AT_VARS] + v
+        moves = False
+        keeps = False
         for use in range(plan[at], plan[at + 1]):
             k = plan[plan[L.AT_USES] + L.USE_INTS * use]
             if not 0 <= ask.stage[k] <= last or ask.hard[k] == 0:
@@ -118,6 +128,7 @@ def mark_own(loops, work, ask, last, all_missed):
             elif plan[plan[L.AT_TIES] + L.TIE_INTS * k + L.BOUND] < 0:
                 keeps = True
         if moves and not keeps:
-            work.way[v], own = 1.0, True
+            work.way[v] = 1.0
+            own = True
         kept = kept or keeps
     return own and kept

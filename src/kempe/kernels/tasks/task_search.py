@@ -43,7 +43,8 @@ from kempe.kernels.tasks.level_rows import (
 from kempe.kernels.tasks.lexicographic import ROUNDING, TIGHT, descend, lower
 from kempe.kernels.tasks.restarts import begin, begin_at, to_middle
 
-AGAIN, LOWER = 5, 0.99
+AGAIN = 5
+LOWER = 0.99
 """Starts of a first stage that is soft, and the part of its square below which another than the first one counts."""
 GAIN = 1e-6
 """Part of what a soft stage misses that a hard one behind it must cost before it is let go."""
@@ -52,7 +53,13 @@ GAIN = 1e-6
 @routine
 def search(loops, work, ask, last, key, tries, limit, stop):
     """Whether the hard stages up to `last` are met, whether the time was up, steps and starts; q is the nearest."""
-    best, count, steps, good, late, left, least = np.inf, 0, 0, False, False, 0, np.inf
+    best = np.inf
+    count = 0
+    steps = 0
+    good = False
+    late = False
+    left = 0
+    least = np.inf
     to_middle(loops, work.home, work.trial)
     while count < tries and not good:
         late = is_late(loops, stop, work.ahead, work.wish)
@@ -63,12 +70,14 @@ def search(loops, work, ask, last, key, tries, limit, stop):
         else:
             begin(loops, work, ask, key, count)
         square, good, used = descend(loops, work, ask, last, 0.0, limit)
-        steps, count = steps + used, count + 1
+        steps = steps + used
+        count = count + 1
         if square < best or good:
             best = square
             copy(work.best, work.kept, 0, loops.nq)
         if left == 0 or square < restarts.LOWER * least:
-            left, least = restarts.AGAIN if count >= restarts.PLAIN and square < LARGEST else 0, square
+            left = restarts.AGAIN if count >= restarts.PLAIN and square < LARGEST else 0
+            least = square
             copy(work.rest, work.kept, 0, loops.nq)
         else:
             left -= 1
@@ -83,14 +92,19 @@ def search_down(loops, work, ask, key, tries, limit, stop):
     First all hard tasks at once; where that fails, those of fewer and fewer stages. Soft stages before a hard one are
     first tried as if they were hard: where all of them can be met, nothing is lower.
     """
-    last, good, late, steps, most = ask.stages, False, False, 0, 0
+    last = ask.stages
+    good = False
+    late = False
+    steps = 0
+    most = 0
     while last > 1 and not is_hard(loops, ask, last):
         last -= 1
     while not (good or late) and last > 0:
         for softly in range(2):
             if not (good or late) and (softly == 1 or harden(loops, ask, last)):
                 good, late, used, count = search(loops, work, ask, last, key, tries, limit, stop)
-                steps, most = steps + used, max(most, count)
+                steps = steps + used
+                most = max(most, count)
             restore(loops, ask)
         if not good:
             last -= 1
@@ -121,14 +135,18 @@ def lower_first(loops, work, ask, stage, limit, mode, stop):
 @routine
 def lower_again(loops, work, ask, key, tries, limit, stop):
     """Steps, whether the time was up, starts; lowers the first stage from other starts, too, and keeps the least."""
-    least, steps, late, count = square_of(loops, ask, 1, 1, False), 0, False, 1
+    least = square_of(loops, ask, 1, 1, False)
+    steps = 0
+    late = False
+    count = 1
     part = 1.0 - GAIN if ask.loose else LOWER
     copy(work.aside, loops.q, 0, loops.nq)
     while count < min(tries, AGAIN) and not late and missed_softly(loops, ask):
         to_middle(loops, work.home, work.trial)
         begin(loops, work, ask, key, count)
         used, late = lower(loops, work, ask, 1, limit, NOTHING, stop)
-        steps, count = steps + used, count + 1
+        steps = steps + used
+        count = count + 1
         square = square_of(loops, ask, 1, 1, False)
         if square < part * least and missed(loops, ask, 0, 0) <= 1.0:
             least = square
@@ -141,17 +159,20 @@ def lower_again(loops, work, ask, key, tries, limit, stop):
 @routine
 def unwind(loops, work, ask, stage):
     """Turn angles that a stage holds back by whole turns towards their goals, where that costs no earlier stage."""
-    plan, q = loops.plan, loops.q
+    plan = loops.plan
+    q = loops.q
     for k in range(plan[L.N_TIES]):
         tie = plan[L.AT_TIES] + L.TIE_INTS * k
         v = plan[tie + L.DATA]
         if ask.stage[k] != stage or plan[tie + L.TURNS] != L.OWN or sort_of(loops, v) != L.BOUND_TURN:
             continue
         i = place_of(loops, v)
-        x, y = q[i], nearest_turn(q[i], number_of(loops, k))
+        x = q[i]
+        y = nearest_turn(q[i], number_of(loops, k))
         if abs(x - y) < 1.0 or y < number(loops, 1, v) or y > number(loops, 2, v):
             continue
-        own, before = square_of(loops, ask, stage, stage, False), square_of(loops, ask, 0, stage - 1, False)
+        own = square_of(loops, ask, stage, stage, False)
+        before = square_of(loops, ask, 0, stage - 1, False)
         q[i] = y
         assess(loops, work)
         now = square_of(loops, ask, stage, stage, False)
@@ -202,14 +223,16 @@ def reach(loops, work, ask, key, tries, limit, mode, stop):
             continue
         if s >= first:
             copy(work.held, loops.q, 0, loops.nq)
-            enough, worst = 4.0 * square_of(loops, ask, 0, s - 1, False), missed(loops, ask, 0, s - 1)
+            enough = 4.0 * square_of(loops, ask, 0, s - 1, False)
+            worst = missed(loops, ask, 0, s - 1)
             if s <= ask.stages:
                 unwind(loops, work, ask, s)
             used, late = lower_first(loops, work, ask, s, 4 * limit, mode if s > ask.stages else NOTHING, stop)
             steps += used
             if s == 1 and s <= ask.stages and not (pinned or late):
                 used, late, count = lower_again(loops, work, ask, key, tries, 4 * limit, stop)
-                steps, most = steps + used, max(most, count)
+                steps = steps + used
+                most = max(most, count)
             lost = not square_of(loops, ask, 0, s - 1, False) <= max(enough, ROUNDING)
             if lost or missed(loops, ask, 0, s - 1) > max(worst, 1.0):
                 copy(loops.q, work.held, 0, loops.nq)
@@ -246,7 +269,11 @@ def solve(
     whether a free base may be moved before the first start.
     out_q: (N, nq). info: (N, 3) status, steps, starts.
     """
-    nq, nv, n_rows, m, ties = ints[NQ], ints[NV], ints[TABLE_ROWS], plan[L.N_ROWS], plan[L.N_TIES]
+    nq = ints[NQ]
+    nv = ints[NV]
+    n_rows = ints[TABLE_ROWS]
+    m = plan[L.N_ROWS]
+    ties = plan[L.N_TIES]
     sweep = scratch_size(n_rows)
     block = np.empty(sweep + 9 * nq + 5 * nv + 9 * m + 3 * ties + plan[L.BLOCKS] + plan[L.ENVELOPE] + 8)
     scratch = raw(block)
@@ -261,9 +288,12 @@ def solve(
                 beyond(rows, 6 * m), beyond(rows, 7 * m), beyond(rows, 8 * m), a, beyond(q, nq), beyond(q, 2 * nq),
                 beyond(q, 3 * nq), beyond(q, 4 * nq), beyond(q, 5 * nq), beyond(q, 6 * nq),
                 beyond(q, 7 * nq), beyond(q, 8 * nq))  # fmt: skip
-    last, between = 0, False
+    last = 0
+    between = False
     for k in range(ties):
-        weight[k], weight[ties + 2 * k], weight[ties + 2 * k + 1] = strengths[k, 0], strengths[k, 1], strengths[k, 2]
+        weight[k] = strengths[k, 0]
+        weight[ties + 2 * k] = strengths[k, 1]
+        weight[ties + 2 * k + 1] = strengths[k, 2]
         last = max(last, stages[k])
         between = between or (stages[k] >= 0 and plan[plan[L.AT_TIES] + L.TIE_INTS * k + L.BOUND] >= 0)
     now = np.empty(2 * ties, dtype=np.int64)
@@ -275,7 +305,10 @@ def solve(
                             beyond(scratch, poses_at(n_rows)), rows, blocks, n_rows, nq, nv)  # fmt: skip
         copy(q, beyond(raw(starts), i * nq if starts.shape[0] > 1 else 0), 0, nq)
         copy(work.goal, beyond(raw(goals), i * nq if goals.shape[0] > 1 else 0), 0, nq)
-        status, steps, count, fine = BAD_INPUT, 0, 0, sound(loops, work.home)
+        status = BAD_INPUT
+        steps = 0
+        count = 0
+        fine = sound(loops, work.home)
         for j in range(pins.shape[1]):
             fine = fine and abs(pin[j]) < LARGEST
         for j in range(plan[L.N_PINS]):
@@ -285,7 +318,9 @@ def solve(
             status, steps, count = reach(loops, work, ask, key, tries, limit, mode, stop)
         for k in range(nq):
             out_q[i, k] = q[k] if fine else math.nan
-        info[i, 0], info[i, 1], info[i, 2] = status, steps, count
+        info[i, 0] = status
+        info[i, 1] = steps
+        info[i, 2] = count
         missing += int(status % LATE != SOLVED)
     keep(block)
     keep(now)

@@ -63,11 +63,14 @@ class Enclosure:
                 return Enclosure(self.mid * other, self.rad * np.abs(other))
         return _joined([_sum(self.terms, other.terms, range(k + 1), k) for k in range(len(self.mid))])
 
-    __radd__, __rmul__ = __add__, __mul__
+    __radd__ = __add__
+    __rmul__ = __mul__
 
     def __truediv__(self, other: Enclosure) -> Enclosure:
         """The quotient, unknown where the divisor may be zero."""
-        a, b, out = self.terms, other.terms, list[Enclosure]()
+        a = self.terms
+        b = other.terms
+        out = list[Enclosure]()
         one = _inverse(b[0])
         for k in range(len(a)):
             out.append(_times(a[k] - _sum(out, b, range(k), k) if k else a[0], one))
@@ -75,7 +78,8 @@ class Enclosure:
 
     def root(self) -> Enclosure:
         """The square root of what is not negative; its slopes are unknown where that may be zero."""
-        a, (low, high) = self.terms, (np.sqrt(np.maximum(x, 0.0)) for x in (self.low, self.high))
+        a = self.terms
+        (low, high) = (np.sqrt(np.maximum(x, 0.0)) for x in (self.low, self.high))
         out = [Enclosure((0.5 * (low + high))[None], (0.5 * (high - low) + UNIT * high)[None])]
         half = _inverse(out[0] * 2.0)
         for k in range(1, len(a)):
@@ -90,8 +94,10 @@ class Enclosure:
 
 def interval(low: Array, high: Array, order: int) -> Enclosure:
     """The variable itself on the intervals from `low` (n,) to `high` (n,)."""
-    mid, rad = np.zeros((order + 1, len(low))), np.zeros((order + 1, len(low)))
-    mid[0], rad[0] = 0.5 * (low + high), 0.5 * (high - low)
+    mid = np.zeros((order + 1, len(low)))
+    rad = np.zeros((order + 1, len(low)))
+    mid[0] = 0.5 * (low + high)
+    rad[0] = 0.5 * (high - low)
     mid[1:2] = 1.0
     return Enclosure(mid, rad)
 
@@ -100,13 +106,17 @@ def constant(values: Array, order: int, error: Array | float = 0.0) -> Enclosure
     """Constants (n,), each up to an `error`."""
     mid = np.zeros((order + 1, len(values)))
     rad = np.zeros_like(mid)
-    mid[0], rad[0] = values, error
+    mid[0] = values
+    rad[0] = error
     return Enclosure(mid, rad)
 
 
 def cos_sin(x: Enclosure) -> tuple[Enclosure, Enclosure]:
     """Cosine and sine of a series that is linear, as of an angle that turns evenly."""
-    c, s, h, m = np.cos(x.mid[0]), np.sin(x.mid[0]), x.rad[0], x.mid[1:2].sum(axis=0)
+    c = np.cos(x.mid[0])
+    s = np.sin(x.mid[0])
+    h = x.rad[0]
+    m = x.mid[1:2].sum(axis=0)
     near: list[tuple[Array, Array]] = []
     for value, slope in ((c, s), (s, c)):
         near.append((value, np.minimum(np.abs(slope) * h + 0.5 * h * h, 2.0) + UNIT))
@@ -125,7 +135,8 @@ def cos_sin(x: Enclosure) -> tuple[Enclosure, Enclosure]:
 
 def _raw(mid: Array, rad: Array) -> Enclosure:
     out = Enclosure.__new__(Enclosure)
-    out.mid, out.rad = mid, rad
+    out.mid = mid
+    out.rad = rad
     return out
 
 
@@ -149,6 +160,7 @@ def _sum(a: list[Enclosure], b: list[Enclosure], which: range, k: int) -> Enclos
 
 def _inverse(a: Enclosure) -> Enclosure:
     """One through a number."""
-    size, least = np.abs(a.mid), np.abs(a.mid) - a.rad * (1.0 + UNIT)
+    size = np.abs(a.mid)
+    least = np.abs(a.mid) - a.rad * (1.0 + UNIT)
     with np.errstate(divide="ignore", invalid="ignore"):
         return Enclosure(np.where(least > 0.0, 1.0 / a.mid, np.inf), a.rad / (size * least) * (1.0 + UNIT))

@@ -70,7 +70,8 @@ def least_squares_of_many(A: Array, b: Array, cut: float = CUT) -> Array:
         return np.concatenate([least_squares_of_many(A[i : i + most], b[i : i + most], cut) for i in range(0, k, most)])
     if m > LARGE:
         look()
-    At, wide = np.swapaxes(A, -1, -2), A.shape[-2] < A.shape[-1]
+    At = np.swapaxes(A, -1, -2)
+    wide = A.shape[-2] < A.shape[-1]
     G = A @ At if wide else At @ A
     n = G.shape[-1]
     right = np.empty((len(A), n, 2))
@@ -106,7 +107,8 @@ def gauss_newton(
     and with `halving` before one longer than half the one before. Steps are shortened to `longest`. `step` gives
     another step (n,) at (x, r, J) than `least_squares`, `move` the point to which one leads.
     """
-    before, k = math.inf, 0
+    before = math.inf
+    k = 0
     while True:
         if len(x) > LARGE:
             look()
@@ -117,7 +119,9 @@ def gauss_newton(
         size = math.hypot(*y.tolist())  # no overflow on the way
         if not NOTHING < size < math.inf or (halving and size > 0.5 * before):
             break
-        x, before, k = move(x, y * (longest / size) if size > longest else y), size, k + 1
+        x = move(x, y * (longest / size) if size > longest else y)
+        before = size
+        k = k + 1
     return GaussNewtonEnd(x, r, J)
 
 

@@ -90,7 +90,8 @@ def over_chunks(
             look()
             total += work(i, min(i + piece, count))
         return total
-    starts, watching = iter(range(0, count, chunk)), checks()
+    starts = iter(range(0, count, chunk))
+    watching = checks()
 
     def take(i: int) -> int:
         look()

@@ -123,7 +123,8 @@ class Result:
         return "\n".join([self._headline(), *(f"  {line}" for line in (*self._lines(), *self._notes()))])
 
     def _repr_html_(self) -> str:
-        cells, head = self._cells(), paragraphs([self._headline()])
+        cells = self._cells()
+        head = paragraphs([self._headline()])
         body = table_html(*cells) if len(cells[1]) else paragraphs(self._lines())
         return head + body + paragraphs(self._notes()) + self._image()
 

@@ -17,8 +17,10 @@ def sign_change(f: Callable[[float], float], low: float, high: float) -> float |
     algorithm for finding the zero of a nonlinear function without using derivatives", Advances in Engineering
     Software 28 (1997), 145-149.
     """
-    b, a = low, high
-    fb, fa = f(b), f(a)
+    b = low
+    a = high
+    fb = f(b)
+    fa = f(a)
     if fa == 0.0 or fb == 0.0:
         return b if fb == 0.0 else a
     if (fa > 0.0) == (fb > 0.0) or math.isnan(fa + fb):
@@ -28,15 +30,18 @@ def sign_change(f: Callable[[float], float], low: float, high: float) -> float |
         x = a + part * (b - a)
         fx = f(x)
         if (fx > 0.0) == (fa > 0.0):
-            c, fc = a, fa
+            c = a
+            fc = fa
         else:
             b, fb, c, fc = a, fa, b, fb
-        a, fa = x, fx
+        a = x
+        fa = fx
         best, least = (a, fa) if abs(fa) < abs(fb) else (b, fb)
         margin = ROUNDING * (1.0 + 2.0 * abs(best)) / abs(b - a)
         if least == 0.0 or margin > 0.5:
             return best
-        xi, phi = (a - b) / (c - b), (fa - fb) / (fc - fb)
+        xi = (a - b) / (c - b)
+        phi = (fa - fb) / (fc - fb)
         part = 0.5
         if phi * phi < xi and (1.0 - phi) ** 2 < 1.0 - xi:
             part = fa / (fb - fa) * fc / (fb - fc) + (c - a) / (b - a) * fa / (fc - fa) * fb / (fc - fb)

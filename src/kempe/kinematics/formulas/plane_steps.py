@@ -18,7 +18,8 @@ Vector = tuple[Any, Any]
 
 def turned(v: Vector, angle: Any) -> Vector:
     """A vector, turned by an angle."""
-    c, s = sympy.cos(angle), sympy.sin(angle)
+    c = sympy.cos(angle)
+    s = sympy.sin(angle)
     return c * v[0] - s * v[1], s * v[0] + c * v[1]
 
 
@@ -105,7 +106,8 @@ def line_and_circle(n: Names, to: Vector, along: Vector, length: Any) -> tuple[l
 
     Where `sign` is +1 it slides farther than where both roots meet.
     """
-    ahead, aside = to[0] * along[0] + to[1] * along[1], cross(along, to)
+    ahead = to[0] * along[0] + to[1] * along[1]
+    aside = cross(along, to)
     steps = [
         FormulaStep(n.s2, aside / length, "part of the way across the slide", unless_zero(length)),
         FormulaStep(n.c2, -n.sign * sympy.sqrt(1 - n.s2**2), "+1 slides farther", f"-1 <= {n.s2} <= 1"),
@@ -120,7 +122,8 @@ def turning_slide(n: Names, to: Vector, across: Any) -> tuple[list[FormulaStep],
 
     Where `sign` is +1 it slides farther than where both roots meet, the foot of the rail's normal.
     """
-    (x, y), least = to, across**2
+    (x, y) = to
+    least = across**2
     far = f"{n.r2} >= {float(least):.6g}" if least.is_number else f"{n.r2} >= {least}"
     steps = [
         FormulaStep(n.r2, x**2 + y**2, "both parts of the position squared and summed"),

@@ -147,7 +147,8 @@ def _inverse(step: SymbolicStep) -> SymbolicStep:
 
 def way_to(system: Compiled, name: str, leaves: SymbolLeaves) -> list[tuple[str, list[SymbolicStep]]]:
     """Each body on the way from the ground to a body or frame, with the motions from the body before it."""
-    mechanism, tree = system.mechanism, system.structure.topology
+    mechanism = system.mechanism
+    tree = system.structure.topology
     frame = mechanism.frames.get(name)
     number = tree.bodies.index(frame.body if frame else name)
     out: list[tuple[str, list[SymbolicStep]]] = []
@@ -172,7 +173,8 @@ def _joint_steps(system: Compiled, joint: Joint, backwards: bool, leaves: Symbol
 
 def joint_motions(system: Compiled, joint: Joint, backwards: bool, leaves: SymbolLeaves) -> Iterator[SymbolicStep]:
     """The motions of a joint from its frame F to M, or back."""
-    mechanism, subject = system.mechanism, f"joint {joint.name!r}"
+    mechanism = system.mechanism
+    subject = f"joint {joint.name!r}"
     names = coordinate_names(mechanism, joint)
     primitives = joint.type.layout(mechanism.dim, mechanism.bodies[joint.child].particle)[1]
     sign = -1 if backwards else 1
@@ -223,7 +225,8 @@ class SymbolLeaves:
         if isinstance(snap, bool) or not isinstance(snap, (int, float)) or not 0.0 <= snap < math.pi / 4:
             raise InputError(f"snap is {snap!r}; it must be an angle in radians, from 0 to less than pi/4")
         mechanism = system.mechanism
-        self.snap, self.locks = float(snap), mechanism.locks
+        self.snap = float(snap)
+        self.locks = mechanism.locks
         self.snapped: list[str] = []
         allowed = (*system.coordinate_names, *mechanism.parameters)
         for name in symbols:

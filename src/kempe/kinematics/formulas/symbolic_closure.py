@@ -77,8 +77,10 @@ def symbolic_closure(
     >>> symbolic_closure(kempe.load("four_bar"))["C"][0]
     a*cos(A) + b*cos(A + B) - c*cos(D) - d
     """
-    leaves, m = SymbolLeaves(system, symbols or {}, snap), system.mechanism
-    explicit, out = must_be_explicit(system), dict[str, Any]()
+    leaves = SymbolLeaves(system, symbols or {}, snap)
+    m = system.mechanism
+    explicit = must_be_explicit(system)
+    out = dict[str, Any]()
     for name in system.structure.closures:
         out[name] = _of_joint(system, m.joints[name], name in explicit, leaves)
     for constraint in m.constraints.values():
@@ -95,7 +97,9 @@ def _way(system: Compiled, body: str, leaves: SymbolLeaves) -> Steps:
 
 
 def _of_joint(system: Compiled, joint: Joint, explicit: bool, leaves: SymbolLeaves) -> Any:
-    m, dim, subject = system.mechanism, system.dim, f"joint {joint.name!r}"
+    m = system.mechanism
+    dim = system.dim
+    subject = f"joint {joint.name!r}"
     particle = m.bodies[joint.child].particle
     form = None if explicit else implicit_form(joint.type, dim, particle)
     F = [*_way(system, joint.parent, leaves), *placement_steps(joint.X_PF, subject, leaves)]
@@ -103,8 +107,10 @@ def _of_joint(system: Compiled, joint: Joint, explicit: bool, leaves: SymbolLeav
     if form is None:  # F is led on by the joint's own motion, and all of M is held there
         F += joint_motions(system, joint, False, leaves)
         form = ImplicitForm("xyz"[:dim], "" if particle else "z" if dim == 2 else "xyz", ())
-    X_F, X_M = pose_of(F, leaves), pose_of(M, leaves)
-    gap, R = X_F[:3, 3] - X_M[:3, 3], X_F[:3, :3]
+    X_F = pose_of(F, leaves)
+    X_M = pose_of(M, leaves)
+    gap = X_F[:3, 3] - X_M[:3, 3]
+    R = X_F[:3, :3]
     if len(form.position) == dim:
         places = list(gap[:dim, :])
     elif slides_along_z(joint.type, dim, particle):
@@ -125,7 +131,9 @@ def _turns(held_turns: str, F: Steps, M: Steps, leaves: SymbolLeaves) -> list[An
 
 
 def _of_constraint(system: Compiled, constraint: Declared, leaves: SymbolLeaves) -> Any:
-    dim, of, subject = system.dim, constraint.of, f"constraint {constraint.name!r}"
+    dim = system.dim
+    of = constraint.of
+    subject = f"constraint {constraint.name!r}"
     rows = position_rows(of, dim)
     other = [r for r in rows if r.op not in (Op.POINT, Op.DISTANCE)]
     if other or not constraint.parent:
@@ -133,7 +141,8 @@ def _of_constraint(system: Compiled, constraint: Declared, leaves: SymbolLeaves)
                                "and of points on lines and planes; loops.constraints() has numbers")  # fmt: skip
     made = with_numbers(of, system.structure.parameters)
     ends: list[Any] = []
-    goal, tool = made.goal(dim), np.reshape(made.tool(dim), (4, 4))
+    goal = made.goal(dim)
+    tool = np.reshape(made.tool(dim), (4, 4))
     for body, X, more in ((constraint.parent, constraint.X_PF, goal), (constraint.child, constraint.X_CM, tool)):
         steps = [*_way(system, body, leaves), *placement_steps(X @ placement_of_pose(more), subject, leaves)]
         ends.append(pose_of(steps, leaves))

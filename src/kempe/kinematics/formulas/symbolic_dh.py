@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 SMALL = 1e-12
 """Numbers below this are rounding."""
-PARALLEL, NEARLY = 1e-8, 1e-3
+PARALLEL = 1e-8
+NEARLY = 1e-3
 """Directions nearer than the first [rad] are parallel: the feet of their common normal would be so far away that their
 digits say less. Of those nearer than the second the normal is small."""
 
@@ -46,7 +47,8 @@ class DHTable(Report):
 
     def mechanism(self) -> Mechanism:
         """The chain that `kempe.from_dh` makes of it; its frame 'tool' is where the frame was."""
-        parameters, ends = self.system.structure.parameters, (placement_of_pose(X) for X in (self.base, self.tool))
+        parameters = self.system.structure.parameters
+        ends = (placement_of_pose(X) for X in (self.base, self.tool))
         return from_dh(self.rows, self.convention, self.system.name, *ends, parameters=parameters)
 
     @property
@@ -107,8 +109,10 @@ def to_dh(
       joint = q1, a = l1, alpha = 0, d = 0, theta = q1
       joint = q2, a = l2, alpha = 0, d = 0, theta = q2
     """
-    convention, name = known("convention", convention, CONVENTIONS), system.structure.frame_name(frame)
-    given, values = dict(symbols or {}), system.structure.parameters
+    convention = known("convention", convention, CONVENTIONS)
+    name = system.structure.frame_name(frame)
+    given = dict(symbols or {})
+    values = system.structure.parameters
     while True:
         found = _tabled(system, name, convention, SymbolLeaves(system, given, snap))
         if isinstance(found, DHTable):
@@ -125,19 +129,28 @@ def _tabled(system: Compiled, frame: str, convention: str, leaves: SymbolLeaves)
     tip_R = np.array(tip[:3, :3], dtype=float)
     lines = [*axes, JointLine(tip[:3, 3], tip[:3, 2])]
     start, x = _first(lines[0])
-    ends, x_axes = [(start, start)], [x]  # feet of the normal on the axis and on the next one
+    # feet of the normal on the axis and on the next one
+    ends = [(start, start)]
+    x_axes = [x]
     for i, (one, two) in enumerate(zip(lines[:-1], lines[1:], strict=True)):
         foot, other, x = _normal(one, two, ends[-1][1], x_axes[-1], system, last=i == len(axes) - 1)
         if x.free_symbols:
             return x.free_symbols
         ends.append((foot, other))
         x_axes.append(x)
-    rows, before = list[DHRow](), (0.0, 0.0)
+    rows = list[DHRow]()
+    before = (0.0, 0.0)
     for i, axis in enumerate(axes):
-        (_, at), (foot, other), h, x = ends[i], ends[i + 1], axis.along, x_axes[i + 1]
-        a, d = _value(_chopped((other - foot).dot(x))), _value(_chopped((foot - at).dot(h)))
-        alpha, theta = _value(angle_about(h, lines[i + 1].along, x)), _value(angle_about(x_axes[i], x, h))
-        held, before = ((a, alpha) if convention == "standard" else before), (a, alpha)
+        (_, at) = ends[i]
+        (foot, other) = ends[i + 1]
+        h = axis.along
+        x = x_axes[i + 1]
+        a = _value(_chopped((other - foot).dot(x)))
+        d = _value(_chopped((foot - at).dot(h)))
+        alpha = _value(angle_about(h, lines[i + 1].along, x))
+        theta = _value(angle_about(x_axes[i], x, h))
+        held = (a, alpha) if convention == "standard" else before
+        before = (a, alpha)
         rows.append(DHRow(*held, d, theta, "revolute" if axis.turns else "prismatic", axis.name, limits=axis.limits))
     base = _pose(x_axes[0], lines[0].along, start, system)
     last = ends[-1][1 if convention == "standard" else 0]
@@ -189,7 +202,8 @@ def joint_lines(
 
 def _first(axis: JointLine) -> tuple[Any, Any]:
     """Origin and x axis of frame 0: nearest to the ground on the first axis, with x of the ground if it can be."""
-    h, foot = axis.along, axis.point - axis.along * axis.along.dot(axis.point)
+    h = axis.along
+    foot = axis.point - axis.along * axis.along.dot(axis.point)
     ground = sympy.Matrix([1, 0, 0] if abs(float(h[0])) < 0.9 else [0, 1, 0])
     x = ground - h * h.dot(ground)
     return foot, tidy(x / sympy.sqrt(x.dot(x)))
@@ -202,7 +216,9 @@ def _normal(one: JointLine, two: JointLine, at: Any, x: Any, system: Compiled, l
     where the axes are one; the last normal of parallel axes goes through the tip. Where the direction depends on
     lengths these are its symbols.
     """
-    h, k, gap = one.along, two.along, two.point - at
+    h = one.along
+    k = two.along
+    gap = two.point - at
     n = h.cross(k)
     sine = math.sqrt(float(n.dot(n)))
     if sine < PARALLEL:
@@ -258,7 +274,8 @@ def _numbers(v: Any, system: Compiled) -> Array:
 
 
 def _pose(x: Any, z: Any, origin: Any, system: Compiled) -> Array:
-    across, along = _numbers(x, system), _numbers(z, system)
+    across = _numbers(x, system)
+    along = _numbers(z, system)
     across = across - along * (along @ across)  # of axes that are nearly parallel x is a rounded normal
     across = across / np.linalg.norm(across)
     axes = [across, np.cross(along, across), along]

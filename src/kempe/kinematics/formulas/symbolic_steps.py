@@ -66,13 +66,15 @@ class SymbolicSteps:
         `form` "matrices" has the homogeneous matrices and their product, "separate" R and p of each step and how they
         combine, "products" the pose in the ground frame after each step. Errors: `UnknownNameError` for other forms.
         """
-        ground, tip = self.names[0], self.names[-1]
+        ground = self.names[0]
+        tip = self.names[-1]
         ways = list(zip(self.names[:-1], self.names[1:], strict=True))
         form = known("form", form, FORMS)
         if form == "separate":
             lines: list[str] = []
             for (a, b), T in zip(ways, self.T, strict=True):
-                p, R = in_latex(T[:3, 3]), in_latex(T[:3, :3])
+                p = in_latex(T[:3, 3])
+                R = in_latex(T[:3, :3])
                 lines.append(f"{_left(a, b, 'p')} &= {p}, \\quad {_left(a, b, 'R')} = {R}")
             place = _left(*ways[-1], "p")
             for a, b in reversed(ways[:-1]):
@@ -143,7 +145,8 @@ def symbolic_jacobian(
     `system.jacobian` gives in numbers. It is multiplied out where that is short. `symbols`, `snap` and errors are those
     of `symbolic_steps`; besides, `UnsupportedError` where a ball with a quaternion moves the frame.
     """
-    leaves, given = SymbolLeaves(system, {}, snap), SymbolLeaves(system, symbols or {}, snap).given
+    leaves = SymbolLeaves(system, {}, snap)
+    given = SymbolLeaves(system, symbols or {}, snap).given
     parts = oriented_way(system, frame, leaves)
     steps = unwrapped(step for _, motions in parts for step in motions)
     names = system.structure.velocity_names
@@ -204,7 +207,8 @@ def short_form(system: Compiled, formula: Any) -> ShortForm:
         raise InputError(f"formula is {shown(formula)}; it must be an expression or a matrix of sympy")
     formula = read
     legend: dict[Any, Any] = {}
-    words, angles = _words(system), dict[str, Any]()
+    words = _words(system)
+    angles = dict[str, Any]()
     for found in sorted(formula.atoms(sympy.sin, sympy.cos), key=str):
         angle = found.args[0]
         label = _label(words, angle)

@@ -109,7 +109,8 @@ class TurnProduct:
             self.corner = _Turn(sympy.zeros(3, 1), axis, angle).rotation() * self.corner
             return
         if _is_corner(axis) and min(axis) < 0:
-            axis, angle = -axis, -angle
+            axis = -axis
+            angle = -angle
         last = self.turns[-1]
         if last.axis is not None and last.axis in (axis, -axis):
             # turn(a) way turn(b) = [turn(a) way], then turn(a + b)
@@ -142,10 +143,12 @@ class TurnProduct:
 
     def pose(self) -> tuple[Any, Any]:
         """Rotation (3, 3) and position (3, 1)."""
-        rotation, position = self.corner, sympy.zeros(3, 1)
+        rotation = self.corner
+        position = sympy.zeros(3, 1)
         for turn in reversed(self.turns):
             R_turn = turn.rotation()
-            rotation, position = _product(R_turn, rotation), _product(R_turn, turn.way + position)
+            rotation = _product(R_turn, rotation)
+            position = _product(R_turn, turn.way + position)
         return rotation, position
 
 

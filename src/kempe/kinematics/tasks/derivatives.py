@@ -14,7 +14,9 @@ from kempe.model.tree.coordinate_layout import Layout
 from kempe.reals import reals
 from kempe.spatial import Array
 
-SUPPLIED, COMPLEX, DIFFERENCES = "supplied", "complex step", "central differences"
+SUPPLIED = "supplied"
+COMPLEX = "complex step"
+DIFFERENCES = "central differences"
 """Where a derivative comes from."""
 IMAGINARY_STEP = 1e-30
 """A complex step has no cancellation, so it can be this small (Squire, Trapp, 1998)."""

@@ -38,7 +38,10 @@ class Whole:
     """
 
     def __init__(self, system: Compiled, of: Any):
-        self.system, self.label, self.given, self.supplied = system, of.label, of.function, of.derivative
+        self.system = system
+        self.label = of.label
+        self.given = of.function
+        self.supplied = of.derivative
         self.frames = tuple(system.structure.frame_name(f) for f in listed(of.frames, f"frames of {of.label}"))
         takes = f"of {counted(len(self.frames), 'pose')} (4, 4)" if self.frames else f"of q ({system.nq},)"
         if not callable(of.function):
@@ -96,7 +99,8 @@ class Whole:
             layout = self.system.structure.layout
             return reals(jacobian_of(self.raw, self.supplied and self.derivative, self.how, layout, q),
                          f"the Jacobian of {self.label}").reshape(shape)  # fmt: skip
-        poses, J = self._inputs(q), np.zeros(shape)
+        poses = self._inputs(q)
+        J = np.zeros(shape)
         steps = STEP * np.repeat([characteristic_length(self.system), 1.0], 3)
         for k, frame in enumerate(self.frames):
             by = np.empty((self.count, 6))  # world-aligned twists at the origin of the frame
@@ -191,7 +195,8 @@ def held_too(system: SystemType, further: Any) -> SystemType:
     given: tuple[Any, ...] = tuple(further) if is_sequence(further) else (further,)
     if not given:
         return system
-    m, taken = system.mechanism, {*system.mechanism.constraints, *system.mechanism.joints}
+    m = system.mechanism
+    taken = {*system.mechanism.constraints, *system.mechanism.joints}
     for c in given:
         made = Function(c) if callable(c) and not isinstance(c, Constraint) else c
         if not isinstance(made, Constraint):

@@ -50,7 +50,8 @@ def lead_of(goals: Sequence[Goals]) -> tuple[int, ...]:
 
 def _wide(system: Compiled, tasks: Sequence[Task]) -> np.ndarray:
     """Angles (nv,) with limits a whole turn apart or more, which a whole turn does not change in anything else."""
-    table, c = own_tree(system).structure.table, system.structure.coordinates
+    table = own_tree(system).structure.table
+    c = system.structure.coordinates
     with np.errstate(invalid="ignore"):
         wide = c.turning & np.isfinite(c.upper - c.lower) & (c.upper - c.lower >= 2.0 * np.pi)
     for v in np.flatnonzero(wide):
@@ -77,7 +78,9 @@ class Packed:
         levels: Sequence[int] = (), closing: Compiled | None = None,
     ):  # fmt: skip
         made_of = (task_of(t, system.dim) if isinstance(t, Constraint) else t for t in tasks)
-        self.system, self.tasks, self.turns = system, tuple(made_of), turns
+        self.system = system
+        self.tasks = tuple(made_of)
+        self.turns = turns
         owner: dict[int, tuple[int, int]] = {}
         made: list[Tie] = []
 
@@ -114,7 +117,8 @@ class Packed:
         self.rows[ends[[system.dim == 2 and t.turns in TILTS for t in self.loops.ties]]] = -2
         self.closed = bool(np.any(self.rows == -1))
         """Whether loops or relations hold, too."""
-        at, v = system.structure.layout.vector_q, system.structure.layout.vector_v
+        at = system.structure.layout.vector_q
+        v = system.structure.layout.vector_v
         which = slice(len(at)) if np.array_equal(at, np.arange(len(at))) else at
         self.limits = which, system.lower[v] - ROUNDING, system.upper[v] + ROUNDING
         """Places in q of what has limits, and these."""
@@ -159,16 +163,20 @@ class Packed:
         from kempe.kernels.compiled import closure_batch
 
         q = as_q(self.system, q)
-        lead, loops, m = q.shape[:-1], self.loops, len(self.rows)
+        lead = q.shape[:-1]
+        loops = self.loops
+        m = len(self.rows)
         flat_q = q.reshape(math.prod(lead), self.system.nq)
         if pins is None:
             goals = [t.goals(self.system) for t in self.tasks]
             pins = self.pins(goals, lead if lead_of(goals) else ())
-        out, J = np.empty((len(flat_q), m)), np.empty((len(flat_q), m, self.system.nv))
+        out = np.empty((len(flat_q), m))
+        J = np.empty((len(flat_q), m, self.system.nv))
         closure_batch.equations(loops.ints, loops.floats, loops.plan, loops.weights, pins, flat_q, True, out, J)
         loops.check()
         use = self.rows == -1 if closures else self.rows >= 0
-        out, J = out[:, use], J[:, use]
+        out = out[:, use]
+        J = J[:, use]
         return out.reshape(*lead, out.shape[1]), J.reshape(*lead, *J.shape[1:])
 
 

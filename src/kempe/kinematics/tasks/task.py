@@ -35,7 +35,8 @@ Goals = list[tuple[Array | None, Array | None]]
 
 TILTS = (L.ALIGN, L.LOOK)
 """Ties on an axis, whose second equation holds of itself in the plane."""
-ABOVE, BELOW = (0.0, np.inf), (-np.inf, 0.0)
+ABOVE = (0.0, np.inf)
+BELOW = (-np.inf, 0.0)
 """Bounds of what is measured from an end."""
 FAR = 1e6
 """Where an end is put that only some targets have, in metres."""
@@ -68,8 +69,13 @@ class Task(ABC):
 
     def __init__(self, of: Constraint, dim: int, rows: tuple[Row, ...]):
         self.of: Any = of
-        self.dim, self.rows, self.label = dim, rows, of.label
-        self.weight, self.priority, self.tolerance, self.name = of.weight, of.priority, of.tolerance, of.name
+        self.dim = dim
+        self.rows = rows
+        self.label = of.label
+        self.weight = of.weight
+        self.priority = of.priority
+        self.tolerance = of.tolerance
+        self.name = of.name
 
     def exactly(self) -> Task:
         """The same without a tolerance of its own."""
@@ -112,7 +118,9 @@ class PlacedTask(Task):
     def __init__(self, of: Constraint, dim: int, rows: tuple[Row, ...]):
         super().__init__(of, dim, rows)
         self.shape = shape = shape_of(rows, dim)
-        self.lengths, self.angles, self.turned = shape.lengths, shape.angles, shape.turned
+        self.lengths = shape.lengths
+        self.angles = shape.angles
+        self.turned = shape.turned
         self.number = held(of, rows[0])
         self.bounded = one_sided(of, rows[0])
         self.point = shape.point and not self.bounded
@@ -134,7 +142,8 @@ class PlacedTask(Task):
     def ends(self) -> tuple[Array, Array] | None:
         """Low and high ends (n,), or (..., n) from target to target; None for an equality."""
         if self._ends is None and self.bounded:
-            low, high = self._side([r.low for r in self.rows], -np.inf), self._side([r.high for r in self.rows], np.inf)
+            low = self._side([r.low for r in self.rows], -np.inf)
+            high = self._side([r.high for r in self.rows], np.inf)
             if low.shape != high.shape:
                 low, high = np.broadcast_arrays(low, high)
             self._ends = low, high
@@ -147,7 +156,8 @@ class PlacedTask(Task):
             if n not in given:
                 x = getattr(self.of, n) if n else None
                 given[n] = None if x is None else numbers_of(x, f"{n} of {self.label}")
-        one, parts = given[names[0]], [r.part for r in self.rows]
+        one = given[names[0]]
+        parts = [r.part for r in self.rows]
         if one is not None and len(given) == 1 and None not in parts:
             return one[..., np.array(parts)]
         ends = [(given[n], k) for n, k in zip(names, parts, strict=True)]
@@ -161,7 +171,8 @@ class PlacedTask(Task):
         return self._holds
 
     def _all_holds(self, system: Compiled) -> list[TaskTie]:
-        h, ends = self.hold(system), self.ends()
+        h = self.hold(system)
+        ends = self.ends()
         if ends is None:
             return [h]
         if ends[0].ndim == 1:
@@ -199,7 +210,8 @@ class PlacedTask(Task):
 
     def goals(self, system: Compiled) -> Goals:
         """The goal's pose and its number; moved to each end that has a tie."""
-        goal, ends = self.goal(system), self.ends()
+        goal = self.goal(system)
+        ends = self.ends()
         distance = self.shape.turns == L.DISTANCE
         if ends is None or ends[0].ndim == 1:
             number = None
@@ -229,7 +241,8 @@ class PlacedTask(Task):
         self, system: Compiled, q: Array, goals: Goals | None = None, at: At | None = None
     ) -> tuple[Array, Array]:  # fmt: skip
         """How far (...) it is missed at q (..., nq), in metres and in radians, by the forward model."""
-        holds, goals = self.holds(system), self.goals(system) if goals is None else goals
+        holds = self.holds(system)
+        goals = self.goals(system) if goals is None else goals
         at = at or partial(fk, system, q)
         X = self.place(system, at, holds[0])
         with np.errstate(invalid="ignore", over="ignore"):  # of goals that are not finite
@@ -276,7 +289,8 @@ class Centred(PlacedTask):
 
     def centre(self, system: Compiled, table: Table) -> Centre:
         """The masses on the rows of the table."""
-        rows, rest = np.zeros((len(table.kind), 4)), np.zeros(3)
+        rows = np.zeros((len(table.kind), 4))
+        rest = np.zeros(3)
         for frame, point, mass in self._points(system):
             row, X, _ = table.at[frame]
             p = X[:3, :3] @ point + X[:3, 3]

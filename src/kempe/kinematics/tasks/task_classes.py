@@ -37,7 +37,8 @@ def family_of(rows: tuple[Row, ...]) -> type[Task] | None:
     if families != {PlacedTask}:
         return families.pop() if len(families) == 1 else Written
     further = [r for r in rows if r.op is not Op.POINT]
-    sided, valued = {bool(r.low or r.high) for r in rows}, any(r.equal for r in rows if r.op is not Op.DISTANCE)
+    sided = {bool(r.low or r.high) for r in rows}
+    valued = any(r.equal for r in rows if r.op is not Op.DISTANCE)
     alone = len(further) <= 1 and (len(rows) == 1 or Op.DISTANCE not in ops)
     return PlacedTask if alone and len(sided) == 1 and not valued and not (
         sided == {True} and further and further[0].op is not Op.DISTANCE) else Written  # fmt: skip

@@ -47,7 +47,8 @@ class Written(Task):
     def __init__(self, of: Constraint, dim: int, rows: tuple[Row, ...]):
         super().__init__(of, dim, rows)
         units = {r.unit for r in self.rows}
-        self.lengths, self.angles = "m" in units, units != {"m"}
+        self.lengths = "m" in units
+        self.angles = units != {"m"}
         self.lasting = all(r.op is not Op.CALL for r in self.rows)
         self.tool = np.reshape(of.tool(dim), (4, 4))
         self.posed = of.ends[1] is not None
@@ -82,7 +83,8 @@ class Written(Task):
         if not self.posed:
             return every_tie(system, self.label, self.made(system).of, GROUND, GROUND, True)
         a, b = self.names(system)
-        A, (row, X, particle) = GROUND if a is None else table.at[a], table.at[b]
+        A = GROUND if a is None else table.at[a]
+        (row, X, particle) = table.at[b]
         rows = self.made(system).rows
         turned = particle and (any(map(reads_axes, rows)) or np.any(self.tool[:3, 3]))
         if turned or (A[2] and any(r.op is not Op.DISTANCE for r in rows)):
@@ -118,14 +120,17 @@ class Written(Task):
     ) -> tuple[Array, Array]:  # fmt: skip
         """How far its values are from where they must be, by the forward model and plain numpy."""
         _, of, rows, ties = self.made(system)
-        goals, at = self.goals(system) if goals is None else goals, at or partial(fk, system, q)
+        goals = self.goals(system) if goals is None else goals
+        at = at or partial(fk, system, q)
         given: dict[str, Array] = {}
-        A, B = None, None
+        A = None
+        B = None
         for tie, (goal, numbers) in zip(ties, goals, strict=True):
             if numbers is not None and tie.tape:
                 given |= {n: numbers[..., k] for k, n in enumerate(tie.tape.given)}
             A = goal if A is None else A
         if A is not None:
             a, b = self.names(system)
-            A, B = A if a is None else at(a) @ A, at(b) @ self.tool
+            A = A if a is None else at(a) @ A
+            B = at(b) @ self.tool
         return missed(system, of, rows, q, A, B, given)

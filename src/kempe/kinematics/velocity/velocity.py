@@ -84,7 +84,9 @@ class _Recording:
     """The rows of a system being recorded, with their names."""
 
     def __init__(self, system: Compiled, table: Table, parameters: Mapping[str, float]):
-        self.system, self.parameters, self.names = system, parameters, list[RowName]()
+        self.system = system
+        self.parameters = parameters
+        self.names = list[RowName]()
         self.recorder = Recorder(table, system.coordinate_names, CLOCK)
         first = system.structure.coordinates.first
         self.known: dict[str, Num] = {n: i for i, n in enumerate(system.coordinate_names)}
@@ -93,7 +95,8 @@ class _Recording:
             self._quaternion(int(iq), int(iv))
         numbers = self.recorder.numbers
         for name, f in system.structure.couplings.items():
-            self.known[name], self.rates[name] = float(f.offset), {}
+            self.known[name] = float(f.offset)
+            self.rates[name] = {}
             if f.source is not None:
                 self.known[name] = numbers.add(numbers.mul(f.multiplier, self.known[f.source]), float(f.offset))
                 self.rates[name] = {("v", first[f.source][1]): f.multiplier}
@@ -115,10 +118,12 @@ class _Recording:
             self.names.append(RowName(tie.name, name, "m", False, bool(tie.bounds)))
 
     def _forms(self, tie: Tie) -> Iterator[Form]:
-        r, turns = self.recorder, tie.turns
+        r = self.recorder
+        turns = tie.turns
         seen = r.seen(tie.a, tie.b)
         if tie.tape is not None:
-            known, rates = {**self.known}, {TIME: {("v", r.table.nv): 1.0}, **self.rates}
+            known = {**self.known}
+            rates = {TIME: {("v", r.table.nv): 1.0}, **self.rates}
             for k in range(len(tie.tape.names)):
                 yield r.linear(tie.tape.tape, seen if tie.tape.posed else None, known, rates, k)[1]
             return
@@ -142,7 +147,8 @@ class _Recording:
             for axis in "xy":  # the axis across the line of sight
                 form = {}
                 for i in "xyz":
-                    (u, du), (p, dp) = seen(i + axis), seen(i)
+                    (u, du) = seen(i + axis)
+                    (p, dp) = seen(i)
                     form = r.sum_of(form, 1.0, r.sum_of(du, p, dp, u), 1.0)
                 yield form
         elif turns != L.NO_TURN:
@@ -169,7 +175,8 @@ class _Recording:
 
     def rows(self) -> VelocityRows:
         """What was recorded."""
-        system, table = self.system, self.recorder.table
+        system = self.system
+        table = self.recorder.table
         tape, entries = self.recorder.finish()
         turning = set(table.iv[table.kind != P].tolist())
         turning |= {v + i for v in table.iv[table.kind == Q].tolist() for i in range(3)}

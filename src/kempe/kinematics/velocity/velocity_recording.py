@@ -40,7 +40,8 @@ class Numbers:
 
     def of(self, op: int, a: Num, b: Num | None = None) -> Num:
         """An operation of the tape."""
-        x, build = self.place(a), self.builder
+        x = self.place(a)
+        build = self.builder
         made = build.unary(op, x) if b is None else build.binary(op, x, self.place(b))
         if made >= len(self.builder.inputs):
             known = self.builder._constant(made)
@@ -85,7 +86,8 @@ class Numbers:
 
     def cross(self, a: Any, b: Any) -> list[Num]:
         """The cross product of two vectors."""
-        m, s = self.mul, self.sub
+        m = self.mul
+        s = self.sub
         return [
             s(m(a[1], b[2]), m(a[2], b[1])), s(m(a[2], b[0]), m(a[0], b[2])), s(m(a[0], b[1]), m(a[1], b[0])),
         ]  # fmt: skip
@@ -113,8 +115,10 @@ class Recorder:
     """
 
     def __init__(self, table: Table, coordinates: tuple[str, ...], time: str):
-        self.table, self.builder = table, Builder([*coordinates, time])
-        self.numbers, self.time = Numbers(self.builder), len(coordinates)
+        self.table = table
+        self.builder = Builder([*coordinates, time])
+        self.numbers = Numbers(self.builder)
+        self.time = len(coordinates)
         self.entries: list[tuple[int, int, Num]] = []
         self.count = 0
         self._before: dict[int, RecordedPose] = {}
@@ -124,7 +128,8 @@ class Recorder:
 
     def moved(self, pose: RecordedPose, X: np.ndarray) -> RecordedPose:
         """pose @ X for a known X (4, 4)."""
-        n, X = self.numbers, np.asarray(X, dtype=float)
+        n = self.numbers
+        X = np.asarray(X, dtype=float)
         R = [[n.dot(row, X[:3, j].tolist()) for j in range(3)] for row in pose.R]
         p = [n.add(pose.p[i], n.dot(pose.R[i], X[:3, 3].tolist())) for i in range(3)]
         return RecordedPose(R, p)
@@ -147,8 +152,10 @@ class Recorder:
         return self._after[way[0] if way else row]
 
     def _moves(self, r: int, at: RecordedPose) -> RecordedPose:
-        n, table = self.numbers, self.table
-        q, factor = int(table.iq[r]), float(table.multiplier[r])
+        n = self.numbers
+        table = self.table
+        q = int(table.iq[r])
+        factor = float(table.multiplier[r])
         if table.kind[r] == Q:
             turn = self._ball(q, factor < 0.0)
             return RecordedPose([[n.dot(row, [turn[k][j] for k in range(3)]) for j in range(3)] for row in at.R], at.p)
@@ -157,7 +164,8 @@ class Recorder:
             return RecordedPose(at.R, [n.add(at.p[i], n.mul(theta, at.R[i][2])) for i in range(3)])
         offset = float(table.offset[r])
         theta = n.add(theta, offset)
-        s, c = n.of(L.SIN, theta), n.of(L.COS, theta)
+        s = n.of(L.SIN, theta)
+        c = n.of(L.COS, theta)
         R = [[n.add(n.mul(c, x), n.mul(s, y)), n.sub(n.mul(c, y), n.mul(s, x)), z] for x, y, z in at.R]
         return RecordedPose(R, at.p)
 
@@ -167,10 +175,15 @@ class Recorder:
         With `inverse` it is the transpose. The quaternion is taken to have norm 1; at norm n the matrix is n^2 times as
         large.
         """
-        n, (w, x, y, z) = self.numbers, range(q, q + 4)
+        n = self.numbers
+        (w, x, y, z) = range(q, q + 4)
         if inverse:
-            x, y, z = n.neg(x), n.neg(y), n.neg(z)
-        m, a, s = n.mul, n.add, n.sub
+            x = n.neg(x)
+            y = n.neg(y)
+            z = n.neg(z)
+        m = n.mul
+        a = n.add
+        s = n.sub
         two: Callable[[Num], Num] = lambda u: m(2.0, u)  # noqa: E731
         squares = [m(u, u) for u in (w, x, y, z)]
         diagonal = [
@@ -207,12 +220,16 @@ class Recorder:
         self.count += 1
 
     def _twist(self, a: End, b: End, c: list[Num], out: dict[int, Num]) -> None:
-        n, table = self.numbers, self.table
-        R, p = self.end(a).R, self.end(b).p
+        n = self.numbers
+        table = self.table
+        R = self.end(a).R
+        p = self.end(b).p
         force = [n.dot(R[i], c[:3]) for i in range(3)]
         moment = [n.dot(R[i], c[3:]) for i in range(3)]
         for sign, row in moving(a[0], b[0], table.parent):
-            factor, kind, column = sign * float(table.multiplier[row]), table.kind[row], int(table.iv[row])
+            factor = sign * float(table.multiplier[row])
+            kind = table.kind[row]
+            column = int(table.iv[row])
             reverse = kind == Q and factor * sign < 0.0
             axes = self.before(row) if reverse else self.after(row)
             arm = [n.sub(p[i], axes.p[i]) for i in range(3)]
@@ -243,22 +260,27 @@ class Recorder:
         forms: list[Form] = []
         for name in tape.inputs:
             if seen is not None and name in TWIST:
-                value, form = 0.0, {TWIST.index(name): 1.0}
+                value = 0.0
+                form = {TWIST.index(name): 1.0}
             elif seen is not None and name in POSE:
                 value, form = seen(name)
             else:
-                value, form = known[name], rates.get(name, {})
+                value = known[name]
+                form = rates.get(name, {})
             values.append(value)
             forms.append(form)
         zero: Num = 0.0
         needed = set(tape._needed())
         for i, (op, left, right) in enumerate(tape.nodes, len(tape.inputs)):
             if i not in needed:
-                value, form = zero, {}
+                value = zero
+                form = {}
             elif op == L.NUMBER:
-                value, form = tape.numbers[left], {}
+                value = tape.numbers[left]
+                form = {}
             elif op == L.TABLE:
-                value, form = self.builder.table(tape.numbers[left : left + right]), {}
+                value = self.builder.table(tape.numbers[left : left + right])
+                form = {}
             elif op in BINARY:
                 value, form = self._two(op, values[left], values[right], forms[left], forms[right])
             else:
@@ -305,7 +327,8 @@ class Recorder:
 
     def _nearest(self, op: int, place: Any, f: Form, g: Form) -> Form:
         """The rate of the parameter of a nearest point; before it, the rates of x and y by which of them it is."""
-        n, build = self.numbers, self.builder
+        n = self.numbers
+        build = self.builder
         if op == L.LOOKUP:
             return {}
         if op == L.AT:
@@ -336,7 +359,9 @@ class Seen:
     """Numbers of the pose of b seen from a by name, and their rates, as they are requested."""
 
     def __init__(self, recorder: Recorder, a: End, b: End):
-        self.recorder, self.a, self.b = recorder, a, b
+        self.recorder = recorder
+        self.a = a
+        self.b = b
         self._ends: tuple[RecordedPose, RecordedPose] | None = None
 
     def __call__(self, name: str) -> tuple[Num, Form]:
@@ -348,7 +373,10 @@ class Seen:
         if len(name) == 1:
             away = [n.sub(B.p[i], A.p[i]) for i in range(3)]
             return n.dot(A.column(PLACE[name]), away), {PLACE[name]: 1.0}
-        i, j = PLACE[name[0]], PLACE[name[1]]
+        i = PLACE[name[0]]
+        j = PLACE[name[1]]
         entry: Callable[[int], Num] = lambda k: n.dot(A.column(k), B.column(j))  # noqa: E731
-        y, z = (i + 1) % 3, (i + 2) % 3  # the rate of an axis is w x axis
+        # the rate of an axis is w x axis
+        y = (i + 1) % 3
+        z = (i + 2) % 3
         return entry(i), {3 + y: entry(z), 3 + z: n.neg(entry(y))}

@@ -82,8 +82,10 @@ class VelocityRows:
 
     def needed(self, outputs: Sequence[int]) -> np.ndarray:
         """Places of the nodes that some outputs are computed from, the derivatives of functions included, in order."""
-        n, nodes = len(self.tape.inputs), self.tape.nodes
-        todo, seen = [self.tape.outputs[i] for i in outputs], set[int]()
+        n = len(self.tape.inputs)
+        nodes = self.tape.nodes
+        todo = [self.tape.outputs[i] for i in outputs]
+        seen = set[int]()
         while todo:
             place = todo.pop()
             if place < n or place in seen:

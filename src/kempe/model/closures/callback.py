@@ -36,7 +36,9 @@ class KernelFunction:
     """
 
     def __init__(self, work: Callable[[Any, Any, Any, int], None], keep: Callable[[BaseException], object]):
-        self.work, self.keep, self._called = work, keep, _KIND(self._call)
+        self.work = work
+        self.keep = keep
+        self._called = _KIND(self._call)
         self._address = int(ctypes.cast(self._called, ctypes.c_void_p).value or 0)
         _all.add(self)
 
@@ -95,9 +97,13 @@ class Callback:
         self, system: Compiled, rows: int, function: Callable[[Array], tuple[Any, Array]],
         support: Sequence[int] | None = None, alone: Callable[[Array], Any] | None = None,
     ):  # fmt: skip
-        self.rows, self.error, self.scale = rows, None, np.ones(system.nv)
+        self.rows = rows
+        self.error = None
+        self.scale = np.ones(system.nv)
         self.support = tuple(range(system.nv)) if support is None else tuple(support)
-        nq, own, shape = system.nq, list(self.support), (len(self.support), rows)
+        nq = system.nq
+        own = list(self.support)
+        shape = (len(self.support), rows)
 
         def work(q: Any, value: Any, columns: Any, flag: int) -> None:
             out = np.ctypeslib.as_array(value, (rows,))
@@ -122,7 +128,8 @@ class Callback:
 
     def made_by(self, maker: Callable[..., Callback], *of: Any) -> Callback:
         """The same, with what makes it again."""
-        self.maker, self.of = maker, of
+        self.maker = maker
+        self.of = of
         return self
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -131,7 +138,8 @@ class Callback:
     @classmethod
     def of_call(cls, system: Compiled, call: Call, rows: Sequence[int], numbers: Mapping[str, float]) -> Callback:
         """Some numbers of a function of named coordinates; derivatives by differences."""
-        first, followers = system.structure.coordinates.first, system.structure.couplings
+        first = system.structure.coordinates.first
+        followers = system.structure.couplings
         read: dict[str, tuple[int, float, float]] = {}
         for name in (n for n in call.of if n not in numbers):
             f = followers.get(name)
@@ -146,9 +154,12 @@ class Callback:
             return call({**numbers, **given})[own]
 
         def both(q: Array) -> tuple[Array, Array]:
-            found, J = values(q), np.empty((len(own), len(used)))
+            found = values(q)
+            J = np.empty((len(own), len(used)))
             for k, i in enumerate(used):
-                unit, x, total = STEP * made.scale[places[i]], q[i], np.zeros(len(own))
+                unit = STEP * made.scale[places[i]]
+                x = q[i]
+                total = np.zeros(len(own))
                 for n, weight in WEIGHTS:
                     q[i] = x + n * unit
                     total += weight * values(q)

@@ -64,7 +64,8 @@ def ties(name: str, made: Constraint, dim: int, a: End, b: End, given: bool = Fa
         bounds = tuple(between(made, r) for r in axes) if sided else ()
         look = turns == L.LOOK and bool(axes)  # which is towards the origin of A
         if axes or turns != L.NO_TURN:
-            mask, there = sum(1 << r.args[0] for r in axes), np.eye(4)
+            mask = sum(1 << r.args[0] for r in axes)
+            there = np.eye(4)
             there[[r.args[0] for r in axes], 3] = [value_of(made, r) for r in axes]
             A = (a[0], a[1] @ there, a[2]) if there[:3, 3].any() else a
             yield Tie(name, A, b, mask, L.NO_TURN if look else turns, bounds=bounds)
@@ -90,7 +91,8 @@ def plain_rows(made: Constraint, dim: int, given: bool = False) -> list[Row]:
     for row in made.rows(dim):
         if row.velocity:
             continue
-        value, sided = held(made, row), one_sided(made, row)
+        value = held(made, row)
+        sided = one_sided(made, row)
         if row.op is Op.COORDINATE or ((value or sided) and (row.op in TURNS or (value and row.op is Op.CALL))):
             raise InputError(f"the row {row.name!r} of {made.label} is no number that has a value or ends")
         ends = {value: "equal"} if value else {n: side for n, side in ((row.low, "low"), (row.high, "high")) if n}
@@ -131,7 +133,8 @@ def every_tie(system: Compiled, name: str, made: Constraint, a: End, b: End, giv
         for what in dict.fromkeys(r.args[0] for r in own):
             alike = [r for r in own if r.args[0] == what]
             bounds = tuple(between(made, r) for r in alike) if sided else ()
-            numbers, which = numbers_of(made), [r.args[1] for r in alike]
+            numbers = numbers_of(made)
+            which = [r.args[1] for r in alike]
             bound = getattr(what, "callback", None)  # a function of the whole configuration
             call = bound(which) if bound else Callback.of_call(system, what, which, numbers)
             found.append(Tie(name, a, b, turns=L.FUNCTION, bounds=bounds, function=call))
@@ -145,7 +148,9 @@ def recorded(made: Constraint, rows: list[Row], dim: int, given: bool = False) -
     own = {n: input_of(made, n) for n in tape.inputs if n.partition("[")[0] in _own(made, dim)}
     numbers = numbers_of(made) | ({TIME: 0.0} if getattr(made, "time", False) else {}) | own
     fixed = {k: x for k, x in numbers.items() if k in tape.inputs and not (given and k in own)}
-    names, unit, posed = tuple(r.name for r in rows), rows[0].unit, made.ends[1] is not None
+    names = tuple(r.name for r in rows)
+    unit = rows[0].unit
+    posed = made.ends[1] is not None
     return RecordedRows(tape.fixed(fixed) if fixed else tape, names, unit, posed, tuple(own) if given else ())
 
 

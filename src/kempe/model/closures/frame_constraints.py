@@ -174,7 +174,9 @@ class PackedLoops:
     @property
     def bounds(self) -> np.ndarray:
         """Low and high ends (2, m) of the equations, as scaled there; zero where they hold exactly."""
-        ends, first, at = np.zeros((len(self.names), 2)), int(self.plan[L.AT_BOUNDS]), 0
+        ends = np.zeros((len(self.names), 2))
+        first = int(self.plan[L.AT_BOUNDS])
+        at = 0
         for k, tie in enumerate(self.ties):
             n = len(tie.rows)
             if tie.bounds:
@@ -186,7 +188,8 @@ class PackedLoops:
     @property
     def read_coordinates(self) -> list[list[int]]:
         """For each tie the unknown velocity coordinates that its equations depend on."""
-        unknown, out = set(self.unknown.tolist()), list[list[int]]()
+        unknown = set(self.unknown.tolist())
+        out = list[list[int]]()
         for tie in self.plan[self.plan[L.AT_TIES] :][: L.TIE_INTS * len(self.ties)].reshape(-1, L.TIE_INTS):
             at = int(self.plan[L.AT_LOCALS] + tie[L.LOCAL])
             out.append([v for v in self.plan[at : at + tie[L.LOCALS]].tolist() if v in unknown])
@@ -212,7 +215,8 @@ class PackedLoops:
         """Raise the error that a user's function raised while a kernel called it, if any."""
         for f in self.functions:
             if f.error is not None:
-                error, f.error = f.error, None
+                error = f.error
+                f.error = None
                 raise error
 
     def columns(self, k: int) -> list[int]:

@@ -25,7 +25,8 @@ READINGS = {
 
 def _readings(system: Compiled, joint: Joint) -> list[tuple[int, int]]:
     """For each coordinate of a joint how it is read off the pose of M in F, and its place in q."""
-    names, first = coordinate_names(system._mechanism, joint), system.structure.coordinates.first
+    names = coordinate_names(system._mechanism, joint)
+    first = system.structure.coordinates.first
     form = implicit_form(joint.type, system.dim, system._mechanism.bodies[joint.child].particle)
     return [(READINGS[how], first[names[k]][0]) for k, how in (form.readings if form else ())]
 
@@ -56,7 +57,8 @@ def laid_out(
     for ints, floats, inputs in recorded:
         starts.append(at + len(out))
         out += [starts[-1] + L.TAPE_INPUTS + len(inputs), numbers_at, work, *inputs, *ints.tolist()]
-        numbers_at, work = numbers_at + len(floats), work + 3 * int(ints[1])
+        numbers_at = numbers_at + len(floats)
+        work = work + 3 * int(ints[1])
     return np.array(out, dtype=np.int64), starts
 
 
@@ -65,7 +67,10 @@ class LoopPlan:
 
     def __init__(self, system: Compiled, ties: list[Tie], ints: np.ndarray, held: frozenset[str], length: float,
                  scaled: bool, wide: np.ndarray | None = None):  # fmt: skip
-        self.system, self.ties, self.length, self.scaled = system, ties, length, scaled
+        self.system = system
+        self.ties = ties
+        self.length = length
+        self.scaled = scaled
         self.number = [t.number for t in ties]
         n = int(ints[0])
         self.rows = ints[HEADER : HEADER + ROW_INTS * n].reshape(n, ROW_INTS)
@@ -77,7 +82,8 @@ class LoopPlan:
             self.turns[iv : iv + 3] = True
         self.turns[self.rows[self.rows[:, 0] == R, 3]] = True  # what slides and turns together counts as a turn
         self.scale = np.where(self.turns, 1.0, length)
-        self.place, self.sort = np.full(system.nv, -1, dtype=np.int64), np.full(system.nv, L.SLIDE, dtype=np.int64)
+        self.place = np.full(system.nv, -1, dtype=np.int64)
+        self.sort = np.full(system.nv, L.SLIDE, dtype=np.int64)
         self.place[system.structure.layout.vector_v] = system.structure.layout.vector_q
         self.place[system.structure.layout.quaternion_v] = system.structure.layout.quaternion_q
         self.sort[self.turns] = L.BOUND_TURN
@@ -95,7 +101,8 @@ class LoopPlan:
 
     def tie(self, k: int, tie: Tie) -> list[int]:
         """The integers of tie k; appends its entries and locals."""
-        entry, local = len(self.entries), len(self.locals)
+        entry = len(self.entries)
+        local = len(self.locals)
         columns: dict[int, int] = {}
         if tie.relation is not None:
             self._linear(k, tie.relation, columns)
@@ -105,7 +112,8 @@ class LoopPlan:
             columns.update({v: n for n, v in enumerate(tie.function.support)})
         else:
             for sign, row in self._rows(k, tie) if tie.tape is None or tie.tape.moved else ():
-                kind, iv = int(self.rows[row, 0]), int(self.rows[row, 3])
+                kind = int(self.rows[row, 0])
+                iv = int(self.rows[row, 3])
                 if self.held[iv]:
                     continue
                 first = columns.setdefault(iv, len(columns))
@@ -127,7 +135,8 @@ class LoopPlan:
         first = self.system.structure.coordinates.first
         inputs: list[int] = []
         for name in recorded.tape.inputs:
-            place, column = -1, -1
+            place = -1
+            column = -1
             if (what := recorded.input(name)) == L.COORDINATE:
                 place, v = first[name]
                 column = -1 if self.held[v] else columns.setdefault(v, len(columns))
@@ -169,7 +178,10 @@ class LoopPlan:
 
     def arrays(self) -> tuple[np.ndarray, np.ndarray]:
         """The two arrays."""
-        first_row, block, pin, given = 0, 0, 0, 0
+        first_row = 0
+        block = 0
+        pin = 0
+        given = 0
         ties: list[list[int]] = []
         bounds: list[float] = []
         centres: list[np.ndarray] = []
@@ -179,14 +191,17 @@ class LoopPlan:
             data = tie.function.address if tie.function is not None else tie.own
             work = 0
             if tie.tape is not None:
-                data, work = len(self.recorded) - 1, 3 * tie.tape.tape.size
+                data = len(self.recorded) - 1
+                work = 3 * tie.tape.tape.size
             ties.append([
                 tie.mask, tie.turns, rows, first_row, n_entries, entry, n_locals, local, block, pin if tie.pin else -1,
                 self._lengths(tie), given if tie.given else -1, len(bounds) if tie.bounds else -1,
                 len(centres) if tie.centre is not None else -1, data,
             ])  # fmt: skip
-            pin, given = pin + tie.pin, given + (len(tie.tape.given) if tie.tape else 4 if tie.ball else 1) * tie.given
-            first_row, block = first_row + rows, block + rows * n_locals + work
+            pin = pin + tie.pin
+            given = given + (len(tie.tape.given) if tie.tape else 4 if tie.ball else 1) * tie.given
+            first_row = first_row + rows
+            block = block + rows * n_locals + work
             unit = self.length if self._lengths(tie) else 1.0
             bounds += [x / unit for low, high in tie.bounds for x in (low, high)]
             if tie.centre is not None:
@@ -239,9 +254,11 @@ class LoopPlan:
 
     def _ranges(self) -> list[float]:
         """Limits, and where to draw random coordinates from."""
-        low, high = self.system.structure.coordinates.lower, self.system.structure.coordinates.upper
+        low = self.system.structure.coordinates.lower
+        high = self.system.structure.coordinates.upper
         reach = np.where(self.turns, np.pi, self.length)
-        far, near = np.where(np.isfinite(low), low, -np.inf), np.where(np.isfinite(high), high, np.inf)
+        far = np.where(np.isfinite(low), low, -np.inf)
+        near = np.where(np.isfinite(high), high, np.inf)
         draw_low = np.where(np.isfinite(low), low, np.where(np.isfinite(high), near - 2.0 * reach, -reach))
         draw_high = np.where(np.isfinite(high), high, np.where(np.isfinite(low), far + 2.0 * reach, reach))
         return [*np.where(self.wide, -np.inf, low), *np.where(self.wide, np.inf, high), *draw_low, *draw_high]

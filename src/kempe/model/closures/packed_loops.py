@@ -96,17 +96,20 @@ def pack(
     stand before others, so that of rows that depend on each other the later ones yield. The frames of `further` ties
     are those of the `drawn` system, where given: it has the same coordinates, and other dimensions.
     """
-    size, origin = characteristic_length(system) if length is None else length, origin_of(system)
+    size = characteristic_length(system) if length is None else length
+    origin = origin_of(system)
     table = _lowered(system, {n: n in explicit for n in system.structure.closures}, origin)
     frames = table
     if drawn is not None:
         table, frames = _side_by_side(_lowered(drawn, {}, origin), table)
     ties = _ties(system, table, explicit, pins, one_sided) + (further(frames) if further else [])
-    ties, first = [t for t in ties if t.rows or t.joint], system.structure.coordinates.first
+    ties = [t for t in ties if t.rows or t.joint]
+    first = system.structure.coordinates.first
     ties = _by_level(ties, table, level, first) if level else _in_order(ties, table, first)
     at = dict(table.at)
     for k, tie in enumerate(ties):
-        at["tie", k, 0], at["tie", k, 1] = tie.a, tie.b
+        at["tie", k, 0] = tie.a
+        at["tie", k, 1] = tie.b
     table = replace(table, at=at)
     every = range(len(table.kind)) if any(t.centre for t in ties) else None  # a centre is moved by all that has mass
     ints, floats = table.pack([("tie", k, end) for k in range(len(ties)) for end in (0, 1)], every)
@@ -121,7 +124,8 @@ def pack(
 
 def _lowered(system: Compiled, ends: dict[str, bool], origin: np.ndarray) -> Table:
     """The table of a system with the ends of joints that the tree left out, measured from `origin` (3,)."""
-    mechanism, given = system._mechanism, system.structure
+    mechanism = system._mechanism
+    given = system.structure
     table = lower(mechanism, given.topology, given.coordinates, mechanism.parameters, ends)
     return moved(table, -origin) if origin.any() else table
 
@@ -178,7 +182,8 @@ def _flat(end: End, of: End, table: Table) -> End:
 
 def plane_normal(end: End, table: Table) -> np.ndarray:
     """The normal of the plane of a planar system, in axes of a frame: the same in all configurations."""
-    z, row = np.array([0.0, 0.0, 1.0]), end[0]
+    z = np.array([0.0, 0.0, 1.0])
+    row = end[0]
     way: list[np.ndarray] = [end[1]]
     while row >= 0:
         way.append(table.placement[row])
@@ -190,9 +195,11 @@ def plane_normal(end: End, table: Table) -> np.ndarray:
 
 def _of_joint(system: Compiled, table: Table, joint: Joint, explicit: bool) -> Tie:
     """The tie of a joint that the tree left out."""
-    a, b = table.at[joint.name, "F"], table.at[joint.name, "M"]
+    a = table.at[joint.name, "F"]
+    b = table.at[joint.name, "M"]
     if slides_along_z(joint.type, system.dim, b[2]):
-        a, b = _flat(a, b, table), _flat(b, b, table)
+        a = _flat(a, b, table)
+        b = _flat(b, b, table)
     if explicit:
         turns = "" if b[2] else "z" if system.dim == 2 else "xyz"
         return Tie(joint.name, a, b, _mask("xyz"[: system.dim]), TURNS[turns])

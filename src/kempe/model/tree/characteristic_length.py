@@ -86,7 +86,8 @@ def moved(table: Table, by: np.ndarray) -> Table:
     """The table with everything that hangs on the ground moved."""
     X = np.eye(4)
     X[:3, 3] = by
-    placement, root = table.placement.copy(), table.parent == -1
+    placement = table.placement.copy()
+    root = table.parent == -1
     placement[..., root, :, :] = X @ placement[..., root, :, :]
     at = {name: (row, X @ pose if row < 0 else pose, particle) for name, (row, pose, particle) in table.at.items()}
     return replace(table, placement=placement, at=at)

@@ -41,7 +41,8 @@ class Layout:
 
     def integrate(self, q: ArrayLike, v: ArrayLike) -> spatial.Array:
         """Configuration (..., nq) reached from `q` by the tangent vector `v` (..., nv) in one unit of time."""
-        q, v = reals(q, "q"), reals(v, "v")
+        q = reals(q, "q")
+        v = reals(v, "v")
         out = np.array(np.broadcast_to(q, (*np.broadcast_shapes(q.shape[:-1], v.shape[:-1]), self.nq)))
         out[..., self.vector_q] += v[..., self.vector_v]
         if self.quaternion_q.size:
@@ -52,11 +53,13 @@ class Layout:
 
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> spatial.Array:
         """Tangent vector (..., nv) that `integrate` needs to go from `q0` to `q1`; rotations go the short way."""
-        q0, q1 = reals(q0, "q0"), reals(q1, "q1")
+        q0 = reals(q0, "q0")
+        q1 = reals(q1, "q1")
         out = np.zeros((*np.broadcast_shapes(q0.shape[:-1], q1.shape[:-1]), self.nv))
         out[..., self.vector_v] = q1[..., self.vector_q] - q0[..., self.vector_q]
         if self.quaternion_q.size:
-            a, b = spatial.unit(self._quaternions(q0)), spatial.unit(self._quaternions(q1))
+            a = spatial.unit(self._quaternions(q0))
+            b = spatial.unit(self._quaternions(q1))
             w = spatial.quat_wxyz_log(spatial.quat_wxyz_multiply(spatial.quat_wxyz_conjugate(a), b))
             out[..., self.quaternion_v[:, None] + np.arange(3)] = w
         return out

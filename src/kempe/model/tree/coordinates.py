@@ -281,7 +281,8 @@ def _limits(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Limits of the coordinates, those of their followers brought back to them."""
     index = {n: i for i, n in enumerate(velocity_names)}
-    lower, upper = np.full(len(index), -math.inf), np.full(len(index), math.inf)
+    lower = np.full(len(index), -math.inf)
+    upper = np.full(len(index), math.inf)
     speed = np.full(len(index), math.inf)
     setter: list[str] = [""] * len(index)
     for joint in mechanism.joints.values():
@@ -301,7 +302,8 @@ def _limits(
                     continue
                 m = follower.multiplier
                 low, high = sorted(((low - follower.offset) / m, (high - follower.offset) / m))
-                name, fast = follower.source, fast / abs(m)
+                name = follower.source
+                fast = fast / abs(m)
             i = index[name]
             before = (lower[i], upper[i])
             lower[i], upper[i], speed[i] = max(lower[i], low), min(upper[i], high), min(speed[i], fast)
@@ -355,7 +357,8 @@ def returning(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
 
 def distinct(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
     """Velocity coordinates (nv,) that declared laws of positions read themselves: these may tell whole turns apart."""
-    out, number = np.zeros(len(c.velocity_names), dtype=bool), {name: i for i, name in enumerate(c.velocity_names)}
+    out = np.zeros(len(c.velocity_names), dtype=bool)
+    number = {name: i for i, name in enumerate(c.velocity_names)}
     for declared in mechanism.constraints.values():
         for name in declared.of.reads if declared.positions(mechanism.dim) else ():
             source = c.followers[name].source if name in c.followers else name

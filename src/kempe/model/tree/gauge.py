@@ -52,7 +52,8 @@ def split_turns(placement: np.ndarray) -> tuple[tuple[float, float], np.ndarray,
     Euler angles z, x, z, with sin(alpha) of either sign and cos(a) not negative. Where the axes are parallel,
     a is free and taken such that p_y = 0.
     """
-    rotation, origin = placement[:, :3], placement[:, 3]
+    rotation = placement[:, :3]
+    origin = placement[:, 3]
     sine = math.hypot(rotation[0, 2], rotation[1, 2])
     if sine > PARALLEL:
         sine = math.copysign(sine, -rotation[1, 2])
@@ -71,7 +72,8 @@ def split_turns(placement: np.ndarray) -> tuple[tuple[float, float], np.ndarray,
 
 def _flatten(middle: np.ndarray) -> float:
     """Slide of the frame along its z axis that makes p_y = 0 in `middle` = [Rx | p]; 0 where it is far."""
-    sine, cosine = middle[2, 1], middle[2, 2]
+    sine = middle[2, 1]
+    cosine = middle[2, 2]
     if abs(sine) <= SKEW or middle[1, 3] == 0.0:
         return 0.0
     slide = middle[1, 3] / sine
@@ -92,17 +94,22 @@ def regauge(ints: np.ndarray, floats: np.ndarray) -> tuple[np.ndarray, np.ndarra
     """
     if ints[IS_CHAIN] != 1:
         raise ValueError("only the table of a chain can be regauged")
-    ints, floats = ints.copy(), floats.copy()
+    ints = ints.copy()
+    floats = floats.copy()
     n_rows = int(ints[N_ROWS])
     row_ints = ints[HEADER : HEADER + ROW_INTS * n_rows].reshape(n_rows, ROW_INTS)
     rows = floats[: ROW_FLOATS * n_rows].reshape(n_rows, ROW_FLOATS)
     gauges = rows[:, COS_OFFSET] + 1j * rows[:, SIN_OFFSET]
-    carried, slide = (1.0, 0.0), 0.0  # turn and slide that stand before the next placement
+    # turn and slide that stand before the next placement
+    carried = (1.0, 0.0)
+    slide = 0.0
     for r in range(n_rows):
         kind = row_ints[r, KIND]
         placement = _turn(*carried) @ rows[r, :12].reshape(3, 4)
         placement[2, 3] -= slide
-        carried, slide, form = (1.0, 0.0), 0.0, GENERAL
+        carried = (1.0, 0.0)
+        slide = 0.0
+        form = GENERAL
         a, middle, b = split_turns(placement)
         after_turn = r > 0 and row_ints[r - 1, KIND] == TURN
         if (after_turn or a == (1.0, 0.0)) and (kind != BALL or b == (1.0, 0.0)):
@@ -114,7 +121,8 @@ def regauge(ints: np.ndarray, floats: np.ndarray) -> tuple[np.ndarray, np.ndarra
                 gauges[r] *= complex(*b)
             else:
                 carried = b
-            placement, form = middle, RX_FLAT if middle[1, 3] == 0.0 else RX
+            placement = middle
+            form = RX_FLAT if middle[1, 3] == 0.0 else RX
         rows[r, :12] = placement.ravel()
         row_ints[r, FORM] = form
     output = floats[ROW_FLOATS * n_rows :][:OUTPUT_FLOATS].reshape(3, 4)
@@ -122,5 +130,6 @@ def regauge(ints: np.ndarray, floats: np.ndarray) -> tuple[np.ndarray, np.ndarra
     output[2, 3] -= slide
     turning = row_ints[:, KIND] == TURN
     gauges[turning] /= np.abs(gauges[turning])
-    rows[:, COS_OFFSET], rows[:, SIN_OFFSET] = gauges.real, gauges.imag
+    rows[:, COS_OFFSET] = gauges.real
+    rows[:, SIN_OFFSET] = gauges.imag
     return ints, floats

@@ -82,7 +82,8 @@ class Table:
             rows = np.flatnonzero(needed[:-1]).tolist()
         index = np.full(len(self.kind) + 1, -1, dtype=np.int64)
         index[rows] = np.arange(len(rows))
-        n, k = len(rows), len(names)
+        n = len(rows)
+        k = len(names)
         parent = index[self.parent[rows]] if n else np.zeros(0, dtype=np.int64)
         out_rows = index[[self.at[m][0] for m in names]] if k else np.zeros(0, dtype=np.int64)
         chain = k == 1 and np.array_equal(parent, np.arange(n) - 1) and (n == 0 or out_rows[0] == n - 1)
@@ -91,11 +92,13 @@ class Table:
         body = ints[HEADER : HEADER + ROW_INTS * n].reshape(n, ROW_INTS)
         body[:, 0], body[:, 1], body[:, 2], body[:, 3] = self.kind[rows], parent, self.iq[rows], self.iv[rows]
         tail = ints[HEADER + ROW_INTS * n :].reshape(k, OUTPUT_INTS)
-        tail[:, 0], tail[:, 1] = out_rows, [self.at[m][2] for m in names]
+        tail[:, 0] = out_rows
+        tail[:, 1] = [self.at[m][2] for m in names]
         return ints, self._floats(rows, names)
 
     def _floats(self, rows: Sequence[int], names: Sequence[Any]) -> np.ndarray:
-        n, k = len(rows), len(names)
+        n = len(rows)
+        k = len(names)
         lead = self.placement.shape[:-3]
         floats = np.zeros((*lead, ROW_FLOATS * n + OUTPUT_FLOATS * k))
         body = floats[..., : ROW_FLOATS * n].reshape(*lead, n, ROW_FLOATS)
@@ -122,7 +125,8 @@ class _TableRows:
         row, X = at
         X = X @ _AXES[primitive.axis]
         follower = self.coordinates.followers.get(name)
-        factor, offset = sign * primitive.multiplier, 0.0
+        factor = sign * primitive.multiplier
+        offset = 0.0
         if follower is not None:
             name, factor, offset = follower.source or "", factor * follower.multiplier, factor * follower.offset
         turn = 0.0
@@ -135,7 +139,8 @@ class _TableRows:
         if factor != 0.0:
             iq, iv = self.coordinates.first[name]
             self.rows.append((primitive.kind, row, iq, iv, factor, turn, X))
-            row, X = len(self.rows) - 1, _EYE
+            row = len(self.rows) - 1
+            X = _EYE
         return row, X @ _AXES_BACK[primitive.axis]
 
     def joint(
@@ -182,7 +187,8 @@ def lower(
     tree = zip(topology.bodies[1:], topology.parent, topology.parent_joints, topology.reversed_, strict=True)
     for body, parent, joint_name, backwards in tree:
         joint = mechanism.joints[joint_name]
-        X_PF, X_CM = joint.X_PF.evaluate(parameters), joint.X_CM.evaluate(parameters)
+        X_PF = joint.X_PF.evaluate(parameters)
+        X_CM = joint.X_CM.evaluate(parameters)
         first, last = (X_CM, X_PF) if backwards else (X_PF, X_CM)
         row, X = where[topology.bodies[parent]]
         row, X = rows.joint(mechanism, joint, (row, X @ first), backwards)
@@ -239,7 +245,9 @@ def _finish(
 def local_chain(table: Table, name: str) -> tuple[Table, np.ndarray, np.ndarray]:
     """The table of one chain with coordinates renumbered from 0, and the indices (into q, into v) they stand for."""
     path = table.path(name)
-    kind, iq, iv = table.kind[path], table.iq[path], table.iv[path]
+    kind = table.kind[path]
+    iq = table.iq[path]
+    iv = table.iv[path]
     first = {int(a): (int(b), 4 if k == Q else 1) for k, a, b in reversed(list(zip(kind, iq, iv, strict=True)))}
     order = list(dict.fromkeys(int(a) for a in iq))
     q_index: list[int] = []
@@ -248,7 +256,8 @@ def local_chain(table: Table, name: str) -> tuple[Table, np.ndarray, np.ndarray]
     to_v: dict[int, int] = {}
     for a in order:
         b, size = first[a]
-        to_q[a], to_v[a] = len(q_index), len(v_index)
+        to_q[a] = len(q_index)
+        to_v[a] = len(v_index)
         q_index += range(a, a + size)
         v_index += range(b, b + (3 if size == 4 else 1))
     local = Table(

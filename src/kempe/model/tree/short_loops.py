@@ -77,13 +77,16 @@ def _branches(
                     if degree[body] == 1:
                         leaves.append(body)
     used = list(gone)
-    branches, out = list[Branch](), set[int]()
+    branches = list[Branch]()
+    out = set[int]()
     meeting = [body for body, count in degree.items() if count > 2]
     for body in (*meeting, *degree):  # then rings without a body where loops meet
         for first in at[body]:
             if used[first]:
                 continue
-            members, here, edge = list[int](), body, first
+            members = list[int]()
+            here = body
+            edge = first
             while True:
                 used[edge] = True
                 members.append(edge)
@@ -104,7 +107,8 @@ class _Search:
     """A tree of branches, improved by exchanges; branches come in the order of preference, kept ones first."""
 
     def __init__(self, branches: list[Branch], grade: list[Any]):
-        self.branches, self.grade = branches, grade
+        self.branches = branches
+        self.grade = grade
         self.length = [len(b.members) for b in branches]
         self.at: dict[int, list[int]] = defaultdict(list)
         for k, branch in enumerate(branches):
@@ -212,7 +216,8 @@ class _Search:
             for f in loop:
                 through[f].add(e)
         size = {e: self.length[e] + sum(self.length[f] for f in loop) for e, loop in loops.items()}
-        work, better = EXCHANGES * len(self.branches), True
+        work = EXCHANGES * len(self.branches)
+        better = True
         while better and work > 0:
             better = False
             for e in sorted(loops):

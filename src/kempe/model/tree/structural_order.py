@@ -100,7 +100,8 @@ class _Colours:
         colour = before
         for k, body in enumerate(sorted(layer, key=key.__getitem__)):
             if k == 0 or key[body] != last:
-                colour, last = before + k, key[body]
+                colour = before + k
+                last = key[body]
             self.of[body] = colour
 
     def refine(self, labels: Mapping[str, Any]) -> None:

@@ -131,7 +131,8 @@ def _number(mechanism: Mechanism, came: dict[str, tuple[str, Joint]]) -> list[st
     children: dict[str, list[str]] = {b: [] for b in names}
     for child, (parent, _) in came.items():
         children[parent].append(child)
-    ready, order = [declared[mechanism.ground.name]], list[str]()
+    ready = [declared[mechanism.ground.name]]
+    order = list[str]()
     while ready:
         body = names[heapq.heappop(ready)]
         order.append(body)

@@ -32,7 +32,8 @@ VALUES = 64
 LOOSE = 1e-6
 """Tolerance of the last search, which is polished after."""
 
-POLISHES, BRISK = 4, 1e-8
+POLISHES = 4
+BRISK = 1e-8
 """Descents in a row that polish, at most, and the damping with which each begins."""
 
 SAME = 1e-4
@@ -41,7 +42,9 @@ SAME = 1e-4
 ROOM = 512
 """Targets times values that are solved at a time, unless there are more targets."""
 
-CHUNK, SERIAL_BELOW, PIECE = 256, 1024, 16
+CHUNK = 256
+SERIAL_BELOW = 1024
+PIECE = 16
 """Targets of a chunk, from how many on there are threads, and targets between two looks at the clock."""
 
 SIGN = -(2**63)
@@ -135,7 +138,9 @@ class _Targets:
         old = self.rows[which]
         better = (_reached(rows) & ~_reached(old)) | (_used(rows) & ~_used(old))
         at = which[better]
-        self.rows[at], self.counts[at], self.locked[at] = rows[better], counts[better], locked[better]
+        self.rows[at] = rows[better]
+        self.counts[at] = counts[better]
+        self.locked[at] = locked[better]
 
     def stepped(self, left: np.ndarray) -> np.ndarray:
         """The targets of `left` that have no solution inside the limits at any of VALUES values."""
@@ -152,7 +157,8 @@ class _Targets:
             first = np.arange(len(left)) * len(some) + np.argmax(grade, axis=1)
             self.take(left, locked[first], rows[first], counts[first])
             self.tried[left] += np.where(grade.max(axis=1) == 3, 1 + np.argmax(grade, axis=1), len(some))
-            left, k = left[~_reached(self.rows[left])], k + len(some)
+            left = left[~_reached(self.rows[left])]
+            k = k + len(some)
         return left
 
     def searched(self, left: np.ndarray, starts: int, tolerance: float, limited: bool) -> np.ndarray:
@@ -163,7 +169,9 @@ class _Targets:
         if not len(left) or self.question.stopped(left):
             return left
         q, error, found = self._configurations(left, starts, tolerance, limited)
-        which, q, error = left[found], q[found], error[found]
+        which = left[found]
+        q = q[found]
+        error = error[found]
         if len(which):
             locked = self.locked[which]
             locked[:, self.spare] = q[:, self.spare]
@@ -178,10 +186,13 @@ class _Targets:
         self, which: np.ndarray, starts: int, tolerance: float, limited: bool
     ) -> tuple[Array, Array, np.ndarray]:
         """Coordinates (m, n) of the chain, errors (m,), and which were found (m,), to the tolerance of the question."""
-        lines, task, m = self.plan.lines, frame_problem(self.question), len(which)
+        lines = self.plan.lines
+        task = frame_problem(self.question)
+        m = len(which)
         chain = task.chain
         at = places_in(chain, lines)
-        goals, pins = self.question.targets[which], list(self.plan.fixed)
+        goals = self.question.targets[which]
+        pins = list(self.plan.fixed)
         if self.question.axis != Z_AXIS:
             goals = goals.copy()
             goals[:, :3, :3] = goals[:, :3, :3] @ frame_of(np.array(self.question.axis))
@@ -224,7 +235,9 @@ class _Targets:
         else:
             over_chunks(pieces, m, CHUNK, self.threads, SERIAL_BELOW)
         n = len(lines)
-        q, error, found = out[:, at], np.hypot(out[:, n + LINEAR], out[:, n + ANGULAR]), out[:, n + STATUS] == SOLVED
+        q = out[:, at]
+        error = np.hypot(out[:, n + LINEAR], out[:, n + ANGULAR])
+        found = out[:, n + STATUS] == SOLVED
         for i in np.flatnonzero(found & (error > self.question.tolerance)):
             q[i], error[i] = self._polished(which[i], q[i], limited)
         within = (error <= self.question.tolerance) & (out[:, n + ANGULAR] <= max(self.question.angular, LOOSE))
@@ -232,14 +245,16 @@ class _Targets:
 
     def _polished(self, index: int, q: Array, limited: bool) -> tuple[Array, float]:
         """A configuration (n,) on the target as nearly as can be, and its error."""
-        lines, X = self.plan.lines, self.question.targets[index].copy()
+        lines = self.plan.lines
+        X = self.question.targets[index].copy()
         if self.question.axis != Z_AXIS:
             X[:3, :3] = X[:3, :3] @ frame_of(np.array(self.question.axis))
         X[:3, 3] = (X[:3, 3] - lines.origin) / lines.length
         moves = np.array([i for i in range(len(lines)) if i not in self.plan.fixed], dtype=np.int64)
         aim = Aim(lines, np.flatnonzero(TASKS[self.plan.task]), X, moves)
         low, high = limits_of(lines) if limited else np.tile([[-np.inf], [np.inf]], len(lines))
-        theta, error = lines.theta(q)[None], np.inf
+        theta = lines.theta(q)[None]
+        error = np.inf
         for _ in range(POLISHES):  # where the chain is singular a step halves the way
             theta = descend(aim, theta, low[moves], high[moves], BRISK)
             R, p, _, _ = aim.sweep(theta)
@@ -256,7 +271,8 @@ def spare_values(plan: ChainPlan, spare: list[int]) -> Array:
 
     The points of one joint are those of van der Corput (1935), of several those of a Kronecker sequence.
     """
-    lines, k = plan.lines, len(spare)
+    lines = plan.lines
+    k = len(spare)
     count = VALUES - 1
     if k == 1:
         number = np.arange(1, count - 1)

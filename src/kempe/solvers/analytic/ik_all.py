@@ -53,8 +53,10 @@ TOLERANCE = 1e-9
 """Largest position error [m] and rotation angle [rad] of a solution."""
 
 EPSILON = float(np.finfo(float).eps)
-CHUNK, SERIAL_BELOW = 256, 4096
-PIECE, ELIMINATED = 512, 64
+CHUNK = 256
+SERIAL_BELOW = 4096
+PIECE = 512
+ELIMINATED = 64
 """Targets of a chunk between two looks at the clock: in closed form, and by elimination, which takes ten times as long.
 Both are multiples of the targets that are solved side by side."""
 
@@ -100,7 +102,8 @@ def ik_all(
     Method: see `System.inverse.plan`, and `kempe.kernels.closed_form`, `kempe.kernels.elimination`.
     """
     name = system.structure.frame_name(frame)
-    target, (said, axis) = given_target(system, target), task_and_axis(task)
+    target = given_target(system, target)
+    (said, axis) = task_and_axis(task)
     if limits not in LIMITS:
         raise InputError(f"limits is {limits!r}; it must be False, True or 'turns'")
     if system.dim == 2 and points_along(said):
@@ -138,10 +141,15 @@ def _moving(problem: Problem) -> str:
 
 def by_chain(problem: Problem) -> Solutions:
     """The answer for a frame that its own chain moves."""
-    system, name, (task, direction), targets = problem.system, str(problem.frame), problem.task, problem.targets
+    system = problem.system
+    name = str(problem.frame)
+    (task, direction) = problem.task
+    targets = problem.targets
     single = problem.lead == ()
-    lines, spend = chain_lines(system, name, direction), (USUAL if single else BATCH).of(problem.budget)
-    values, threads = held(name, lines.names, problem.known), spend.threads
+    lines = chain_lines(system, name, direction)
+    spend = (USUAL if single else BATCH).of(problem.budget)
+    values = held(name, lines.names, problem.known)
+    threads = spend.threads
     watch = Watch(problem.options["time"], len(targets))
     plan = plan_for(system, name, lines, task, direction, tuple(values))
     wanted = TOLERANCE if problem.tolerance is None else within(problem.tolerance)
@@ -208,11 +216,15 @@ class BoundIkAll:
     """`ik_all` of single poses for one frame, with all that can be looked up looked up: the way of plain calls."""
 
     def __init__(self, system: System, frame: str, plan: ChainPlan, kernel: Callable[..., int]):
-        self.system, self.frame, self.plan, self.kernel = system, frame, plan, kernel
+        self.system = system
+        self.frame = frame
+        self.plan = plan
+        self.kernel = kernel
         self.base = inside(system, system.neutral[None].copy())
         self.near = np.ascontiguousarray(system.neutral[None, plan.lines.q_index])
         self.counts = np.zeros((1, 2), dtype=np.int64)
-        self.ints, self.floats = plan.ints, plan.floats
+        self.ints = plan.ints
+        self.floats = plan.floats
         self.left = np.zeros(1, dtype=np.int64)  # written, never read
         self.new = maker(1, plan.slots, len(plan.lines) + A.INFO)
 
@@ -225,7 +237,9 @@ class BoundIkAll:
 
     def __call__(self, target: Array) -> Solutions | None:
         """All solutions for a pose (4, 4), None where the target needs the general solver."""
-        rows, X = self.new(), target.copy()  # the answer keeps it
+        # the answer keeps it
+        rows = self.new()
+        X = target.copy()
         try:
             used = self.kernel(self.ints, self.floats, X[None], self.near, self.near, 1, rows, self.left)
         except TypeError:  # not float64
@@ -283,7 +297,8 @@ def solve(
     question: Question, plan: ChainPlan, near: Array | None, values: Mapping[str, Array], threads: int | None
 ) -> Solutions:
     """The answer of the kernels; joints that are held by choice where there are solutions."""
-    lines, system = plan.lines, question.system
+    lines = plan.lines
+    system = question.system
     base = system.neutral[None] if near is None else near
     chain_near = np.ascontiguousarray(base[:, lines.q_index])
     base = inside(system, base.copy())
@@ -322,8 +337,10 @@ def _outside(plan: ChainPlan, rows: Array) -> None:
     """Mark the rows (N, K, n + 2) as outside the limits where a joint held by name is beyond its own."""
     if not plan.fixed:
         return
-    at, (low, high) = list(plan.fixed), plan.lines.limits
-    q, code = rows[..., at], rows[..., -A.INFO + A.CODE]
+    at = list(plan.fixed)
+    (low, high) = plan.lines.limits
+    q = rows[..., at]
+    code = rows[..., -A.INFO + A.CODE]
     off = ((q < low[at] - TOLERANCE) | (q > high[at] + TOLERANCE)).any(axis=-1)
     code[off & (code >= 0.0) & (code % 2.0 == 1.0)] -= A.INSIDE_BIT
 
@@ -336,8 +353,10 @@ def solve_held(
     chain_near: (1 or N, n) coordinates of the chain, near which angles are given. With `starts` a search looks for
     solutions where the equations say nothing.
     """
-    targets, lines = question.targets, plan.lines
-    n, single = len(targets), question.lead is None
+    targets = question.targets
+    lines = plan.lines
+    n = len(targets)
+    single = question.lead is None
     if question.axis != Z_AXIS:
         targets = targets.copy()
         targets[:, :3, :3] = targets[:, :3, :3] @ frame_of(np.array(question.axis))
@@ -358,7 +377,8 @@ def solve_held(
             look()
             last = min(k + piece, j)
             if question.stopped(slice(k, last)):
-                out[k:last, :, -A.INFO + A.CODE], counts[k:last, 1] = A.UNUSED, 1
+                out[k:last, :, -A.INFO + A.CODE] = A.UNUSED
+                counts[k:last, 1] = 1
             else:
                 work(k, last)
         return 0

@@ -41,7 +41,8 @@ def plan_of(system: System, frame: str, task: str, axis: tuple[float, float, flo
 
 def kept(task: FrameProblem, plan: ChainPlan, targets: Array, q: Array) -> Array:
     """Configurations (N, n) of the chain: a solution inside the limits where the equations have one, else q (N, n)."""
-    lines, base = plan.lines, task.chain.base[:, plan.lines.q_index]
+    lines = plan.lines
+    base = task.chain.base[:, plan.lines.q_index]
     sure = max(*task.tolerance, attainable(targets, lines))
     question = Question(task.system, task.frame, task.name, task.axis, targets, (len(targets),), sure,
                         max(task.tolerance))  # fmt: skip
@@ -59,11 +60,14 @@ def answer(
 ) -> tuple[Array, Array, np.ndarray]:
     """As `inverse.run`: the solution inside the limits nearest to `near` (1 or N, nq); where there is none, numbers."""
     n = len(task.targets)
-    q, residual, there = np.empty((n, len(task.chain.q_index))), np.zeros((n, 2)), np.zeros(n, dtype=bool)
+    q = np.empty((n, len(task.chain.q_index)))
+    residual = np.zeros((n, 2))
+    there = np.zeros(n, dtype=bool)
     for k in range(0, max(n, 1), PIECE):
         if k and time.monotonic() >= task.end:
             break
-        at, base = slice(k, k + PIECE), near[k : k + PIECE] if len(near) > 1 else near
+        at = slice(k, k + PIECE)
+        base = near[k : k + PIECE] if len(near) > 1 else near
         q[at], residual[at], there[at] = _solved(replace(task, targets=task.targets[at]), plan, base, threads)
     info = np.zeros((n, 3), dtype=np.int64)
     info[:, 0] = SOLVED
@@ -78,17 +82,22 @@ def _solved(
     task: FrameProblem, plan: ChainPlan, near: Array, threads: int | None
 ) -> tuple[Array, Array, np.ndarray]:  # fmt: skip
     """The nearest solutions (n, k) to `near` (1 or n, nq), their errors (n, 2), and where there are any (n,)."""
-    n, chain = len(task.targets), task.chain
-    within, limit = min(*task.tolerance, TOLERANCE), TimeLimit(task.time_limit)
+    n = len(task.targets)
+    chain = task.chain
+    within = min(*task.tolerance, TOLERANCE)
+    limit = TimeLimit(task.time_limit)
     limit.end = task.end  # that of the whole batch
     question = Question(
         task.system, task.frame, task.name, task.axis, task.targets, (n,), within, watch=Watch(limit, n)
     )
     found = solve(question, plan, near, {}, threads)
-    own, inside = found._rows[..., : len(plan.lines)], found.inside
+    own = found._rows[..., : len(plan.lines)]
+    inside = found.inside
     unit = np.abs(plan.lines.multiplier)
     away = np.where(inside, np.linalg.norm((own - near[:, None, plan.lines.q_index]) * unit, axis=-1), np.inf)
-    best, there, residual = np.argmin(away, axis=1), np.asarray(inside.any(axis=1)), np.zeros((n, 2))
+    best = np.argmin(away, axis=1)
+    there = np.asarray(inside.any(axis=1))
+    residual = np.zeros((n, 2))
     at = {int(x): i for i, x in enumerate(plan.lines.q_index)}
     q = own[np.arange(n), best][:, [at[int(x)] for x in chain.q_index]]
     residual[there] = misses(task, task.targets[there], q[there])

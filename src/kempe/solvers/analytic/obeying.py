@@ -44,5 +44,6 @@ def obeying(solutions: Solutions) -> Solutions:
 
 def _wound(solutions: Solutions) -> list[str]:
     """The coordinates of the chain without limits whose whole turns a constraint tells apart."""
-    names, endless = solutions.system.structure.velocity_names, winding_angles(solutions.system)
+    names = solutions.system.structure.velocity_names
+    endless = winding_angles(solutions.system)
     return [names[int(v)] for v in solutions.plan.lines.v_index if endless[v]]

@@ -28,10 +28,14 @@ if TYPE_CHECKING:
     from kempe.solvers.analytic.plans.chain_lines import Lines
     from kempe.solvers.common.serial_chain import Chain
 
-STARTS, STEPS, LONGEST = 400, 80, 0.7
+STARTS = 400
+STEPS = 80
+LONGEST = 0.7
 """Starts, damped Newton steps that make each exact, and the longest change of a joint in one."""
 
-REACHED, MANY, ALIKE = 1e-6, 64, 1e-4
+REACHED = 1e-6
+MANY = 64
+ALIKE = 1e-4
 """Errors [m, rad] up to which a start is led; how many of those that are reached are made exact, at most; and how far
 these are apart."""
 
@@ -65,7 +69,8 @@ def search(
 
 def _solutions(question: Question, plan: ChainPlan, target: Array, locked: Array) -> tuple[Array, Array]:
     """Variables (k, n) of distinct solutions, and their errors (k,)."""
-    lines, rng = plan.lines, np.random.default_rng(0)
+    lines = plan.lines
+    rng = np.random.default_rng(0)
     T = np.array(target)
     if question.axis != Z_AXIS:
         T[:3, :3] = T[:3, :3] @ frame_of(np.array(question.axis))
@@ -118,16 +123,23 @@ def places_in(chain: Chain, lines: Lines) -> np.ndarray:
 
 def _reached(question: Question, plan: ChainPlan, target: Array, theta: Array) -> Array:
     """Variables (k, n) from which the target is a few steps, and which differ, of searches from theta (m, n)."""
-    lines, task = plan.lines, frame_problem(question)
-    chain, n = task.chain, len(lines)
-    at, pins = places_in(chain, lines), list(plan.locked)
+    lines = plan.lines
+    task = frame_problem(question)
+    chain = task.chain
+    n = len(lines)
+    at = places_in(chain, lines)
+    pins = list(plan.locked)
     goal = target[None].copy()
     if question.axis != Z_AXIS:
         goal[:, :3, :3] = goal[:, :3, :3] @ frame_of(np.array(question.axis))
-    seeds, limits, circular = np.empty((len(theta), 1, n)), np.tile([[-np.inf], [np.inf]], n), chain.circular.copy()
+    seeds = np.empty((len(theta), 1, n))
+    limits = np.tile([[-np.inf], [np.inf]], n)
+    circular = chain.circular.copy()
     seeds[:, 0, at] = (theta - lines.offset) / lines.multiplier
-    limits[:, at[pins]], circular[at[pins]] = seeds[0, 0, at[pins]], 0
-    wanted, goals = rows_of(replace(task, chain=replace(chain, circular=circular))), np.repeat(goal, len(theta), axis=0)
+    limits[:, at[pins]] = seeds[0, 0, at[pins]]
+    circular[at[pins]] = 0
+    wanted = rows_of(replace(task, chain=replace(chain, circular=circular)))
+    goals = np.repeat(goal, len(theta), axis=0)
     out = np.empty((len(theta), n + ANSWER))
     schedule.reach(chain.ints, chain.floats, limits, wanted, goals, seeds, 0, 0, 1, ITERATIONS, REACHED, REACHED, 0.0,
                    out)  # fmt: skip

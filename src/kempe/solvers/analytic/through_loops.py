@@ -27,7 +27,10 @@ def all_modes(problem: Problem, moving: str = "loops") -> Modes:
 
     Errors: `UnsupportedError`.
     """
-    system, frame, (task, _), targets = problem.system, problem.frame, problem.task, problem.targets
+    system = problem.system
+    frame = problem.frame
+    (task, _) = problem.task
+    targets = problem.targets
     if task not in TASKS or problem.lead != ():
         what = f"task {task!r}" if task not in TASKS else "more than one target"
         raise UnsupportedError(

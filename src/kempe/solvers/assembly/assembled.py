@@ -56,8 +56,13 @@ class Assembly(Answer):
         """The answer for a single set of known values, in a fraction of the time that a frozen class takes."""
         out = object.__new__(cls)
         own = out.__dict__
-        own["q"], own["success"], own["code"], own["residual"] = q, success, code, residual
-        own["iterations"], own["starts"], own["assembler"] = iterations, starts, assembler
+        own["q"] = q
+        own["success"] = success
+        own["code"] = code
+        own["residual"] = residual
+        own["iterations"] = iterations
+        own["starts"] = starts
+        own["assembler"] = assembler
         return out
 
     @property

@@ -62,10 +62,12 @@ MANY = 60
 USUAL = Usual("assemble", starts=STARTS, time_limit=SHORT, rng=0, threads=None)
 """Of a single set of known values that no other verb asks for."""
 BATCH = Usual("assemble", starts=STARTS, time_limit=None, rng=0, threads=None)
-CHUNK, SERIAL_BELOW = 64, 2048
+CHUNK = 64
+SERIAL_BELOW = 2048
 ROUNDING = 1e-14
 """Residual, in radians and characteristic lengths, up to which a configuration of a closed form is taken as it is."""
-PIECE, CONFIRMED_BELOW = 4096, 20_000
+PIECE = 4096
+CONFIRMED_BELOW = 20_000
 """Rows whose equations are evaluated at once, and rows from which on several threads do so."""
 LONG = 512
 """Rows of a sequence from which on a closed form, where there is one, is tried before rows are searched one by one."""
@@ -97,7 +99,9 @@ class Assembler:
     """
 
     def __init__(self, system: System, known: Iterable[str] = (), one_sided: bool = True):
-        self.system, self.known, self.tree = system, tuple(known), own_tree(system)
+        self.system = system
+        self.known = tuple(known)
+        self.tree = own_tree(system)
         self.one_sided = one_sided_rows(system) if one_sided and one_sided_rows(system).declared else None
         self.names: AbstractSet[str] = set(self.known)
         coordinates = [k for k in self.known if k not in system.frame_names or k in system.coordinate_names]
@@ -135,9 +139,12 @@ class Assembler:
         if len(set(places)) < len(places):
             raise InputError("two of the known coordinates move together: give one of them")
         self.coordinates = tuple(names)
-        self.places, self.place_list, self.shape = np.array(places, dtype=np.int64), places, (system.nq,)
+        self.places = np.array(places, dtype=np.int64)
+        self.place_list = places
+        self.shape = (system.nq,)
         self.named_places = tuple(zip(names, places, strict=True))
-        self.factors, self.offsets = np.array(factors), np.array(offsets)
+        self.factors = np.array(factors)
+        self.offsets = np.array(offsets)
         self.plain = bool(np.all(self.factors == 1.0) and not np.any(self.offsets))
         layout = system.structure.layout
         self.sources = [system.coordinate_names[i] for i in places]
@@ -158,7 +165,8 @@ class Assembler:
                     system.structure.coordinates.upper[velocity[i]],
                 )
         slack = 1e-9 * (1.0 + np.abs(np.where(np.isfinite(limits), limits, 0.0)))
-        self.low, self.high = limits[0] - slack[0], limits[1] + slack[1]
+        self.low = limits[0] - slack[0]
+        self.high = limits[1] + slack[1]
         self.bounds = list(zip(self.low.tolist(), self.high.tolist(), strict=True))
         self.limited = bool(np.isfinite(limits).any())
 
@@ -194,10 +202,14 @@ class Assembler:
         Rows that the time `limit` [s] ended have the status `OUT_OF_TIME`, and what is nearest to closing by then. The
         clock is read after the first start of each row, of many equations before each step.
         """
-        n, few = len(starts), False
-        q, residual, info = np.empty((n, self.system.nq)), np.empty(n), np.empty((n, 3), dtype=np.int64)
+        n = len(starts)
+        few = False
+        q = np.empty((n, self.system.nq))
+        residual = np.empty(n)
+        info = np.empty((n, 3), dtype=np.int64)
         if loops is None:
-            loops, few = self.loops, self.quick and n <= CHUNK and not (follow or nearest)
+            loops = self.loops
+            few = self.quick and n <= CHUNK and not (follow or nearest)
         weights = loops.weights if limits else limitless(self.system, loops)
         if few and not kernel.assemble(
             loops.ints, loops.floats, loops.plan, weights, starts, pins, 0, 1, STEPS, tolerance,
@@ -229,7 +241,8 @@ class Assembler:
         if not few:
             q[:], residual[:], info[:] = starts, np.inf, 0
             info[:, 0] = OUT_OF_TIME
-        time, stop = TimeLimit(limit), clock().address
+        time = TimeLimit(limit)
+        stop = clock().address
         search: Any = None
         try:
             with time:
@@ -270,13 +283,17 @@ class Assembler:
             function.error = None  # it was the time that was up
         code = info[:, 0]
         cut = (code == BAD_INPUT) & np.isfinite(starts).all(axis=-1) & bool(loops.functions)
-        q[cut], residual[cut], code[cut] = starts[cut], np.inf, OUT_OF_TIME
+        q[cut] = starts[cut]
+        residual[cut] = np.inf
+        code[cut] = OUT_OF_TIME
         if by_parts:
             code[(code == NOT_FOUND) & (info[:, 2] <= 1)] = OUT_OF_TIME
         unknown = np.flatnonzero(~np.isfinite(residual) & np.isfinite(q).all(axis=-1))
         if self.one_sided is None and (len(unknown) <= 1 or not loops.functions):
-            m, packed = len(loops.names), (loops.ints, loops.floats, loops.plan, weights)
-            out, none = np.empty((len(unknown), m)), np.empty((0, m, self.system.nv))
+            m = len(loops.names)
+            packed = (loops.ints, loops.floats, loops.plan, weights)
+            out = np.empty((len(unknown), m))
+            none = np.empty((0, m, self.system.nv))
             own = pins[unknown] if len(pins) > 1 else pins
             closure_batch.equations(*packed, own, q[unknown], False, out, none)
             residual[unknown] = np.linalg.norm(out, axis=-1)
@@ -293,14 +310,16 @@ class Assembler:
 
     def _equations(self, q: Array, residual: Array, limits: bool, threads: int | None) -> np.ndarray:
         """Which (N,) of the configurations q (N, nq) are closed and inside the limits; writes the residuals (N,)."""
-        loops, none = self.loops, np.empty((0, len(self.loops.names), self.system.nv))
+        loops = self.loops
+        none = np.empty((0, len(self.loops.names), self.system.nv))
         good = np.empty(len(q), dtype=bool)
         places, low, high = self._bounded
 
         def work(first: int, last: int) -> int:
             for i in range(first, last, PIECE):
                 x = q[i : min(i + PIECE, last)]
-                rows, there = np.empty((len(x), len(loops.names))), slice(i, i + len(x))
+                rows = np.empty((len(x), len(loops.names)))
+                there = slice(i, i + len(x))
                 packed = loops.ints, loops.floats, loops.plan, loops.weights
                 closure_batch.equations(*packed, self.no_pins, x, False, rows, none)
                 np.sqrt(np.einsum("ij,ij->i", rows, rows), out=residual[there])
@@ -321,8 +340,10 @@ class Assembler:
         Where a configuration fulfils the equations to `ROUNDING`, and the limits, it is the answer; from the others one
         search starts. The answer is written to `starts`, which must be contiguous.
         """
-        lead, q = starts.shape[:-1], starts.reshape(-1, self.system.nq)
-        residual, info = np.empty(len(q)), np.empty((len(q), 3), dtype=np.int64)
+        lead = starts.shape[:-1]
+        q = starts.reshape(-1, self.system.nq)
+        residual = np.empty(len(q))
+        info = np.empty((len(q), 3), dtype=np.int64)
         info[:] = SOLVED, 0, 1
         if self.one_sided is None and len(q):
             searched = np.flatnonzero(~self._equations(q, residual, limits, threads))
@@ -338,7 +359,8 @@ class Assembler:
     @cached_property
     def _units(self) -> tuple[Array, np.ndarray]:
         """Coordinates (nq,) of one radian or one characteristic length, and places of those that turns bring back."""
-        layout, unit = self.system.structure.layout, np.ones(self.system.nq)
+        layout = self.system.structure.layout
+        unit = np.ones(self.system.nq)
         unit[layout.vector_q] = self.loops.scale[layout.vector_v]
         return unit, layout.vector_q[circles(self.system)[layout.vector_v]]
 
@@ -356,8 +378,12 @@ class Assembler:
         first = self.run(starts[:1], self.no_pins, tries, rng=rng, limits=limits, tolerance=tolerance)
         if first[2][0, 0] != SOLVED:
             return None
-        (unit, turns), n, nq = self._units, len(starts), self.system.nq
-        q, residual, info = np.empty((n, nq)), np.empty(n), np.empty((n, 3), dtype=np.int64)
+        (unit, turns) = self._units
+        n = len(starts)
+        nq = self.system.nq
+        q = np.empty((n, nq))
+        residual = np.empty(n)
+        info = np.empty((n, 3), dtype=np.int64)
         info[1:] = SOLVED, 0, 1
         q[:1], residual[:1], info[:1] = first
         for i in range(1, n, PIECE):
@@ -401,7 +427,8 @@ class Assembler:
         if prefer not in PREFER:
             raise InputError(f"prefer is {prefer!r}; it must be one of {', '.join(map(repr, PREFER))}")
         tries, number, threads, limit = SPENT if budget is None else _spent(budget)
-        base, lead = self._single(given, start), ()
+        base = self._single(given, start)
+        lead = ()
         if base is None:
             base, lead = self._starts(given, start)
         if (lead or checks()) and (budget is None or budget.time_limit is None):
@@ -427,7 +454,8 @@ class Assembler:
         for name in self.coordinates:
             within_range(reals(given[name], ""), f"the known value of {name!r}")
         for frame, whole in zip(self.frames, self._turned(given), strict=True):
-            place, what = place_of(self.system, frame, given[frame], whole), f"the place of frame {frame!r}"
+            place = place_of(self.system, frame, given[frame], whole)
+            what = f"the place of frame {frame!r}"
             _ = refuse_no_poses(place, what) if whole else within_range(place, what)
         if start is not None:
             refuse_far(self.system, as_start(self.system, start), "start")
@@ -471,8 +499,11 @@ class Assembler:
         base = self._single(given, start)
         if base is None:
             return None
-        loops, number = self.loops, SPENT[1]
-        q, residual, info = np.empty((1, self.shape[0])), np.empty(1), np.empty((1, 3), np.int64)
+        loops = self.loops
+        number = SPENT[1]
+        q = np.empty((1, self.shape[0]))
+        residual = np.empty(1)
+        info = np.empty((1, 3), np.int64)
         if kernel.assemble(
             loops.ints, loops.floats, loops.plan, loops.weights, base, self.no_pins, 0, 1, STEPS, TOLERANCE, UNFINISHED,
             number, 0, False, 0, q, residual, info,
@@ -576,7 +607,10 @@ class LocalStarts:
     """
 
     def __init__(self, system: System, loops: PackedLoops, weights: Array, tolerance: float):
-        self.system, self.loops, self.weights, self.tolerance = system, loops, weights, tolerance
+        self.system = system
+        self.loops = loops
+        self.weights = weights
+        self.tolerance = tolerance
         self.moved_by = loops.read_coordinates
         self.users: dict[int, list[int]] = {}
         for k, coordinates in enumerate(self.moved_by):
@@ -622,7 +656,8 @@ class LocalStarts:
             found, residual, info = self._run(there, pin, 1, LOCAL_STEPS, rng, row)
             steps += int(info[1])
             if residual < least:
-                q, least = found, residual
+                q = found
+                least = residual
             if info[0] == SOLVED:
                 return q, residual, np.array([SOLVED, steps, first + 1 + k * LOCAL_STEPS // STEPS])
         count = first + parts * LOCAL_STEPS // STEPS
@@ -630,7 +665,8 @@ class LocalStarts:
         found, residual, info = self._run(start, pin, 1 + max(0, tries - count), STEPS, rng, row)
         code = int(info[0])
         if residual > least:
-            found, residual = q, least
+            found = q
+            residual = least
         return found, residual, np.array([code, steps + int(info[1]), count + int(info[2]) - 1])
 
     def _changed(self, q: Array, tie: int, random: np.random.Generator) -> Array:
@@ -646,7 +682,8 @@ class LocalStarts:
 
     def _equations(self, q: Array, pin: Array) -> Array:
         """The equations (m,) at q."""
-        loops, out = self.loops, np.empty((1, len(self.loops.names)))
+        loops = self.loops
+        out = np.empty((1, len(self.loops.names)))
         columns = np.empty((0, out.shape[1], self.system.nv))
         packed = loops.ints, loops.floats, loops.plan, self.weights
         closure_batch.equations(*packed, pin[None], q[None], False, out, columns)
@@ -657,7 +694,9 @@ class LocalStarts:
     ) -> tuple[Array, float, np.ndarray]:
         """Configuration, residual and (status, steps, starts) of the kernel."""
         loops = self.loops
-        q, residual, info = np.empty((1, self.system.nq)), np.empty(1), np.empty((1, 3), dtype=np.int64)
+        q = np.empty((1, self.system.nq))
+        residual = np.empty(1)
+        info = np.empty((1, 3), dtype=np.int64)
         kernel.assemble(
             loops.ints, loops.floats, loops.plan, self.weights, start[None].copy(), pin[None], 0, tries, steps,
             self.tolerance, 0, rng, row, False, clock().address, q, residual, info,

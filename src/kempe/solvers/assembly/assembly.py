@@ -163,7 +163,8 @@ def on_named_branch(problem: Problem) -> Assembly:
     """The answer on a branch named by the signs of its dyads: closed form, polished and checked."""
     from kempe.solvers.dyads.dyads import closed_form, on_branch  # only here: other calls do not need them
 
-    assembler, asked = bound(problem.system, tuple(problem.known)), USUAL.of(problem.budget)
+    assembler = bound(problem.system, tuple(problem.known))
+    asked = USUAL.of(problem.budget)
     threads = None if problem.budget is None else asked.threads
     named = problem.budget is not None and problem.budget.time_limit is not None
     many = not named and any(np.ndim(x) for x in problem.known.values())

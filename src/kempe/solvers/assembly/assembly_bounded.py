@@ -23,7 +23,8 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-CHUNK, SERIAL_BELOW = 16, 32
+CHUNK = 16
+SERIAL_BELOW = 32
 MANY = 60
 """Rows from which on the clock is looked at within a start."""
 
@@ -77,8 +78,10 @@ class OneSidedAssembly:
 
     def residuals(self, q: Array, pins: Array) -> Array:
         """Norm (N,) of what equations and bounds miss at configurations, in radians and characteristic lengths."""
-        loops, m = self.loops, len(self.loops.names)
-        g, none = np.empty((len(q), m)), np.empty((0, m, 0))
+        loops = self.loops
+        m = len(self.loops.names)
+        g = np.empty((len(q), m))
+        none = np.empty((0, m, 0))
         closure_batch.equations(
             loops.ints, loops.floats, loops.plan, self.weights, pins, np.ascontiguousarray(q), False, g, none
         )
@@ -90,28 +93,37 @@ class OneSidedAssembly:
         """Write configurations and (status, steps, starts), from starts drawn wider and wider about those given."""
         self._solve(starts, starts, pins, q, info)
         left = np.flatnonzero(info[:, 0] == S.NOT_FOUND)
-        nv, least = self.system.nv, self.residuals(q, pins)
-        scale, count = self.loops.scale * ~self.held, 1
+        nv = self.system.nv
+        least = self.residuals(q, pins)
+        scale = self.loops.scale * ~self.held
+        count = 1
         while count < tries and len(left):
             each = [np.random.default_rng((self.rng, offset + int(i), count)).uniform(-1.0, 1.0, nv) for i in left]
             spread = min(1.0, L.WIDER * count) * np.pi * scale
             some = pins[left] if len(pins) > 1 else pins
             begin = self.system.structure.layout.integrate(starts[left], np.stack(each) * spread)
-            found, more = begin.copy(), np.zeros((len(left), 3), dtype=np.int64)
-            before, info[left, 0] = info[left, 0], S.NOT_FOUND + S.LATE  # until these starts are made
+            found = begin.copy()
+            more = np.zeros((len(left), 3), dtype=np.int64)
+            # until these starts are made
+            before = info[left, 0]
+            info[left, 0] = S.NOT_FOUND + S.LATE
             self._solve(begin, starts[left], some, found, more)
             info[left, 0] = before
             size = self.residuals(found, some)
             better = (more[:, 0] == S.SOLVED) | (size < least[left])
-            q[left[better]], least[left[better]] = found[better], size[better]
+            q[left[better]] = found[better]
+            least[left[better]] = size[better]
             info[left, 0] = more[:, 0]
             info[left, 1:] += more[:, 1:]
-            left, count = left[more[:, 0] == S.NOT_FOUND], count + 1
+            left = left[more[:, 0] == S.NOT_FOUND]
+            count = count + 1
 
     def _solve(self, starts: Array, goals: Array, pins: Array, q: Array, info: np.ndarray) -> None:
         """Write the ends of one start each; what is found is led towards the goals. It may end by `TimeUp`."""
-        loops, ties = self.loops, len(self.loops.ties)
-        stages, strengths = np.ones(2 * ties, dtype=np.int64), np.ones((ties, 3))
+        loops = self.loops
+        ties = len(self.loops.ties)
+        stages = np.ones(2 * ties, dtype=np.int64)
+        strengths = np.ones((ties, 3))
         strengths[:, 1:] = self.tolerance
 
         stop = clock().address if len(loops.names) >= MANY or loops.functions else 0  # each start is short, else
@@ -130,7 +142,9 @@ class OneSidedAssembly:
 
     def _with_known(self, q: Array, known: Array) -> Array:
         """Configurations with the held coordinates of others."""
-        layout, held, out = self.system.structure.layout, self.held, q.copy()
+        layout = self.system.structure.layout
+        held = self.held
+        out = q.copy()
         at = layout.vector_q[held[layout.vector_v]]
         out[:, at] = known[:, at]
         for iq, iv in zip(layout.quaternion_q, layout.quaternion_v, strict=True):

@@ -46,7 +46,8 @@ ENOUGH = 0.1
 """Of the movement of a ball, the part that an angle or a length must have to be preferred to it."""
 MANY = 300
 """Velocities from which idle spins are looked for only where there is no other choice."""
-TRIES, LONGEST = 60, 0.5
+TRIES = 60
+LONGEST = 0.5
 """Steps of a search for rotation vectors, and the longest, in radians and characteristic lengths."""
 REACHED = 1e-9
 """How far coordinates may be from what was requested."""
@@ -130,27 +131,33 @@ class Chart(Report):
         off = np.abs(self.u(answer.q)[..., : len(given)] - u).max(axis=-1, initial=0.0)
         success = np.logical_and(answer.success, off < REACHED)
         code = np.where(np.logical_and(answer.success, ~success), Status.NOT_FOUND, answer.code)
-        bound, own = copy(answer.assembler), self.system.structure.velocity_names
+        bound = copy(answer.assembler)
+        own = self.system.structure.velocity_names
         bound.held |= {own[i] for i in self._rows(given)}  # rotation vectors are given, too: they leave nothing open
         return replace(answer, success=plain(success), code=member(code), assembler=bound)
 
     def _rows(self, names: Iterable[str] | None = None) -> list[int]:
         """Velocity indices of the independent coordinates, or of others."""
-        names, own = self.independent if names is None else tuple(names), self.system.structure.velocity_names
+        names = self.independent if names is None else tuple(names)
+        own = self.system.structure.velocity_names
         exponential = {} if {*names} <= {*own} else _numbers(self.system)
         return [own.index(n) if n in own else exponential[n] for n in names]
 
     def _rates(self, q: Array, names: tuple[str, ...]) -> Array:
         """Rates (len(names), nv) of some independent coordinates by the velocities, in units, at q (nq,)."""
-        system, rows = self.system, self._rows(names)
-        out, way = np.eye(system.nv), system.structure.layout.difference(self.origin, q)
+        system = self.system
+        rows = self._rows(names)
+        out = np.eye(system.nv)
+        way = system.structure.layout.difference(self.origin, q)
         for i in system.structure.layout.quaternion_v.tolist():
             out[i : i + 3, i : i + 3] = _of_log(way[i : i + 3])
         return out[rows]
 
     def _led(self, u: Array, given: tuple[str, ...], near: Any) -> Array:
         """Configurations (..., nq) near those that have such coordinates: Newton's method, of least movement."""
-        system, scale, rows = self.system, scales(self.system), self._rows(given)
+        system = self.system
+        scale = scales(self.system)
+        rows = self._rows(given)
         start = as_q(system, near)
         lead = np.broadcast_shapes(u.shape[:-1], start.shape[:-1])
         starts = np.broadcast_to(start, (*lead, system.nq)).reshape(-1, system.nq)
@@ -234,7 +241,8 @@ def independent(
         q = answer.q
     q = as_q(system, q)
     N, scale = tangent_space(system, q)
-    p, wish = N.shape[1], listed(prefer, "prefer")
+    p = N.shape[1]
+    wish = listed(prefer, "prefer")
     rows = _wished(system, wish) if wish else []
     if len(set(rows)) < len(rows) or len(rows) > p:
         given = f"{counted(len(rows), 'coordinate')} {verb(len(rows), 'is', 'are')} preferred"
@@ -246,7 +254,8 @@ def independent(
             f"{least:.2g} is needed; the best choice is {', '.join(independent(system, q).independent)}"
         )
     plain = sorted(system.structure.layout.vector_v.tolist())
-    found, idle = _extend(N, rows, plain), []
+    found = _extend(N, rows, plain)
+    idle = []
     quality = _quality(N, found)
     sure = len(found) == p and quality >= least
     if not sure or (1 < p < system.nv < MANY and system.dim == 3):
@@ -279,7 +288,8 @@ def _in_turn(
     nv, p = N.shape
     moved = np.any([s.moves for s in spins], axis=0) if spins else np.zeros(nv, dtype=bool)
     others = [v for v in range(nv) if v not in plain]
-    found, requested = list(rows), sum(bool(moved[v]) for v in rows)
+    found = list(rows)
+    requested = sum(bool(moved[v]) for v in rows)
     for still in (True, False):
         most = min(p, p - idle.shape[1] + requested) if still else p
         own = [v for v in range(nv) if moved[v] != still]
@@ -297,7 +307,8 @@ def _is_exponential(system: System, name: str) -> bool:
 
 def _numbers(system: System) -> dict[str, int]:
     """Velocity index of each name that a coordinate of a chart can have."""
-    names, vector = system.structure.velocity_names, {*system.structure.layout.vector_v.tolist()}
+    names = system.structure.velocity_names
+    vector = {*system.structure.layout.vector_v.tolist()}
     return {n if v in vector else f"{n[:-2]}e{n[-1]}": v for v, n in enumerate(names)}
 
 
@@ -327,7 +338,8 @@ def tangent_space(system: System, q: Any, dim: int | None = None) -> tuple[Array
         raise InputError(f"q is not closed: the loops' equations are off by {np.linalg.norm(error):.3g}; use assemble")
     U, values, Vt = svd(J, full_matrices=True)
     rank = int((values > RANK_TOLERANCE * max(1.0, values.max(initial=0.0))).sum())
-    N, scale = Vt[rank:].T, scales(system)
+    N = Vt[rank:].T
+    scale = scales(system)
     if rank < len(J) and 1 < N.shape[1] != dim:
         N = moving(system, q, U[:, rank:], N, scale)
     return N, scale
@@ -348,7 +360,8 @@ def _extend(
 ) -> list[int]:  # fmt: skip
     """The rows, extended to p (or `most`), each time by that which is farthest from the span of those chosen; it ends
     where one of the `better` rows is much farther."""  # fmt: skip
-    rows, p = list(rows), N.shape[1] if most is None else most
+    rows = list(rows)
+    p = N.shape[1] if most is None else most
     rest = N.copy()
     for row in rows:
         rest = _without(rest, rest[row])

@@ -30,7 +30,9 @@ Steps = tuple[tuple[str, tuple[float]], ...]
 """Slides and turns by numbers, one after the other."""
 Equations = Callable[..., tuple[Array, Array]]
 """Values (..., m) and derivatives (..., m, n) of equations at configurations (..., nq), the latter if requested."""
-STRIDE, FAR, NEAR = 0.4, 20, 10
+STRIDE = 0.4
+FAR = 20
+NEAR = 10
 """Length of the steps along a motion, and how many each way: of one freedom, a whole turn; of several, in each of some
 directions."""
 STRIDES = (STRIDE, 0.25 * STRIDE)
@@ -51,12 +53,17 @@ IN_PLANE = (("y", "z", "rx"), ("z", "x", "ry"), ("x", "y", "rz"))
 """The same for a placement of which x, y or z is the normal of the plane."""
 TO_Z = {"rx": place(quat_wxyz=(0.5, 0.5, 0.5, 0.5)), "ry": place(quat_wxyz=(0.5, -0.5, -0.5, -0.5))}
 """Rotations to axes of which the third is the normal, by the motion about it."""
-ROUNDS, DAMPING = 24, (3.0, 0.3, 30.0)
+ROUNDS = 24
+DAMPING = (3.0, 0.3, 30.0)
 """Steps of a fit at most, and its dampings as multiples of what is open, one after the other until one ends."""
-LEAST, LITTLE, SOON, LATE = 1e-6, 1e-8, 12, 1e-9
+LEAST = 1e-6
+LITTLE = 1e-8
+SOON = 12
+LATE = 1e-9
 """The least damping where `LITTLE` is open, so that rounding changes nothing, and elsewhere and after some steps, for
 mechanisms about which several families meet."""
-PATIENCE, HOPEFUL = 6, 1e-5
+PATIENCE = 6
+HOPEFUL = 1e-5
 """Steps in which a fit must gain, and what may stay open for another damping to be tried."""
 AT_FIRST = 14
 """Configurations at most that dimensions are fitted to at first."""
@@ -139,12 +146,14 @@ class Dimensions:
 
         Indices say where the coordinates of the mechanism, those of the changes, and the equations are in it.
         """
-        m, given = self.system.mechanism, self.system.structure
+        m = self.system.mechanism
+        given = self.system.structure
         for name, joint in m.joints.items():
             m.joints[name] = replace(joint, cut=name in given.closures)
         added: list[str] = []
         for k, ((table, name, side), motions) in enumerate(self.places.items()):
-            parts, end = getattr(m, table), "parent" if side == "X_PF" else "child"
+            parts = getattr(m, table)
+            end = "parent" if side == "X_PF" else "child"
             here = m.body(unused_name(m, f"{ADDED}{k}"))
             turned = TO_Z.get(motions[-1], Placement()) if m.dim == 2 else Placement()
             joint = m.free(here.name, self.body(table, name, side), here, angles=True)
@@ -167,7 +176,8 @@ class Dimensions:
 
         def at(q: Array, with_jacobian: bool = True) -> tuple[Array, Array]:
             x = np.empty((*q.shape[:-1], system.nq))
-            x[..., own], x[..., iq] = q, p * self.unit
+            x[..., own] = q
+            x[..., iq] = p * self.unit
             f, J = evaluate(system, x, with_jacobian, loops=loops)
             return f[..., order], J[..., order, :][..., columns] if with_jacobian else J
 
@@ -177,7 +187,8 @@ class Dimensions:
         """Derivatives (N, m, size) of the m loop equations, at configurations q (N, nq), with respect to p (size,)."""
         loops, system, own, (iq, iv), order = self._freed
         x = np.empty((len(q), system.nq))
-        x[:, own], x[:, iq] = q, p * self.unit
+        x[:, own] = q
+        x[:, iq] = p * self.unit
         return evaluate(system, x, loops=loops)[1][:, order][..., iv]
 
 
@@ -211,7 +222,8 @@ class Valley:
 
     def __init__(self, system: System, rank: int, equations: Equations | None = None):
         tree = self.system = own_tree(system)
-        self.rank, self.scale = rank, scales(tree)
+        self.rank = rank
+        self.scale = scales(tree)
         self.equations: Equations = equations or partial(evaluate, tree, scaled=True)
 
     def at(self, q: Array) -> tuple[Array, Array, Array, Array]:
@@ -222,7 +234,8 @@ class Valley:
 
     def converge(self, q: Array, rounds: int = 12) -> Array:
         """The configuration of the valley that Gauss-Newton steps lead to from q (nq,)."""
-        r, system = self.rank, self.system
+        r = self.rank
+        system = self.system
 
         def step(q: Array, f: Array, J: Array) -> Array:
             U, s, Vt = svd(J)
@@ -233,7 +246,8 @@ class Valley:
 
     def converge_all(self, q: Array, rounds: int = 12) -> Array:
         """As `converge`, of many configurations (N, nq)."""
-        r, system = self.rank, self.system
+        r = self.rank
+        system = self.system
 
         def step(f: Array, J: Array) -> Array:
             U, s, Vt = svd(J)
@@ -254,7 +268,8 @@ class Valley:
 
     def ahead(self, q: Array, direction: Array, length: float) -> Step:
         """One step ahead along the valley from q in a direction (n,)."""
-        r, there = self.rank, self.converge(self.system.structure.layout.integrate(q, self.scale * direction * length))
+        r = self.rank
+        there = self.converge(self.system.structure.layout.integrate(q, self.scale * direction * length))
         f, _, s, Vt = self.at(there)
         onward = Vt[r:].T @ (Vt[r:] @ direction)
         onward = onward / max(float(np.linalg.norm(onward)), 1e-300)
@@ -302,7 +317,8 @@ class Valley:
             left = max(left, ahead.left)
             if not left <= most or not 0.5 * length < moved < 2.0 * length or ahead.way @ way < 0.5:
                 break
-            q, way = ahead.q, ahead.way
+            q = ahead.q
+            way = ahead.way
             if ahead.regular:
                 found.append((k + 1, left, q))
         return found
@@ -364,7 +380,8 @@ def fitted(
     where they do not they are fitted as well. `also` are relations that must hold;
     `tries` are the dampings that are tried.
     """
-    p, every = np.zeros(shape.size), q
+    p = np.zeros(shape.size)
+    every = q
     q = q[:: -(-len(q) // AT_FIRST)]
     end: tuple[Array, Array, float] = p, q, np.inf
     left = np.inf
@@ -398,7 +415,10 @@ def _fit(
     It acts on those combinations of equations that the configurations cannot answer for.
     """
     H = np.zeros((0, shape.size))
-    P, at, before, left = np.zeros((0, 0, 0)), np.full(shape.size, np.inf), [np.inf] * PATIENCE, np.inf
+    P = np.zeros((0, 0, 0))
+    at = np.full(shape.size, np.inf)
+    before = [np.inf] * PATIENCE
+    left = np.inf
     for k in range(ROUNDS):
         time.check()
         valley = Valley(shape.system, rank, shape.equations(p))
@@ -412,7 +432,8 @@ def _fit(
             return p, q, np.inf
         before.append(left)
         if np.abs(p - at).max() > (1e-6 if damped else 0.0):  # the last digits count where roots are nearly double
-            P, at = shape.derivative(p, q), p
+            P = shape.derivative(p, q)
+            at = p
             H = also.derivative(p) if also is not None else H
         U = svd(J)[0][:, :, rank:]
         G = np.concatenate([*(np.swapaxes(U, -1, -2) @ P), H])

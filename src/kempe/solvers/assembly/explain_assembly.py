@@ -73,12 +73,15 @@ def _sentence(answer: Assembly, index: tuple[int, ...]) -> str:
         return wording.failed(said, _open(bound, q, residual), "q is the nearest to closing so far")
     why: Any = _one_sided(bound, q) or _limits(bound, q) or _too_many(bound)
     why = why or "with these values no closed configuration was found"
-    wider, loose = nearly(bound.system) if residual < NEARLY else None, ""
+    wider = nearly(bound.system) if residual < NEARLY else None
+    loose = ""
     if wider is not None:
         loose = f"it closes {wider.least}: give a larger tolerance"
     elif residual <= LOOSEST / 2.0:
         loose = f"with tolerance={1.1 * residual:.2g} it counts as closed as it is"
-    what, near, still = _open(bound, q, residual), "q is the nearest to closing", immovable(bound.system)
+    what = _open(bound, q, residual)
+    near = "q is the nearest to closing"
+    still = immovable(bound.system)
     return wording.failed(wording.given_up("closed", starts), what, why, loose, near, still)
 
 
@@ -90,18 +93,21 @@ def _left(bound: Assembler, q: Array) -> str:
     left = closure_rows.freedoms_left(system, q, bound.held)
     if not left:
         return ""
-    count, who = system.nv - len(bound.held) - len(closure_rows.row_names(system)), "by the count"
+    count = system.nv - len(bound.held) - len(closure_rows.row_names(system))
+    who = "by the count"
     sure = count >= 0 or 0 <= bound.freedoms < left
     if count < 0:  # overconstrained, as linkages of a plane in space are: joints that stand anywhere obey their group
         somewhere = random(system, np.random.default_rng(0))
-        count, who = closure_rows.freedoms_left(system, somewhere, bound.held), "in general"
+        count = closure_rows.freedoms_left(system, somewhere, bound.held)
+        who = "in general"
     folded = _coinciding(system, q) if count < left else []
     return wording.left_open(left, count, who, folded, sure, bound.freedoms if bound.freedoms < left else -1)
 
 
 def _coinciding(system: System, q: Array) -> list[tuple[str, str]]:
     """Pairs of joints at one place that no body holds there: neither both of them nor others at the same place."""
-    joints, number = [*system.mechanism.joints.values()], {b: i for i, b in enumerate(system.body_names)}
+    joints = [*system.mechanism.joints.values()]
+    number = {b: i for i, b in enumerate(system.body_names)}
     bodies = fk(system, q)
     m = system.mechanism
     places = np.array([bodies[number[j.child]] @ j.X_CM.evaluate(m.parameters)[:, 3] for j in joints])[:, :3]
@@ -132,14 +138,16 @@ def _open(bound: Assembler, q: Array, missed: float) -> str:
     """What is violated most, in metres and radians; `missed` is the norm of all residuals."""
     from kempe.kinematics.closure_rows import residual, row_names
 
-    system, length = bound.system, bound.loops.length
+    system = bound.system
+    length = bound.loops.length
     parts: dict[tuple[str, bool], list[float]] = {}
     plain = [tie.plain for tie in closure_rows.full(system, False).ties for _ in tie.rows]
     for (name, row), off, value in zip(row_names(system), plain, residual(system, q).tolist(), strict=True):
         part = parts.setdefault((name, off), [0.0, 0.0])
         kind = int(row.startswith("r") or off)
         part[kind] = math.hypot(part[kind], value)
-    worst, text = 0.0, "nothing is open"
+    worst = 0.0
+    text = "nothing is open"
     if bound.frames:  # loops that are open by next to nothing are not the reason
         worst = 0.1 * missed
         text = f"the place of {' or '.join(map(repr, bound.frames))} is missed by {missed * length:.6g} m"
@@ -156,7 +164,8 @@ def _open(bound: Assembler, q: Array, missed: float) -> str:
         text += f" stays open by {apart:.6g} m" + (f" and {turned:.3g} rad" if turned > 1e-9 else "")
     for v in bound.one_sided.violations(q) if bound.one_sided is not None else ():
         if v.size > worst:
-            text, worst = f"the one-sided constraint {v.name!r} is violated by {v.amount}", v.size
+            text = f"the one-sided constraint {v.name!r} is violated by {v.amount}"
+            worst = v.size
     return text
 
 

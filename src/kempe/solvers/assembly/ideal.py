@@ -74,7 +74,8 @@ OPEN = 10.0
 """What may stay open along the motion of the given mechanism, as a multiple of the tolerance."""
 FEW = 3
 """Starts of the search for a configuration at which the given loops are least open."""
-BESIDE, ASIDE = 2, 0.2
+BESIDE = 2
+ASIDE = 0.2
 """Configurations beside home where it is looked, too, as home may be singular, and how far away, in radians and
 characteristic lengths."""
 WAYS = 16
@@ -176,7 +177,8 @@ class Idealised(Report):
         near = (off > EXACT) & (off <= OPEN * self.tolerance * (1.0 + 1.0 / length))
         if not np.any(near):
             return q
-        flat, out = q.reshape(-1, self.system.nq), q.reshape(-1, self.system.nq).copy()
+        flat = q.reshape(-1, self.system.nq)
+        out = q.reshape(-1, self.system.nq).copy()
         for i in np.flatnonzero(near.ravel()):
             answer = bare(self.system)(start=flat[i], limits=False, budget=Budget(starts=1))
             out[i] = answer.q if answer.success else flat[i]
@@ -310,7 +312,8 @@ def _searched(system: System, most: float, thorough: bool = True, time: TimeLimi
     parts = [(part, index) for part, index in _parts(tree) if not _closes_anyway(part, most)]
     if not any(len(full(part, True).names) for part, _ in parts):
         return None
-    home, scaled = home_of(tree), most / characteristic_length(tree) + most
+    home = home_of(tree)
+    scaled = most / characteristic_length(tree) + most
     found = [_of_part(part, home[index], most, scaled, thorough, time) for part, index in parts]
     return _changes(tree, [x for x in found if x is not None], home, most) if any(found) else None
 
@@ -477,17 +480,22 @@ def _closes_anyway(system: System, most: float) -> bool:
 
 def _starts(system: System, home: Array, scaled: float) -> list[tuple[int, Array]]:
     """Ranks that the equations may have, the lowest first, and where to look for a motion: first about home."""
-    valley, limit = Valley(system, 0), OPEN * scaled
+    valley = Valley(system, 0)
+    limit = OPEN * scaled
     exact = EXACT + 4.0 * np.finfo(float).eps * float(np.linalg.norm(origin_of(system))) / characteristic_length(system)
     out: list[tuple[int, Array]] = []
-    rng, looked, regular, held = np.random.default_rng(0), 0, 0, system.nv
+    rng = np.random.default_rng(0)
+    looked = 0
+    regular = 0
+    held = system.nv
     for k in range(BESIDE + 1):
         start = home
         if k:
             start = system.structure.layout.integrate(home, valley.scale * rng.normal(size=system.nv) * ASIDE)
         q = bare(system)(start=start, budget=Budget(starts=FEW)).q
         f, _, s, _ = valley.at(q)
-        left, s = float(np.linalg.norm(f)), _relative(s, system.nv)
+        left = float(np.linalg.norm(f))
+        s = _relative(s, system.nv)
         if not left <= limit:
             if not k:
                 return []
@@ -501,7 +509,8 @@ def _starts(system: System, home: Array, scaled: float) -> list[tuple[int, Array
                 return []
             continue
         if left > exact or np.any((s > exact) & (s < limit)):
-            least, top = max(0.1 * min(left, scaled), EXACT), system.nv + (left > exact)
+            least = max(0.1 * min(left, scaled), EXACT)
+            top = system.nv + (left > exact)
             for at in _where(valley, start, q, limit):
                 here = _relative(valley.at(at)[2], system.nv)
                 held = min(held, int(np.sum(here >= limit)))
@@ -577,7 +586,9 @@ def _with_rank(
     system: System, rank: int, q: Array, most: float, scaled: float, thorough: bool, time: TimeLimit
 ) -> _Found | None:  # fmt: skip
     """The nearest mechanism whose equations have this rank along its motion near q; None if there is none."""
-    shape, freedoms, limit = Dimensions(system), system.nv - rank, OPEN * scaled
+    shape = Dimensions(system)
+    freedoms = system.nv - rank
+    limit = OPEN * scaled
     valley = Valley(shape.system, rank)
     q = valley.converge(q)
     if not valley.residual(q) <= limit:
@@ -613,7 +624,9 @@ def _best(found: Fit, shape: Dimensions, rank: int, q: Array, most: float, time:
 
 def _changes(system: System, changed: Sequence[_Found], home: Array, most: float) -> Idealised:
     """What was found, with what differs."""
-    m, new, size = system.mechanism, system.mechanism, 0.0
+    m = system.mechanism
+    new = system.mechanism
+    size = 0.0
     changes: list[tuple[str, str, Any, Any, float, float]] = []
     absorbed: dict[str, float] = {}
     index = {name: i for i, name in enumerate(system.coordinate_names)}
@@ -657,7 +670,8 @@ def _changes(system: System, changed: Sequence[_Found], home: Array, most: float
 def _texts(old: Array, new: Array, dim: int, least: float) -> tuple[str, str]:
     """The numbers of two poses that differ by at least so much, as x, y, z and fixed-axis angles."""
     names = ("x", "y", "z", "roll", "pitch", "yaw") if dim == 3 else ("x", "y", "", "", "", "angle")
-    a, b = xyz_rpy_from_pose(old), xyz_rpy_from_pose(new)
+    a = xyz_rpy_from_pose(old)
+    b = xyz_rpy_from_pose(new)
     digits = max(3, 2 - math.floor(math.log10(least)))
     differ = [i for i in range(6) if abs(a[i] - b[i]) >= least] or [int(np.argmax(np.abs(a - b)))]
     said = [", ".join(f"{names[i]} {_number(x[i], i > 2, digits)}" for i in differ if names[i]) for x in (a, b)]

@@ -86,12 +86,15 @@ def _spin(system: System, q: Array, found: IdleFreedom) -> Spin:
 
 def idle_part(system: System, q: Array, N: Array, scale: Array, spins: tuple[Spin, ...]) -> Array:
     """Of a basis (nv, p) of scaled velocities at q (nq,), the combinations (p, k), orthonormal, that are idle spins."""
-    tree, found = own_tree(system), [np.zeros((0, N.shape[1]))]
+    tree = own_tree(system)
+    found = [np.zeros((0, N.shape[1]))]
     for spin in spins:
         rows = _nothing(N[~spin.moves])
         if len(rows) > 1:  # they move what is useful as well: the spin is what keeps the line
-            X, J = fk(tree, q, spin.body), jacobian(tree, q, spin.body)
-            line, arm = X[:3, :3] @ spin.line, X[:3, :3] @ spin.point
+            X = fk(tree, q, spin.body)
+            J = jacobian(tree, q, spin.body)
+            line = X[:3, :3] @ spin.line
+            arm = X[:3, :3] @ spin.point
             keeps = np.concatenate([J[:3] - skew(arm) @ J[3:], skew(line) @ J[3:]])
             rows = _nothing(np.concatenate([N[~spin.moves], keeps @ (scale[:, None] * N)]))
         found.append(rows)

@@ -54,7 +54,8 @@ def from_maximal(system: System, poses: ArrayLike, start: Any = None, tolerance:
     Errors: `InputError` for poses that violate a joint, a constraint or a coupling by more than `tolerance` (metres
     or radians, by default 1e-6), naming it and by how much, and for matrices that are no poses.
     """
-    poses, tolerance = as_poses(system, poses), READ if tolerance is None else tolerance
+    poses = as_poses(system, poses)
+    tolerance = READ if tolerance is None else tolerance
     start = None if start is None else as_start(system, start)
     if start is not None:
         refuse_far(system, start, "start")
@@ -88,7 +89,8 @@ def read_joints(
 
     The second is a length, the third an angle (...): from where they put frame M to where it is.
     """
-    m, number = system.mechanism, system.body_names.index
+    m = system.mechanism
+    number = system.body_names.index
     lead = np.broadcast_shapes(poses.shape[:-3], near.shape[:-1])
     alike: dict[tuple[JointType, bool], list[Joint]] = {}
     for joint in m.joints.values():
@@ -100,7 +102,8 @@ def read_joints(
         for k, joint in enumerate(joints):
             ends: list[Array] = []
             for body, X_BE in ((joint.parent, joint.X_PF), (joint.child, joint.X_CM)):
-                X_BE, i = X_BE.evaluate(m.parameters), number(body)
+                X_BE = X_BE.evaluate(m.parameters)
+                i = number(body)
                 X_BE = flat_frame(X_BE) if slides_along_z(kind, system.dim, particle) else X_BE
                 ends.append(poses[..., i - 1, :, :] @ X_BE if i else X_BE)
             X[k] = spatial.inverse(ends[0]) @ ends[1]
@@ -134,12 +137,15 @@ def fit(
     Of several the ones found from `near` (..., n). In the plane a joint that slides along z does so along x of X.
     """
     system, free, lengths = _apart(kind, dim, particle)
-    lead, n, own = X.shape[:-2], len(free), near.shape[-1]
+    lead = X.shape[:-2]
+    n = len(free)
+    own = near.shape[-1]
     pitch = screw(kind) if dim == 3 and not particle else None
     if pitch:
         near = X[..., 2, 3, None] / pitch  # the slide tells the turns
     start = np.concatenate([*coordinates_of_pose(X, dim, particle), near], axis=-1).reshape(math.prod(lead), system.nq)
-    form, bound = implicit_form(kind, dim, particle), assembler(system, free)
+    form = implicit_form(kind, dim, particle)
+    bound = assembler(system, free)
     tolerance = min(max(tolerance, TOLERANCE), LOOSEST)
     found, size, _ = bound.run(start, bound.no_pins, 1, tolerance=tolerance)
     far = size > tolerance
@@ -269,7 +275,8 @@ def _within(off: Array, turns: bool) -> Array:
 
 
 def _refuse_no_poses(system: System, poses: Array, tolerance: float) -> None:
-    R, p = poses[..., :3, :3], poses[..., :3, 3]
+    R = poses[..., :3, :3]
+    p = poses[..., :3, 3]
     tilt = np.hypot(R[..., 2, 0], R[..., 2, 1]) + (R[..., 2, 2] < 0.0)
     bodies = system.mechanism.bodies
     for i, body in enumerate(system.body_names[1:]):
@@ -286,7 +293,8 @@ def _refuse_constraints(system: System, poses: Array, q: Array, tolerance: float
     if not system.mechanism.constraints:
         return
     other = maximal(system)
-    loops, off = full(other, False), evaluate(other, maximal_q(system, q, poses), False)[0]
+    loops = full(other, False)
+    off = evaluate(other, maximal_q(system, q, poses), False)[0]
     units = loops.units
     for name, made in system.mechanism.constraints.items():
         rows: dict[str, list[int]] = {}

@@ -35,7 +35,8 @@ class Relations:
     """Those relations between the axes on each body that hold within `near`, in characteristic lengths and radians."""
 
     def __init__(self, shape: Dimensions, near: float):
-        self.shape, self.near = shape, near
+        self.shape = shape
+        self.near = near
         m = shape.mechanism
         self.given = {
             (table, part.name, side): getattr(part, side).evaluate(m.parameters)
@@ -139,7 +140,8 @@ class _Read(dict[Place, Array]):
 
 def snapped(system: System, most: float) -> System | None:
     """The system with angles that are within `most` of simple fractions of pi made these; None where there is none."""
-    m, found = system.mechanism, False
+    m = system.mechanism
+    found = False
     tables: Any = (m.joints, m.constraints)
     for table in tables:
         for name, part in table.items():
@@ -167,7 +169,8 @@ def _pose(steps: tuple[Any, ...]) -> Array:
 
 def _cross(a: Array, b: Array) -> Array:
     """The cross product of two vectors (3,), for which `numpy.cross` takes ten times as long."""
-    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
+    (ax, ay, az) = a.tolist()
+    (bx, by, bz) = b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
@@ -205,7 +208,8 @@ def _offset(own: tuple[Place, Place], others: tuple[Place, Place], length: float
         feet: list[Any] = []
         for a, b in zip(own, others, strict=True):
             X = np.linalg.inv(at[a]) @ at[b]
-            u, p = X[:3, 2], X[:3, 3]
+            u = X[:3, 2]
+            p = X[:3, 3]
             feet.append((p[2] - u[2] * (u @ p)) / (1.0 - u[2] ** 2))
         return np.array([(feet[0] - feet[1]) / length])
 

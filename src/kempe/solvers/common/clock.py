@@ -38,7 +38,8 @@ class TimeLimit(watched_by):
     """
 
     def __init__(self, limit: Any):
-        self.limit, self.end = limit, deadline(limit)
+        self.limit = limit
+        self.end = deadline(limit)
         self._told: set[int] = set()
         self.soon = self.end - (1.0 - SHARE) * (limit or 0.0)
         super().__init__(*(() if limit is None else (self._once,)))
@@ -94,7 +95,8 @@ def time_limited(
     def of(verb: Function) -> Function:
         @functools.wraps(verb)
         def call(*args: Any, **options: Any) -> Any:
-            budget, outer = options.get("budget"), getattr(_running, "call", None)
+            budget = options.get("budget")
+            outer = getattr(_running, "call", None)
             limit = usual.of(budget).time_limit
             if checks() and (budget is None or budget.time_limit is None):
                 limit = None
@@ -178,7 +180,8 @@ class Clock:
                 look()
                 out[0] = 0.0
 
-        self._thread, self._called = threading.local(), KernelFunction(work, self._keep)
+        self._thread = threading.local()
+        self._called = KernelFunction(work, self._keep)
 
     @property
     def address(self) -> int:
@@ -190,7 +193,8 @@ class Clock:
 
     def taken(self) -> TimeUp | None:
         """The `TimeUp` of a look of a kernel since the last call; other errors are raised."""
-        error, self._thread.error = getattr(self._thread, "error", None), None
+        error = getattr(self._thread, "error", None)
+        self._thread.error = None
         if error is None or isinstance(error, TimeUp):
             return error
         raise error

@@ -32,7 +32,8 @@ STEEPEST = 100.0
 """Largest second derivative of the equations that is reckoned with, in radians and characteristic lengths."""
 CURL = 1e-3
 """Step of the differences of the Jacobian."""
-CLOSE, STAYS = 60, 1e-13
+CLOSE = 60
+STAYS = 1e-13
 """Steps by which a configuration is led to the solutions, at most, and the length below which one is the last."""
 LENGTHS = (0.05, 0.005)
 """Lengths of the steps along the null space, in radians and characteristic lengths."""
@@ -47,7 +48,8 @@ class Local:
     """
 
     def __init__(self, problem: Demands, q: Array) -> None:
-        packed, self.problem = problem.packed, problem
+        packed = problem.packed
+        self.problem = problem
         self.hard = [i for i, t in enumerate(problem.tasks) if t.weight is None and problem.use[i]]
         ties = packed.loops.ties
         equal = np.repeat([not t.bounds for t in ties], [len(t.rows) for t in ties])[packed.rows >= 0]
@@ -68,12 +70,14 @@ class Local:
 
     def equations(self, q: Array, tasks: bool = True) -> tuple[Array, Array]:
         """Values (k,) and Jacobian (k, nv) of loops and relations and, with `tasks`, of the hard tasks at q (nq,)."""
-        packed, pins = self.problem.packed, self.problem.pins
+        packed = self.problem.packed
+        pins = self.problem.pins
         if not tasks:
             return packed.evaluate(q, pins, closures=True)
         own, own_J = packed.evaluate(q, pins)
         if not self._use.all():
-            own, own_J = own[self._use], own_J[self._use]
+            own = own[self._use]
+            own_J = own_J[self._use]
         if not packed.closed:
             return own, own_J
         r, J = packed.evaluate(q, pins, closures=True)
@@ -112,7 +116,8 @@ class Local:
         error = max(float(np.linalg.norm(r)), ROUNDING)
         rank = int((s > RANK_TOLERANCE * max(1.0, s[0])).sum())
         while rank and s[rank - 1] ** 2 <= 2.0 * SAME * error * STEEPEST:
-            v, u = self.spread(Vt[rank - 1]), U[:, rank - 1]
+            v = self.spread(Vt[rank - 1])
+            u = U[:, rank - 1]
             ahead, behind = (self._own(*self.equations(self.move(q, h * v), tasks))[1] for h in (CURL, -CURL))
             curve = float(np.linalg.norm(u @ (ahead - behind))) / (2.0 * CURL)
             if s[rank - 1] ** 2 > 2.0 * SAME * error * curve:
@@ -179,7 +184,8 @@ class Local:
         k = basis.shape[1]
         mixed = np.random.default_rng(0).normal(size=(2 * k if k > 1 else 0, k))
         wishes = np.concatenate([np.eye(k), mixed / np.linalg.norm(mixed, axis=1, keepdims=True)])
-        d, far = basis[:, 0], 1.0
+        d = basis[:, 0]
+        far = 1.0
         out: list[Array] = []
         for wish in np.concatenate([wishes, -wishes]):
             for h in lengths:

@@ -87,7 +87,9 @@ def outside_limits(system: System, q: Array, slack: float = 1e-9, turns: bool = 
     structure = system.structure
     names: list[str] = []
     for i, v in zip(structure.layout.vector_q, structure.layout.vector_v, strict=True):
-        low, high, x = system.lower[v], system.upper[v], q[i]
+        low = system.lower[v]
+        high = system.upper[v]
+        x = q[i]
         if turns and structure.coordinates.turning[v]:
             x -= 2.0 * np.pi * np.ceil((x - high) / (2.0 * np.pi)) if x > high else 0.0
             x += 2.0 * np.pi * np.ceil((low - x) / (2.0 * np.pi)) if x < low else 0.0
@@ -108,7 +110,8 @@ def by_lengths(
     """
     linear, angular = tolerance
     out = np.zeros((*X.shape[:-2], 2))
-    p, R = X[..., :3, 3], X[..., :3, :3]
+    p = X[..., :3, 3]
+    R = X[..., :3, :3]
     size = np.abs(p).max(axis=-1)
     for centre, largest, smallest, point in bounds:
         arm = float(np.linalg.norm(point))

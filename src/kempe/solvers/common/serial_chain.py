@@ -80,7 +80,8 @@ def _packed(system: System, name: str, axis: tuple[float, float, float]) -> Chai
 
 
 def _turned(chain: Chain, axis: tuple[float, float, float]) -> Chain:
-    floats, turn = chain.floats.copy(), frame_of(np.array(axis))
+    floats = chain.floats.copy()
+    turn = frame_of(np.array(axis))
     tip = tip_of(chain.ints, floats)
     tip[:, :3] = tip[:, :3] @ turn
     return replace(chain, floats=floats)
@@ -103,7 +104,8 @@ def _chain(system: System, name: str) -> Chain:
         rows = table.multiplier[table.iv == iv]
         circular[iv] = wide[iv] and len(rows) == 1 and abs(rows[0]) == 1.0 and table.kind[table.iv == iv][0] == TURN
     bounds = tuple(b for arrays in (packed, (ints, floats)) for b in reach_bounds(*arrays, limits))
-    base, no_seed = inside(system, system.neutral[None].copy()), np.empty((1, 0, len(q_index)))
+    base = inside(system, system.neutral[None].copy())
+    no_seed = np.empty((1, 0, len(q_index)))
     return Chain(ints, floats, q_index, v_index, limits, circular, base, no_seed, bounds,
                  span_of(ints, floats))  # fmt: skip
 
@@ -191,10 +193,14 @@ def reach_bounds(ints: np.ndarray, floats: np.ndarray, limits: Array) -> list[Re
     Of an axis that turns the best point counts: of the first the one nearest to the second joint, of the last the one
     nearest to the joint before.
     """
-    table, rows = rows_of(ints), placements_of(ints, floats)
-    R, p = rows[..., :3], rows[..., 3].copy()
-    n, kinds = len(table), table[:, KIND]
-    start, slides = p[0], 0.0
+    table = rows_of(ints)
+    rows = placements_of(ints, floats)
+    R = rows[..., :3]
+    p = rows[..., 3].copy()
+    n = len(table)
+    kinds = table[:, KIND]
+    start = p[0]
+    slides = 0.0
     for row in np.flatnonzero(kinds == SLIDE):
         slides += float(np.max(np.abs(numbers_of(ints, floats)[row, MULTIPLIER] * limits[:, table[row, V_INDEX]])))
     if n and kinds[0] == TURN:
@@ -222,6 +228,7 @@ def _bound(start: Array, p: Array, slides: float, any_slide: bool, point: Array)
 
 def inside(system: System, q: Array) -> Array:
     """The configurations (N, nq) with every limited coordinate brought inside its limits, in place."""
-    at_q, at_v = system.structure.layout.vector_q, system.structure.layout.vector_v
+    at_q = system.structure.layout.vector_q
+    at_v = system.structure.layout.vector_v
     q[:, at_q] = np.clip(q[:, at_q], system.lower[at_v], system.upper[at_v])
     return q

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
     from kempe.model.system import System
 
-RELATIVE, ABSOLUTE = 1e-6, 1e-9
+RELATIVE = 1e-6
+ABSOLUTE = 1e-9
 """Slip, of the sizes that add up to it and in metres or radians, up to which a path counts as without."""
 EXPLAINED = 0.5
 """Part of the change from one way to two by which a slip must exceed what the bend between samples explains."""
@@ -47,7 +48,8 @@ def at_rest(C: Array, A: Array, b: Array) -> Array:
     """
     if not b.any():
         return np.zeros(len(A.T))
-    M, wanted = np.concatenate([C, A]), np.concatenate([np.zeros(len(C)), b])
+    M = np.concatenate([C, A])
+    wanted = np.concatenate([np.zeros(len(C)), b])
     u: Array = np.asarray(np.linalg.lstsq(M, wanted, rcond=1e-8)[0], dtype=float)
     if (gap := float(np.abs(M @ u - wanted).max())) > CONTRADICTION * max(1.0, float(np.abs(b).max())):
         raise InputError(f"the velocity constraints cannot be satisfied at q: they contradict loops or each other by "
@@ -84,24 +86,30 @@ def slip_of(system: System, q: Array, times: Sequence[float] | Array | None = No
     if len(q) == 2:
         way = system.structure.layout.difference(q[0], q[1])
         bend = np.abs((rates(system, q[1], clock[1])[0] - rates(system, q[0], clock[0])[0]) @ way)
-        slips, allowed = one.slip, EXPLAINED * bend[None] + ABSOLUTE + RELATIVE * one.size
-        span, first = one.time, 1
+        slips = one.slip
+        allowed = EXPLAINED * bend[None] + ABSOLUTE + RELATIVE * one.size
+        span = one.time
+        first = 1
     else:
-        two, h = _ways(system, q, clock, 2), one.length
-        a, b = h[:-1], h[1:]
+        two = _ways(system, q, clock, 2)
+        h = one.length
+        a = h[:-1]
+        b = h[1:]
         odd = (a + b) ** 3 - a**3 - b**3
         share = np.where(odd > 0.0, (a**3 + b**3) / np.where(odd > 0.0, odd, 1.0), 0.0)
         slips = one.slip[:-1] + one.slip[1:]
         explained = (share + EXPLAINED)[:, None] * _around(system, two.slip - slips)
         allowed = explained + ABSOLUTE + RELATIVE * (one.size[:-1] + one.size[1:])
-        span, first = two.time, 2
+        span = two.time
+        first = 2
     over = np.abs(slips) - allowed
     bad = np.flatnonzero((over > 0.0).any(axis=1))
     if not len(bad):
         return None
     k = int(bad[0])
     row = int(np.argmax(over[k]))
-    name, unit = velocity_rows(system).names[row].of, velocity_rows(system).names[row].unit.removesuffix("/s")
+    name = velocity_rows(system).names[row].of
+    unit = velocity_rows(system).names[row].unit.removesuffix("/s")
     return Slip(k + first, name, float(slips[k, row]), float(span[k]), unit)
 
 

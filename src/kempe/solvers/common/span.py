@@ -17,7 +17,8 @@ NOISE = 1e-14
 NOTHING = 1e-12
 """Parts of a middling length of the chain that are no length."""
 
-EVEN, SQUEEZED = 1e3, 3.0
+EVEN = 1e3
+SQUEEZED = 3.0
 """Ratio of lengths to their median from which a chain is uneven, and to which they are brought then."""
 
 WIDE = 1e5
@@ -79,7 +80,8 @@ class Span(NamedTuple):
 def span_of(ints: np.ndarray, floats: np.ndarray) -> Span:
     """The span of a table of a chain."""
     p = np.abs(offsets(ints, floats))
-    away, p = float(p[0].max()), p[1:]
+    away = float(p[0].max())
+    p = p[1:]
     p = p[p.max(axis=1) > NOISE * p.max(initial=0.0)]
     if not p.any():
         return Span(0.0, 0.0, 0.0, away)

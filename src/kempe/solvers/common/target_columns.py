@@ -12,7 +12,9 @@ from kempe.errors import InputError
 from kempe.spatial import Array
 from kempe.words import counted, listed
 
-PLACE, TURNED, QUATERNION = ("x", "y", "z"), ("roll", "pitch", "yaw"), ("qw", "qx", "qy", "qz")
+PLACE = ("x", "y", "z")
+TURNED = ("roll", "pitch", "yaw")
+QUATERNION = ("qw", "qx", "qy", "qz")
 COLUMNS = {
     2: [("x", "y"), ("x", "y", "angle"), (*PLACE, *TURNED), (*PLACE, *QUATERNION)],
     3: [PLACE, (*PLACE, *TURNED), (*PLACE, *QUATERNION)],

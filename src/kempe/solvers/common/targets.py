@@ -110,7 +110,8 @@ def targets_of(
     width = 3 if task == "direction" else 6 if task == "position_axis" else None
     if task == "orientation" and shape[-2:] == (3, 3) and system.dim == 3:
         out = np.zeros((*shape[:-2], 4, 4))
-        out[..., :3, :3], out[..., 3, 3] = numbers_of(target), 1.0
+        out[..., :3, :3] = numbers_of(target)
+        out[..., 3, 3] = 1.0
         return parse_targets(system, out)
     if task == "pose" and system.dim == 2 and shape[-1:] == (3,):
         target = _turned_in_plane(numbers_of(target))
@@ -158,7 +159,8 @@ def in_plane(target: Any, task: str | None, axis: object) -> tuple[Any, str]:
     Directions and positions have two or three numbers; poses and other shapes stay as they are. Errors: `InputError`.
     """
     full = "orientation" if task == "direction" else "pose"
-    shape, widths = np.shape(target), (2, 3) if task == "direction" else (4, 6)
+    shape = np.shape(target)
+    widths = (2, 3) if task == "direction" else (4, 6)
     if shape[-2:] in ((4, 4), (3, 3)) or shape[-1:] not in [(w,) for w in widths]:
         return target, full
     x, y, _ = axis_of(axis)

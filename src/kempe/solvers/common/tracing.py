@@ -162,7 +162,8 @@ def walk(
                 return
             continue
         yield from found
-        h, a = next_step(h, longest, a, found[-1], ideal), found[-1]
+        h = next_step(h, longest, a, found[-1], ideal)
+        a = found[-1]
 
 
 def bend(a: Node, b: Node) -> float:

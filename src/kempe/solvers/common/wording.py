@@ -369,7 +369,8 @@ def _families(families: Sequence[tuple[int, str]]) -> str:
     """The families, those of one description together."""
     out: list[str] = []
     for dimension, moves in dict.fromkeys(families):
-        k, freedoms = families.count((dimension, moves)), in_words(dimension, "freedom")
+        k = families.count((dimension, moves))
+        freedoms = in_words(dimension, "freedom")
         out.append(f"{'a family' if k == 1 else f'{k} families'} with {freedoms}{'' if k == 1 else ' each'}: {moves}")
     return "; ".join(out)
 

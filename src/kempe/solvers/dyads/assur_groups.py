@@ -27,7 +27,8 @@ class Decomposition:
     """Clusters that grow while dyads close; `code` is the program so far, `dyads` what it closes."""
 
     def __init__(self, system: System, parts: Parts, known: list[int]):
-        self.parts, self.system = parts, system
+        self.parts = parts
+        self.system = system
         n = len(parts.names)
         self.code = Code(n, system.nq)
         self.dyads: list[Dyad] = []
@@ -117,7 +118,8 @@ class Decomposition:
         while self.drives:
             i = self.drives.popleft()
             link = self.parts.links[i]
-            a, b = self.cluster[link.a], self.cluster[link.b]
+            a = self.cluster[link.a]
+            b = self.cluster[link.b]
             if i in self.done or a == b:
                 continue
             self.done.add(i)
@@ -129,7 +131,8 @@ class Decomposition:
             part, on = (link.b, link.a) if forward else (link.a, link.b)
             out = self._out(other, 0)
             numbers = [sign * link.multiplier, *start, *inverse(end)]
-            register, coordinate = self.code.register, self.code.coordinate(link.slot)
+            register = self.code.register
+            coordinate = self.code.coordinate(link.slot)
             self.code.append(K.TURN if link.kind == R else K.SLIDE, [out, register(on), coordinate], numbers)
             if len(self.members[other]) > 1:
                 self.code.append(K.DIVIDE, [out, register(part)])
@@ -147,12 +150,14 @@ class Decomposition:
                     self._read(link)
 
     def _read(self, link: Link) -> None:
-        code, size = self.code, self.parts.size
+        code = self.code
+        size = self.parts.size
         check = link.slot in self.known
         ints = [code.register(link.a), code.register(link.b), K.SPARE, K.SPARE + 1, False]
         if link.slot != NOWHERE:
             ints[2:] = code.coordinate(link.slot), code.target(link.slot), check
-        m, o = link.multiplier, link.offset
+        m = link.multiplier
+        o = link.offset
         if link.kind == R:
             between = times((link.F[0], -link.F[1], 0.0, 0.0), (link.M[0], link.M[1], 0.0, 0.0))
             numbers = [*between[:2], 1.0 / m, -o / m, 2.0 * math.pi / abs(m), *self.limits[link.slot]]
@@ -252,7 +257,8 @@ class Decomposition:
 
     def _twice(self, base: int, other: int, edges: list[Edge]) -> bool:
         """Place a cluster by two of its joints to another; what they do not agree on shows when joints are read."""
-        pins, rails = [e for e in edges if e[0] == R], [e for e in edges if e[0] == P]
+        pins = [e for e in edges if e[0] == R]
+        rails = [e for e in edges if e[0] == P]
         out = self._out(other, 0)
         if len(pins) > 1:
             a, b = (self._pins(e, base, other) for e in pins[:2])
@@ -287,10 +293,11 @@ class Decomposition:
         return False
 
     def _circles(self, base: int, first: int, second: int, group: tuple[Edge, ...]) -> None:
-        (a, a1), (b1, b2), (c, c2) = (
-            self._pins(group[0], base, first), self._pins(group[1], first, second), self._pins(group[2], base, second)
-        )  # fmt: skip
-        sign, outs = self.code.sign(), [self._out(first, 0), self._out(second, 1)]
+        (a, a1) = self._pins(group[0], base, first)
+        (b1, b2) = self._pins(group[1], first, second)
+        (c, c2) = self._pins(group[2], base, second)
+        sign = self.code.sign()
+        outs = [self._out(first, 0), self._out(second, 1)]
         self.code.pins(K.CIRCLES, [a, c, a1, b1, b2, c2], [sign, *outs])
         A, B, C = self._names(base, first, second, group)
         meaning = f"+ where {B} lies to the left of the way from {A} to {C}"
@@ -307,7 +314,8 @@ class Decomposition:
         other = next(c for c in (base, first, second) if c not in clusters)
         pairs = (base, first), (first, second), (second, base)
         between = {frozenset(pair): e for pair, e in zip(pairs, group, strict=True)}
-        moving, fixed = between[frozenset((slider, other))], between[frozenset((still, other))]
+        moving = between[frozenset((slider, other))]
+        fixed = between[frozenset((still, other))]
         b1, b2 = self._pins(moving, slider, other)
         a, a2 = self._pins(fixed, still, other)
         rails = self._rails(rail, still)
@@ -325,7 +333,8 @@ class Decomposition:
         sides = [{self.cluster[p] for p in self._sides(e[1])} for e in rails]
         still = next(iter(sides[0] & sides[1]))
         y, z = (next(c for c in s if c != still) for s in sides)
-        one, two = self._rails(rails[0], still), self._rails(rails[1], still)
+        one = self._rails(rails[0], still)
+        two = self._rails(rails[1], still)
         if _parallel(one[0], two[0]):
             return False
         pins = self._pins(next(e for e in group if e[0] == R), y, z)

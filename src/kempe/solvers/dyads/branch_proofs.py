@@ -32,7 +32,11 @@ HUGE = 1e60
 FARTHEST = 1e9
 """Slides on rails that are parallel up to rounding, in sizes of the mechanism, beyond which nothing is looked for."""
 TURN = 2.0 * math.pi
-COINCIDING, NO_LENGTH, PARALLEL, MERGED, WINDING = 1, 2, 4, 8, 16
+COINCIDING = 1
+NO_LENGTH = 2
+PARALLEL = 4
+MERGED = 8
+WINDING = 16
 """Why a branch may be undetermined; bits."""
 REASONS = {
     COINCIDING: "centres coincide",
@@ -123,7 +127,8 @@ def _quotient(a: Disc, b: Disc) -> Disc:
 
 def _root(low: Array, high: Array) -> Disc:
     """Square roots of numbers between bounds that are not negative."""
-    low, high = np.sqrt(low), np.sqrt(high)
+    low = np.sqrt(low)
+    high = np.sqrt(high)
     return Disc(0.5 * (low + high), 0.5 * (high - low))
 
 
@@ -133,7 +138,8 @@ def _pinned(v1: Array, off1: Array, v2: Array, off2: Array) -> Array:
     To first order the pin moves along each link by what that is off; the rest by the theorem of Kantorovich: on a disc
     of twice that radius the directions of the links change by less than half of what would make them parallel.
     """
-    n1, n2 = np.abs(v1), np.abs(v2)
+    n1 = np.abs(v1)
+    n2 = np.abs(v2)
     sine = np.abs((np.conj(v1) * v2).imag) / (n1 * n2)
     first = (off1 + off2 + UNIT * (n1 + n2)) / sine
     change = (2.0 * first + off1 + off2) * (1.0 / n1 + 1.0 / n2) * 2.0 / sine
@@ -199,7 +205,8 @@ class Enclosed:
         """Why the first of some rows is undetermined."""
         if not rows:
             return ""
-        bits, k = int(self.why[rows[0]]), int(self.dyad[rows[0]])
+        bits = int(self.why[rows[0]])
+        k = int(self.dyad[rows[0]])
         words = [word for bit, word in REASONS.items() if bits & bit] or ["rounding has grown along the chain of dyads"]
         joints = self.plan.dyads[k].joints if 0 <= k < len(self.plan.dyads) else ()
         named = f", first in the dyad with joints {', '.join(joints)}" if joints and bits & ~WINDING else ""
@@ -237,12 +244,20 @@ class _Walk:
     def __init__(self, plan: Plan, values: Array, limits: bool, size: float):
         ints: list[int] = plan.program[0].tolist()
         given, self.ops = operations(plan.program)
-        self.plan, self.size, self.tolerance, self.limits = plan, size, plan.tolerance, limits
-        self.nq, self.n_signs, self.first = ints[K.NQ], ints[K.N_SIGNS], ints[K.COORDINATES]
-        self.n, self.dyads = 1, 0
+        self.plan = plan
+        self.size = size
+        self.tolerance = plan.tolerance
+        self.limits = limits
+        self.nq = ints[K.NQ]
+        self.n_signs = ints[K.N_SIGNS]
+        self.first = ints[K.COORDINATES]
+        self.n = 1
+        self.dyads = 0
         self.branch = np.zeros(1, dtype=np.int64)
-        self.why, self.dyad = np.zeros(1, dtype=np.int64), np.full(1, -1)
-        one, zero = self.constant(1.0), self.constant(0.0)
+        self.why = np.zeros(1, dtype=np.int64)
+        self.dyad = np.full(1, -1)
+        one = self.constant(1.0)
+        zero = self.constant(0.0)
         self.poses: dict[int, Placed] = {
             K.REGISTERS + 4 * k: Placed(one, zero, zero) for k in range(ints[K.N_REGISTERS])
         }
@@ -256,10 +271,12 @@ class _Walk:
             if not self.n:
                 break
             OPERATIONS[i[0]](self, i, f)
-        middle, radius = np.zeros((self.n, self.nq)), np.full((self.n, self.nq), HUGE)
+        middle = np.zeros((self.n, self.nq))
+        radius = np.full((self.n, self.nq), HUGE)
         for place, x in self.known.items():
             if place >= self.first:
-                middle[:, place - self.first], radius[:, place - self.first] = x.value.mid.real, x.value.rad
+                middle[:, place - self.first] = x.value.mid.real
+                radius[:, place - self.first] = x.value.rad
         return Enclosed(self.branch, middle, radius, self.why, self.dyad, self.plan)
 
     # ---- branches
@@ -268,7 +285,9 @@ class _Walk:
         """Go on with these branches, by mask or numbers."""
         if which.dtype == bool and which.all():
             return
-        self.branch, self.why, self.dyad = self.branch[which], self.why[which], self.dyad[which]
+        self.branch = self.branch[which]
+        self.why = self.why[which]
+        self.dyad = self.dyad[which]
         self.n = len(self.branch)
         self.poses = {k: x.rows(which) for k, x in self.poses.items()}
         self.known = {k: Coordinate(x.value[which], x.steps) for k, x in self.known.items()}
@@ -323,7 +342,8 @@ class _Walk:
 
     def add(self, i: list[int], f: list[float]) -> None:
         """ADD: a multiple of a coordinate is added to a place."""
-        a, b = self.known[i[1]], self.known[i[2]]
+        a = self.known[i[1]]
+        b = self.known[i[2]]
         steps = (*a.steps, *(f[0] * s for s in b.steps))
         self.known[i[1]] = Coordinate(a.value + b.value * self.constant(f[0]), steps)
 
@@ -374,15 +394,20 @@ class _Walk:
     def circles(self, i: list[int], f: list[float]) -> None:
         """CIRCLES: two links and a pin between them."""
         A, C, a1, b1, b2, c2 = (self.pin(i[k + 1], f[2 * k :]) for k in range(6))
-        way, w1, w2 = C - A, b1 - a1, b2 - c2
+        way = C - A
+        w1 = b1 - a1
+        w2 = b2 - c2
         reach = w1.high + w2.high - way.low
         inside = np.minimum(way.high + w2.high - w1.low, way.high + w1.high - w2.low)
         self.keep(~((reach < -self.tolerance) | (inside < -self.tolerance)))
         sign = self.doubled()
         A, C, a1, b1, b2, c2 = (self.pin(i[k + 1], f[2 * k :]) for k in range(6))
-        way, w1, w2 = C - A, b1 - a1, b2 - c2
+        way = C - A
+        w1 = b1 - a1
+        w2 = b2 - c2
         d, r1, r2 = (Disc(np.abs(x.mid), x.rad) for x in (way, w1, w2))
-        total, less = r1 + r2, r1 - r2
+        total = r1 + r2
+        less = r1 - r2
         together = d.low <= 0.0
         self.note(together, COINCIDING)
         self.note((r1.low <= 0.0) | (r2.low <= 0.0), NO_LENGTH)
@@ -405,11 +430,14 @@ class _Walk:
         e2 = Disc(x.mid - d.mid + 1j * y.mid, np.hypot(x.rad + d.rad, y.rad))
         all_ = Disc(np.zeros(self.n, dtype=complex), np.ones(self.n))
         middle = A.mid + u.mid * e1.mid
-        v1, v2 = middle - A.mid, middle - C.mid
-        off1, off2 = A.rad + r1.rad + np.abs(np.abs(v1) - r1.mid), C.rad + r2.rad + np.abs(np.abs(v2) - r2.mid)
+        v1 = middle - A.mid
+        v2 = middle - C.mid
+        off1 = A.rad + r1.rad + np.abs(np.abs(v1) - r1.mid)
+        off2 = C.rad + r2.rad + np.abs(np.abs(v2) - r2.mid)
         B = Disc(middle, _pinned(v1, off1, v2, off2))
         for out, e, w, own, at in ((i[8], e1, w1, a1, A), (i[9], e2, w2, c2, C)):
-            g, direct = _unit(u * _direction(e)), _direction(B - at)
+            g = _unit(u * _direction(e))
+            direct = _direction(B - at)
             g = _where(direct.rad < g.rad, direct, g)
             turn = _unit(_where(together, all_, g) * _direction(w).conjugate())
             self.poses[out] = Placed(turn, own, at)
@@ -422,7 +450,9 @@ class _Walk:
         _, (P, D), (Q, E), b1, b2, a2, A = self._on_line(i, f)
         turn = D * E.conjugate()
         seen = D.conjugate() * (P + turn * (b1 - Q) - A)
-        along, h, w = seen.real, seen.imag, b2 - a2
+        along = seen.real
+        h = seen.imag
+        w = b2 - a2
         r = Disc(np.abs(w.mid), w.rad)
         self.note(r.low <= 0.0, NO_LENGTH)
         parts = r - h, r + h
@@ -432,14 +462,16 @@ class _Walk:
         to = Disc(t.mid + 1j * h.mid, np.hypot(t.rad, h.rad))
         to = _where(to.rad < r.high, to, Disc(np.zeros(self.n, dtype=complex), r.high))
         slid = t - along
-        one, two = Placed(turn, Q, P + slid * D), Placed(turn, b1, A + D * to)
+        one = Placed(turn, Q, P + slid * D)
+        two = Placed(turn, b1, A + D * to)
         self.poses[i[8]] = one.or_else(two)
         self.poses[i[9]] = Placed(_unit(_unit(D * _direction(to)) * _direction(w).conjugate()), a2, A)
         self.dyads += 1
 
     def _on_line(self, i: list[int], f: list[float]) -> tuple[Any, ...]:
         """By how much the line misses the circle at least; the rails and pins."""
-        (P, D), (Q, E) = self.rail(i[1], f), self.rail(i[2], f[4:])
+        (P, D) = self.rail(i[1], f)
+        (Q, E) = self.rail(i[2], f[4:])
         b1, b2, a2, A = (self.pin(i[k + 3], f[8 + 2 * k :]) for k in range(4))
         h = (D.conjugate() * (P + D * E.conjugate() * (b1 - Q) - A)).imag
         return h.low - (b2 - a2).high, (P, D), (Q, E), b1, b2, a2, A
@@ -447,12 +479,16 @@ class _Walk:
     def lines(self, i: list[int], f: list[float]) -> None:
         """LINES: two sliders and a pin between them."""
         (P, D), (Q, E), (S, G), (V, H) = (self.rail(i[k + 1], f[4 * k :]) for k in range(4))
-        b1, b2 = self.pin(i[5], f[16:]), self.pin(i[6], f[18:])
-        one, two = D * E.conjugate(), G * H.conjugate()
+        b1 = self.pin(i[5], f[16:])
+        b2 = self.pin(i[6], f[18:])
+        one = D * E.conjugate()
+        two = G * H.conjugate()
         gap = S + two * (b2 - V) - P - one * (b1 - Q)
         det = (D.conjugate() * G).imag
-        t1, t2 = _quotient((gap.conjugate() * G).imag, det), _quotient((gap.conjugate() * D).imag, det)
-        self.poses[i[7]], self.poses[i[8]] = Placed(one, Q, P + t1 * D), Placed(two, V, S + t2 * G)
+        t1 = _quotient((gap.conjugate() * G).imag, det)
+        t2 = _quotient((gap.conjugate() * D).imag, det)
+        self.poses[i[7]] = Placed(one, Q, P + t1 * D)
+        self.poses[i[8]] = Placed(two, V, S + t2 * G)
         self._parallel(det, (gap.conjugate() * D).imag)
         self.dyads += 1
 
@@ -465,7 +501,8 @@ class _Walk:
     def pin_pin(self, i: list[int], f: list[float]) -> None:
         """PIN_PIN: a cluster on two pins."""
         A, B, a1, b1 = (self.pin(i[k + 1], f[2 * k :]) for k in range(4))
-        way, w = B - A, b1 - a1
+        way = B - A
+        w = b1 - a1
         turn = _unit(_direction(way) * _direction(w).conjugate())
         self.poses[i[5]] = Placed(turn, a1, A)
         self.note(way.low <= 0.0, COINCIDING)
@@ -474,7 +511,8 @@ class _Walk:
 
     def pin_rail(self, i: list[int], f: list[float]) -> None:
         """PIN_RAIL: a cluster on a pin and along a rail."""
-        (_, D), (_, E) = self.rail(i[1], f), self.rail(i[2], f[4:])
+        (_, D) = self.rail(i[1], f)
+        (_, E) = self.rail(i[2], f[4:])
         self.poses[i[5]] = Placed(D * E.conjugate(), self.pin(i[4], f[10:]), self.pin(i[3], f[8:]))
 
     def rail_rail(self, i: list[int], f: list[float]) -> None:
@@ -489,13 +527,15 @@ class _Walk:
 
     def read_turn(self, i: list[int], f: list[float]) -> None:
         """READ_TURN: the angle of a joint between parts that are placed."""
-        a, b = self.poses[i[1]], self.poses[i[2]]
+        a = self.poses[i[1]]
+        b = self.poses[i[2]]
         turned = _unit(a.turn.conjugate() * b.turn * self.constant(complex(f[0], f[1])))
         n = np.abs(turned.mid)
         known = turned.rad < 0.5 * n
         rad = np.where(known, 1.2 * turned.rad / np.where(known, n, 1.0), math.pi)
         angle = Disc(np.angle(turned.mid), rad) * self.constant(f[2]) + self.constant(f[3])
-        period, narrow = f[4], self.limits and f[6] - f[5] < f[4] * (1.0 - 1e-9)
+        period = f[4]
+        narrow = self.limits and f[6] - f[5] < f[4] * (1.0 - 1e-9)
         if i[5]:
             x = self.known[i[3]]
             if self.windings(x, 1.0, period):
@@ -509,7 +549,8 @@ class _Walk:
 
     def read_slide(self, i: list[int], f: list[float]) -> None:
         """READ_SLIDE: the length of a joint between parts that are placed."""
-        (P, D), (Q, _) = self.rail(i[1], f), self.rail(i[2], f[4:])
+        (P, D) = self.rail(i[1], f)
+        (Q, _) = self.rail(i[2], f[4:])
         seen = D.conjugate() * (Q - P)
         value = seen.real * self.constant(f[8]) + self.constant(f[9])
         if i[5]:
@@ -521,7 +562,8 @@ class _Walk:
                 self.closed(opening, f[10])
         else:
             self.known[i[3]] = Coordinate(value)
-        (P, D), (Q, _) = self.rail(i[1], f), self.rail(i[2], f[4:])
+        (P, D) = self.rail(i[1], f)
+        (Q, _) = self.rail(i[2], f[4:])
         self.closed((D.conjugate() * (Q - P)).imag)
         self.closed(self.rail(i[2], f[4:])[1] - self.rail(i[1], f)[1], f[11])
 

@@ -79,7 +79,8 @@ class Link:
 
     def rails(self, base_is_a: bool) -> tuple[PartLine, PartLine]:
         """Rails on the base and on what slides; along both the coordinate grows."""
-        a, b = PartLine(self.a, *self.F[2:], *self.F[:2]), PartLine(self.b, *self.M[2:], *self.M[:2])
+        a = PartLine(self.a, *self.F[2:], *self.F[:2])
+        b = PartLine(self.b, *self.M[2:], *self.M[:2])
         return (a, b) if base_is_a else (_against(b), _against(a))
 
 
@@ -153,7 +154,8 @@ def _flat(X: Array) -> Pose:
 
 def _rail(X: Array, axis: int = 2) -> Pose:
     """Pose whose x axis is the given axis of X, z by default, which lies in the plane."""
-    dx, dy = float(X[0, axis]), float(X[1, axis])
+    dx = float(X[0, axis])
+    dy = float(X[1, axis])
     n = math.hypot(dx, dy)
     return dx / n, dy / n, float(X[0, 3]), float(X[1, 3])
 
@@ -202,19 +204,28 @@ def _assemble(system: System, held: dict[str, tuple[str, str, Pose]], moving: li
     at, groups, misfit = _merge(order, held)
     number = {b: i for i, b in enumerate(system.body_names)}
     slots = {c: i for i, c in enumerate(system.coordinate_names)}
-    parameters, mechanism = system.structure.parameters, system.mechanism  # a copy: it takes long
+    # a copy: it takes long
+    parameters = system.structure.parameters
+    mechanism = system.mechanism
     links: list[Link] = []
     for joint in moving:
-        (a, X_A), (b, X_B) = at[joint.parent], at[joint.child]
-        X_PF, X_CM = joint.X_PF.evaluate(parameters), joint.X_CM.evaluate(parameters)
+        (a, X_A) = at[joint.parent]
+        (b, X_B) = at[joint.child]
+        X_PF = joint.X_PF.evaluate(parameters)
+        X_CM = joint.X_CM.evaluate(parameters)
         motion = alone(joint)
         assert motion is not None
-        turns, axis = motion.kind == R, "xyz".index(motion.axis)
+        turns = motion.kind == R
+        axis = "xyz".index(motion.axis)
         F, M = (times(X, _flat(Y) if turns else _rail(Y, axis)) for X, Y in ((X_A, X_PF), (X_B, X_CM)))
-        source, multiplier, offset = coordinate_names(mechanism, joint)[0], 1.0, 0.0
+        source = coordinate_names(mechanism, joint)[0]
+        multiplier = 1.0
+        offset = 0.0
         follower = system.structure.couplings.get(source)
         if follower is not None:
-            source, multiplier, offset = follower.source or "", follower.multiplier, follower.offset
+            source = follower.source or ""
+            multiplier = follower.multiplier
+            offset = follower.offset
         links.append(Link(joint.name, R if turns else P, a, b, F, M, slots[source], multiplier, offset))
     constraints = mechanism.constraints
     for name in sorted((n for n, c in constraints.items() if c.equations(2)), key=natural):
@@ -228,11 +239,15 @@ def _assemble(system: System, held: dict[str, tuple[str, str, Pose]], moving: li
 
 def _tie(system: System, name: str, part: int, at: dict[str, tuple[int, Pose]]) -> list[Link]:
     """The two links of a constraint, on a part of its own."""
-    constraint, parameters = system._mechanism.constraints[name], system.structure.parameters
-    (a, X_A), (b, X_B) = at[constraint.parent], at[constraint.child]
+    constraint = system._mechanism.constraints[name]
+    parameters = system.structure.parameters
+    (a, X_A) = at[constraint.parent]
+    (b, X_B) = at[constraint.child]
     X_PF, X_CM = constraint.frames(parameters, 2)
     here, there = (f"{name} ({body})" for body in (constraint.parent, constraint.child))
-    start, end, length = (1.0, 0.0, 0.0, 0.0), times(X_B, _flat(X_CM)), 0.0
+    start = (1.0, 0.0, 0.0, 0.0)
+    end = times(X_B, _flat(X_CM))
+    length = 0.0
     if constraint.rod:
         first = Link(here, R, a, part, times(X_A, _flat(X_PF)), start, NOWHERE, 1.0, 0.0)
         length = constraint.length(parameters)
@@ -320,7 +335,9 @@ class Code:
     """A program for the dyad kernel while it is written: operations, and the places of registers and coordinates."""
 
     def __init__(self, n_parts: int, nq: int):
-        self.registers, self.nq, self.n_parts = n_parts + 3, nq, n_parts
+        self.registers = n_parts + 3
+        self.nq = nq
+        self.n_parts = n_parts
         self.signs = 0
         self.ops: list[tuple[list[int], list[float]]] = []
 

@@ -57,7 +57,8 @@ class DyadFormulas(Derivation):
         found = self.evaluate(
             given, np.broadcast_to(self.plan.sign_rows(branch, None, lead), (len(given), self.plan.signs))
         )
-        names, turning = self.system.coordinate_names, self.system.structure.coordinates.turning
+        names = self.system.coordinate_names
+        turning = self.system.structure.coordinates.turning
         q = np.empty((len(given), self.system.nq))
         for name, column in zip(self.plan.known, given.T, strict=True):
             q[:, names.index(name)] = column
@@ -97,7 +98,8 @@ class _Writing:
     """The derivation while it is written: what is placed, what is known."""
 
     def __init__(self, plan: Plan, symbols: Mapping[str, Any] | None):
-        self.plan, self.system = plan, plan.system
+        self.plan = plan
+        self.system = plan.system
         self.leaves = SymbolLeaves(plan.system, symbols or {}, 0.0)
         self.steps: list[FormulaStep] = []
         taken = {*plan.system.coordinate_names, *plan.system.structure.parameters}
@@ -182,7 +184,8 @@ class _Writing:
         """Learn the coordinate of a joint that turns between bodies that are placed."""
         for g in self.joints.values():
             if g.joint.parent in self.places and g.joint.child in self.places and g.value.free_symbols & self.unknown:
-                parent, child = self.places[g.joint.parent], self.places[g.joint.child]
+                parent = self.places[g.joint.parent]
+                child = self.places[g.joint.child]
                 if g.turns:
                     self._learn(g, child.angle + g.angles[1] - parent.angle - g.angles[0])
                 else:
@@ -213,7 +216,8 @@ class _Writing:
                 there = [b for b in ends if b in out]
                 if len(there) == 1 and {*ends} <= {*bodies} and not g.value.free_symbols & self.unknown:
                     other, angle, own, at = self._across(g, there[0], out[there[0]], g.value)
-                    out[other], grown = _Place(minus(at, turned(own, angle)), angle), True
+                    out[other] = _Place(minus(at, turned(own, angle)), angle)
+                    grown = True
         return out
 
     def _pin(self, joint: str, places: dict[str, _Place]) -> Vector:
@@ -257,18 +261,25 @@ class _Writing:
         x, y, z = dyad.joints
         if not {*first, *second} <= set(self.system.body_names):
             raise self._none(y)
-        near, far = ((x, y, z), first, second), ((z, y, x), second, first)
+        near = ((x, y, z), first, second)
+        far = ((z, y, x), second, first)
         how = {"RRR": self._circles, "RPR": self._turning, "PRP": self._both_slide}.get(dyad.kind)
         if how is None:
             how = self._line_circle if dyad.kind.count("P") == 1 else self._slide_on_slide
         how(n, k, *(near if dyad.kind[0] == "P" or dyad.kind[-1] == "R" and dyad.kind != "RPP" else far))
 
     def _circles(self, n: Names, k: int, joints: Three, first: Bodies, second: Bodies) -> None:
-        (x, y, z), one, two = joints, self._cluster(first), self._cluster(second)
+        (x, y, z) = joints
+        one = self._cluster(first)
+        two = self._cluster(second)
         A = self._pin(x, self.places)
         to = self._to(k, minus(self._pin(z, self.places), A))
-        a1, b1, b2, c2 = self._pin(x, one), self._pin(y, one), self._pin(y, two), self._pin(z, two)
-        (l1, at1), (l2, at2) = self._polar(minus(b1, a1)), self._polar(minus(c2, b2))
+        a1 = self._pin(x, one)
+        b1 = self._pin(y, one)
+        b2 = self._pin(y, two)
+        c2 = self._pin(z, two)
+        (l1, at1) = self._polar(minus(b1, a1))
+        (l2, at2) = self._polar(minus(c2, b2))
         steps, angle, bend = two_circles(n._replace(sign=-n.sign), to, l1, l2, LEFT)
         self.steps += steps
         self._place(first[0], angle - at1, a1, A)
@@ -292,7 +303,9 @@ class _Writing:
         rail, middle, pin = joints
         g, still, start, along = self._slid(rail, slider)
         two = self._cluster(bar)
-        b2, c2, fixed = self._pin(middle, two), self._pin(pin, two), self._pin(pin, self.places)
+        b2 = self._pin(middle, two)
+        c2 = self._pin(pin, two)
+        fixed = self._pin(pin, self.places)
         length, at_bar = self._polar(minus(c2, b2))
         to = minus(fixed, start.of(self._pin(middle, self._cluster(slider))))
         steps, u, turn = line_and_circle(n, self._to(k, to), along, length)
@@ -311,12 +324,16 @@ class _Writing:
         g, body = self._rail(y, dict.fromkeys(first, self.places[self.system.body_names[0]]))
         if g.joint.parent != body:
             x, z, first, second = z, x, second, first
-        one, two = self._cluster(first), self._cluster(second)
-        parent, child = one.get(g.joint.parent), two.get(g.joint.child)
+        one = self._cluster(first)
+        two = self._cluster(second)
+        parent = one.get(g.joint.parent)
+        child = two.get(g.joint.child)
         if parent is None or child is None:
             raise self._none(y)
-        A, a = self._pin(x, self.places), self._pin(x, one)
-        rail, other = parent.angle + g.angles[0], child.angle + g.angles[1]
+        A = self._pin(x, self.places)
+        a = self._pin(x, one)
+        rail = parent.angle + g.angles[0]
+        other = child.angle + g.angles[1]
         reach = turned(minus(self._pin(z, two), child.of(g.points[1])), rail - other)
         gap = turned(plus(minus(parent.of(g.points[0]), a), reach), -rail)
         ahead, aside = (sympy.simplify(v) for v in gap)
@@ -330,7 +347,8 @@ class _Writing:
         ways = [self._slid(rail, bodies) for rail, bodies in ((joints[0], first), (joints[2], second))]
         pins = [way[2].of(self._pin(joints[1], self._cluster(bodies)))
                 for way, bodies in zip(ways, (first, second), strict=True)]  # fmt: skip
-        (d1, d2), to = (way[3] for way in ways), self._to(k, minus(pins[1], pins[0]))
+        (d1, d2) = (way[3] for way in ways)
+        to = self._to(k, minus(pins[1], pins[0]))
         steps, *slides = two_lines(n, to, d1, (-d2[0], -d2[1]))
         self.steps += steps
         for (g, still, *_), u in zip(ways, slides, strict=True):
@@ -340,7 +358,8 @@ class _Writing:
         """Place a slider on what is placed, and one on it that a hinge holds."""
         rail, middle, pin = joints
         g1, still, start, d1 = self._slid(rail, near)
-        before, own = self.places, self._cluster(near)
+        before = self.places
+        own = self._cluster(near)
         self.places = {b: _Place(start.of(p.at), start.angle + p.angle) for b, p in own.items()}  # as at zero
         g2, _, tip, d2 = self._slid(middle, far)
         self.places = before

@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 
 CLOSED = 1e-12
 """Openings below this share of the mechanism's size are rounding."""
-CHUNK, SERIAL_BELOW = 8192, 20_000
+CHUNK = 8192
+SERIAL_BELOW = 20_000
 STEP = 0.1
 """Largest change of a coordinate between two rows, in radians and characteristic lengths, as a part of the least margin
 of a dyad, for a sequence of rows to stay on its branch: the sine of the angle between the links is that margin."""
@@ -213,7 +214,8 @@ class Plan(Report):
         """
         given, lead = self.values(values)
         signs = self.branches()
-        k, nq = len(signs), self.system.nq
+        k = len(signs)
+        nq = self.system.nq
         targets = np.zeros((1, nq)) if start is None else _rows(as_start(self.system, start), (), "near")
         refuse_far(self.system, targets, "start")
         many = np.repeat(given, k, axis=0)
@@ -291,7 +293,8 @@ class Plan(Report):
         from kempe.kernels.compiled import dyads_program as dyads
 
         ints, floats = self.program
-        q, status = np.empty((len(values), self.system.nq)), np.empty((len(values), 3))
+        q = np.empty((len(values), self.system.nq))
+        status = np.empty((len(values), 3))
 
         def work(i: int, j: int) -> int:
             s, t = (a if len(a) == 1 else a[i:j] for a in (signs, targets))

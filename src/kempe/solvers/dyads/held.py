@@ -45,7 +45,8 @@ def held_at(system: System, known: Mapping[str, Any]) -> list[tuple[Any, Any, An
         i = system.coordinate_names.index(name)
         out.append((HeldCoordinate(name, i, turning.get(i, True), value), None, WITHIN))
     for name in known.keys() - own:
-        whole, X = np.ndim(known[name]) == 2, np.eye(4)
+        whole = np.ndim(known[name]) == 2
+        X = np.eye(4)
         place = place_of(system, name, known[name], whole)
         X[: len(place), 3 if not whole else slice(None)] = place
         made = of_target(name, "pose" if whole else "position", Z_AXIS, X)

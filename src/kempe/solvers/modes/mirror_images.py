@@ -56,7 +56,9 @@ def mixed(system: System, q: Array, n: int, rng: np.random.Generator) -> Array:
 def _points(system: System) -> list[Array]:
     """For each body the points (k, 3) of joints and constraints on it, in its axes; of hinges and slides a second one
     on their axis, which a mirror image must keep as well."""  # fmt: skip
-    m, number, length = system.mechanism, {b: i for i, b in enumerate(system.body_names)}, characteristic_length(system)
+    m = system.mechanism
+    number = {b: i for i, b in enumerate(system.body_names)}
+    length = characteristic_length(system)
     points: list[list[Array]] = [[] for _ in system.body_names]
     for owner in (*m.joints.values(), *(c for c in m.constraints.values() if c.parent)):
         joint = m.joints.get(owner.name)
@@ -83,7 +85,8 @@ def _points(system: System) -> list[Array]:
 @kept
 def _plane(system: System) -> tuple[Array, Array] | None:
     """A point and the normal of the plane, in a planar system of the line, that the ground's points lie in."""
-    points, dim = _points(system)[0], system.dim
+    points = _points(system)[0]
+    dim = system.dim
     if not len(points):
         return None
     center = points.mean(axis=0)
@@ -101,7 +104,8 @@ def _fitted(system: System, body: int, points: Array, image: Array, poses: Array
     if system.mechanism.bodies[system.body_names[body]].particle:
         out[:, :3, 3] = image.mean(axis=1)
         return out
-    middle, place = points.mean(axis=0), image.mean(axis=1)
+    middle = points.mean(axis=0)
+    place = image.mean(axis=1)
     H = np.swapaxes(points - middle, 0, 1) @ (image - place[:, None])
     dim = system.dim
     scale = np.linalg.norm(H, axis=(1, 2), keepdims=True)

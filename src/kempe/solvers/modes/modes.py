@@ -128,7 +128,8 @@ def _not_begun(
     **_: Any,
 ) -> Modes:  # fmt: skip
     """The answer where the time was up before any mode was looked for."""
-    none, said = np.zeros(0, dtype=np.int64), f"none is known: {time.reason(TimeUp())} came first"
+    none = np.zeros(0, dtype=np.int64)
+    said = f"none is known: {time.reason(TimeUp())} came first"
     problem = Problem(system, "all", dict(known or {}), None, limits=bool(limits))
     return replace(_answer(problem, np.empty((0, system.nq)), said, [], none, none, False), late=True)
 
@@ -214,18 +215,22 @@ def by_dyads(question: Problem) -> Modes:
     clusters = Clusters(system, () if question.frame is None else (question.frame,))
     clusters.add(closed.q[ok], np.full(len(ok), SAME))
     groups = [ok[members] for members in clusters.members]
-    q, free = closed.q[[g[0] for g in groups]], np.zeros(len(groups), dtype=np.int64)
+    q = closed.q[[g[0] for g in groups]]
+    free = np.zeros(len(groups), dtype=np.int64)
     branches = [_merged([names[i] for i in g]) for g in groups]
     sizes = np.array([len(g) for g in groups], dtype=np.int64)
     doubt = _looked_into(question, plan, numbers[0], closed, clusters)
     if doubt.found:
         shown = [*range(len(groups)), *doubt.found]
-        q, free = np.concatenate([q, clusters.q[list(doubt.found)]]), doubt.free[shown]
+        q = np.concatenate([q, clusters.q[list(doubt.found)]])
+        free = doubt.free[shown]
         branches += ["".join("+" if s > 0 else "-" for s in row) for row in plan.branch_of(q[len(groups) :])]
         sizes = np.concatenate([sizes, np.zeros(len(doubt.found), dtype=np.int64)])
     elif len(doubt.free):
         free = doubt.free[: len(groups)]
-    all_, do, new = counted(len(signs), "branch"), verb(len(ok), "closes", "close"), len(doubt.found)
+    all_ = counted(len(signs), "branch")
+    do = verb(len(ok), "closes", "close")
+    new = len(doubt.found)
     status = f"complete: every dyad in closed form, {len(ok)} of {all_} {do}"
     if not len(q):
         status = f"complete: none of the {all_} closes; the best is open by {closed.gap.min():.3g} m"
@@ -260,7 +265,8 @@ def _looked_into(question: Problem, plan: Plan, values: Array, closed: DyadAnswe
     A branch that did not close as it was computed may do so elsewhere in its discs: least squares start where it
     nearly closed and, where a branch is undetermined, at random.
     """
-    system, size = question.system, plan.tolerance / CLOSED
+    system = question.system
+    size = plan.tolerance / CLOSED
     proof = enclose(plan, values, bool(question.limits), size)
     layout = system.structure.layout
     turning = np.zeros(system.nq, dtype=bool)
@@ -272,7 +278,9 @@ def _looked_into(question: Problem, plan: Plan, values: Array, closed: DyadAnswe
         return _Doubt(np.zeros(0, dtype=np.int64))
     from kempe.solvers.modes.modes_search import ModesSearch, random_starts  # its kernels are not needed before
 
-    tree, before, spend = own_tree(system), len(clusters.members), USUAL.of(question.budget)
+    tree = own_tree(system)
+    before = len(clusters.members)
+    spend = USUAL.of(question.budget)
     bound = of_equations(tree, question.known)
     s = ModesSearch(tree, dict(question.known), question.start, generator(spend.rng), bound, clusters, question.frame,
                     limits=bool(question.limits))  # fmt: skip
@@ -304,12 +312,16 @@ def by_starts(question: Problem) -> Modes:
     """The answer of many starts: never proven complete."""
     from kempe.solvers.modes.modes_search import estimates, search  # its kernels are not needed before
 
-    system, spend = question.system, USUAL.of(question.budget)
+    system = question.system
+    spend = USUAL.of(question.budget)
     found = search(system, dict(question.known), question.start, question.frame, generator(spend.rng),
                    start_count(spend.starts), time_of(USUAL, question.budget), spend.progress,
                    bool(question.limits))  # fmt: skip
-    q, hits, free = found.clusters.q, found.clusters.hits, found.free
-    isolated, families = np.flatnonzero(free == 0), np.flatnonzero(free > 0)
+    q = found.clusters.q
+    hits = found.clusters.hits
+    free = found.free
+    isolated = np.flatnonzero(free == 0)
+    families = np.flatnonzero(free > 0)
     coverage, expected = estimates(found.hits)
     expected *= len(isolated) / max(len(found.hits), 1)  # mirror images are counted together
     expected += found.odd
@@ -376,12 +388,15 @@ def _answer(
     """The modes, sorted, with what is outside the limits dropped or flagged."""
     system = question.system
     inside = _inside(system, q)
-    bounds, left_out = one_sided_rows(system), 0
+    bounds = one_sided_rows(system)
+    left_out = 0
     keep = np.flatnonzero(inside) if question.limits else np.arange(len(q))
     if bounds.declared:
         beyond = bounds.beyond(q, declared=True) > 0.0
         holds = np.logical_not(beyond.any(axis=1))
-        inside, left_out, keep = inside & holds, int(np.sum(~holds)), keep[holds[keep]]
+        inside = inside & holds
+        left_out = int(np.sum(~holds))
+        keep = keep[holds[keep]]
         status += bounds.left_out(beyond)
     if question.start is not None:
         keep = keep[np.argsort(metric_of(system).distances(q[keep], question.start), kind="stable")]

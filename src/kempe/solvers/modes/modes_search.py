@@ -43,12 +43,15 @@ if TYPE_CHECKING:
 
 ROUND = 128
 """Starts in one batch; after each it is checked whether the search may end."""
-SEEN_OFTEN, LEAST = 6, 512
+SEEN_OFTEN = 6
+LEAST = 512
 """The search ends when each mode has been found this many times, and after so many starts: of a mode to which 1 % of
 them leads, fewer would miss more than one in a hundred."""
-MANY, HOPELESS = 1024, 0.1
+MANY = 1024
+HOPELESS = 0.1
 """After so many starts a search ends that, by estimate, has found less than this part: there are thousands."""
-KICK, STAYED = 1e-2, 0.1
+KICK = 1e-2
+STAYED = 0.1
 """A step along a freedom that seems left, and how much of it must remain when the loops are closed again."""
 LONGER = 1024
 """Starts after which a search may end though the number found is odd, where that proves nothing."""
@@ -91,8 +94,10 @@ class ModesSearch:
         """Whether limits keep starts from a part of the configurations."""
         if not self.limits:
             return False
-        low, high = self.system.lower, self.system.upper
-        coordinates, period = self.system.structure.coordinates, self.clusters.metric.period
+        low = self.system.lower
+        high = self.system.upper
+        coordinates = self.system.structure.coordinates
+        period = self.clusters.metric.period
         whole = coordinates.turning & (period > 0.0) & (high - low >= period * (1.0 - 1e-9))
         whole |= np.isinf(low) & np.isinf(high)
         held = np.array([n in self.bound.held for n in self.system.structure.velocity_names], dtype=bool)
@@ -141,14 +146,16 @@ class ModesSearch:
         moved = {b for f in self.spins for b in (*f.bodies, *f.links)}
         rest = tuple(b for b in self.system.body_names[1:] if b not in moved)
         if self.spins and rest:
-            before, self.clusters = self.clusters, Clusters(self.system, rest)
+            before = self.clusters
+            self.clusters = Clusters(self.system, rest)
             self.clusters.add(q, tolerance)
             self.clusters.add(before.q, before.tolerance, False)
             self._look(0)
 
     def complete(self) -> bool:
         """Look for modes where those found suggest some, mirror images last; whether there are new ones."""
-        before, modes = len(self.free), self.clusters.q[self.free == 0]
+        before = len(self.free)
+        modes = self.clusters.q[self.free == 0]
         if not len(modes):
             return False
         if len(modes) > 1:
@@ -197,7 +204,8 @@ def search(
             if progress is not None:
                 progress(s.tried, len(s.free))
         except BROKEN_OFF as error:
-            s, s.broken = before, error
+            s = before
+            s.broken = error
             break
         if done:
             break
@@ -209,7 +217,8 @@ def search(
 
 def _one_round(s: ModesSearch, starts: int) -> bool:
     """Whether the search may end after one more round of starts."""
-    system, near = s.system, s.near
+    system = s.system
+    near = s.near
     n = min(ROUND, starts - s.tried)
     start = random_starts(s, n)
     if s.tried == 0:
@@ -238,9 +247,11 @@ def random_starts(s: ModesSearch, n: int) -> Array:
     """Starts (n, nq): angles over their period, free lengths up to two characteristic ones; all inside the limits, if
     these count, else every other one: in the rest angles run over their period, and lengths beyond their limits.
     """
-    system, metric = s.system, s.clusters.metric
+    system = s.system
+    metric = s.clusters.metric
     limits: Array = system.structure.limits
-    turning, layout = system.structure.coordinates.turning, system.structure.layout
+    turning = system.structure.coordinates.turning
+    layout = system.structure.layout
     q = random(system, s.rng, n)
     endless = ~np.isfinite(limits).all(axis=-1) & ~turning
     slides = endless[layout.vector_v]
@@ -250,10 +261,12 @@ def random_starts(s: ModesSearch, n: int) -> Array:
     if s.limits:
         return q
     bounded = np.flatnonzero(np.any(np.isfinite(limits), axis=-1)[layout.vector_v])
-    v, at = layout.vector_v[bounded], layout.vector_q[bounded]
+    v = layout.vector_v[bounded]
+    at = layout.vector_q[bounded]
     reach = np.where(turning, np.maximum(metric.period, 2.0 * np.pi) / 2.0, 2.0 * metric.length)
     beyond = np.where(np.isfinite(limits) & ~turning[:, None], limits, 0.0)
-    low, high = np.minimum(beyond[:, 0], 0.0) - reach, np.maximum(beyond[:, 1], 0.0) + reach
+    low = np.minimum(beyond[:, 0], 0.0) - reach
+    high = np.maximum(beyond[:, 1], 0.0) + reach
     wide = np.arange(n) % 2 == 1
     q[np.ix_(wide, at)] = low[v] + s.rng.random((int(wide.sum()), len(v))) * (high - low)[v]
     return q
@@ -282,7 +295,8 @@ def freedoms(system: System, bound: Assembler, known: dict[str, Any], clusters: 
     spaces = svd(J[loose])[2] if len(loose) and not bound.frames else J[loose]
     for k, space in zip(loose.tolist(), spaces, strict=True):
         if bound.frames:
-            null_space, size = np.random.default_rng(0).normal(size=(2, len(free))), np.ones(2)
+            null_space = np.random.default_rng(0).normal(size=(2, len(free)))
+            size = np.ones(2)
         else:
             null_space, size = _moving(system, clusters, q[k], free, space[ranks[k] :])
         owner += [k] * (2 * len(null_space))
@@ -323,7 +337,9 @@ def must_be_even(s: ModesSearch) -> bool:
     See the module. Limits do not count, and modes that are one only as to some frames are not looked at. Rods that spin
     between balls act on all configurations, open ones too, and change no equation: what is counted are their orbits.
     """
-    system, bound, metric = s.system, s.bound, s.clusters.metric
+    system = s.system
+    bound = s.bound
+    metric = s.clusters.metric
     if bound.frames or (s.clusters.frames and not s.spins) or not len(s.clusters.q):
         return False
     free = [i for i, n in enumerate(system.structure.velocity_names) if n not in bound.held]
@@ -359,7 +375,8 @@ def _equations(system: System) -> list[Declared]:
 def _tied(system: System, i: int) -> bool:
     """Whether a velocity is one of a particle's place, and distances are the only constraints: as some solution is
     regular, these tie it to what stays near."""  # fmt: skip
-    mechanism, kinds = system.mechanism, {c.rod for c in _equations(system)}
+    mechanism = system.mechanism
+    kinds = {c.rod for c in _equations(system)}
     joint = mechanism.joints.get(system.structure.velocity_names[i].rpartition(".")[0])
     if joint is None or kinds != {True} or system.structure.relations or not mechanism.bodies[joint.child].particle:
         return False
@@ -380,7 +397,9 @@ def estimates(hits: np.ndarray) -> tuple[float, float]:
     after Turing). The coverage is 1 less the upper bound of that share (Clopper, Pearson, 1934): with no mode found
     once, 3 / n. The number is at least k + f1 (f1 - 1) / (2 (f2 + 1)), f2 found twice (Chao, 1984, bias-corrected).
     """
-    n, once, twice = int(np.sum(hits)), int(np.sum(hits == 1)), int(np.sum(hits == 2))
+    n = int(np.sum(hits))
+    once = int(np.sum(hits == 1))
+    twice = int(np.sum(hits == 2))
     if not n:
         return 0.0, 0.0
     return 1.0 - _upper(once, n), len(hits) + once * (once - 1) / (2.0 * (twice + 1))
@@ -390,7 +409,8 @@ def _upper(seen: int, n: int) -> float:
     """The largest share at which no more than `seen` of `n` would still be seen with probability 1 - CONFIDENCE."""
     if seen >= n:
         return 1.0
-    low, high = seen / n, 1.0
+    low = seen / n
+    high = 1.0
     ways = [math.lgamma(n + 1) - math.lgamma(i + 1) - math.lgamma(n - i + 1) for i in range(seen + 1)]
     for _ in range(60):
         x = 0.5 * (low + high)

@@ -39,7 +39,8 @@ class Metric:
     """
 
     def __init__(self, system: System):
-        self.system, self.length = system, characteristic_length(system)
+        self.system = system
+        self.length = characteristic_length(system)
         self.scale = np.where(system.structure.coordinates.turning, 1.0, self.length)
         self.scale[(system.structure.layout.quaternion_v[:, None] + np.arange(3)).ravel()] = 1.0
         self.period = _periods(system)
@@ -49,9 +50,12 @@ class Metric:
 
     def keys(self, q: Array) -> Array:
         """Numbers (n,) that are nearly equal for configurations (n, nq) that are nearly one: what differs, differs."""
-        layout, w = self.system.structure.layout, self._weights
-        x, period = q[:, layout.vector_q], self.period[layout.vector_v]
-        back, weight = period > 0.0, w[: len(period), 0]
+        layout = self.system.structure.layout
+        w = self._weights
+        x = q[:, layout.vector_q]
+        period = self.period[layout.vector_v]
+        back = period > 0.0
+        weight = w[: len(period), 0]
         turned = np.cos(2.0 * np.pi * x[:, back] / period[back] + w[: len(period), 1][back])
         out = turned @ weight[back] + (x[:, ~back] / self.scale[layout.vector_v][~back]) @ weight[~back]
         for k, i in enumerate(layout.quaternion_q):
@@ -72,8 +76,10 @@ class Metric:
 
         Angles of which a constraint tells whole turns apart stay as they are where it would else not hold.
         """
-        system, given = self.system, q
-        low, high = np.maximum(system.lower, -1e300), np.minimum(system.upper, 1e300)
+        system = self.system
+        given = q
+        low = np.maximum(system.lower, -1e300)
+        high = np.minimum(system.upper, 1e300)
         q = np.array(q)
         for iq, iv in zip(
             system.structure.layout.vector_q.tolist(), system.structure.layout.vector_v.tolist(), strict=True
@@ -108,13 +114,15 @@ def _periods(system: System) -> Array:
     """
     turns = np.where(system.structure.coordinates.turning, 1, 0)
     number = {name: i for i, name in enumerate(system.structure.velocity_names)}
-    mechanism, followers = system.mechanism, system.structure.couplings
+    mechanism = system.mechanism
+    followers = system.structure.couplings
     for joint in mechanism.joints.values():
         names = coordinate_names(mechanism, joint)
         for p in joint.type.layout(system.dim, mechanism.bodies[joint.child].particle)[1]:
             follower = followers.get(names[p.coordinate])
             if follower is not None and follower.source is not None:
-                factor, i = p.multiplier * follower.multiplier, number[follower.source]
+                factor = p.multiplier * follower.multiplier
+                i = number[follower.source]
                 ratio = Fraction(factor).limit_denominator(MOST_TURNS)
                 again = p.kind == R and abs(float(ratio) - factor) < 1e-12
                 turns[i] = math.lcm(int(turns[i]), ratio.denominator) if again else 0
@@ -132,7 +140,9 @@ class Clusters:
     """
 
     def __init__(self, system: System, frames: tuple[str, ...] = ()):
-        self.system, self.frames, self.metric = system, frames, metric_of(system)
+        self.system = system
+        self.frames = frames
+        self.metric = metric_of(system)
         self.q = np.empty((0, system.nq))
         self.poses = np.empty((0, len(frames), 3, 4))
         self.keys = np.empty(0)
@@ -160,8 +170,10 @@ class Clusters:
         new = rest[first]
         fresh: list[list[int]] = [[] for _ in new]
         self.members += fresh
-        self.q, self.poses = np.concatenate([self.q, q[new]]), np.concatenate([self.poses, X[new]])
-        self.keys, self.tolerance = np.append(self.keys, keys[new]), np.append(self.tolerance, tolerance[new])
+        self.q = np.concatenate([self.q, q[new]])
+        self.poses = np.concatenate([self.poses, X[new]])
+        self.keys = np.append(self.keys, keys[new])
+        self.tolerance = np.append(self.tolerance, tolerance[new])
         if counted:
             places: list[int] = out.tolist()
             for k in places:
@@ -190,12 +202,16 @@ class Clusters:
         start = np.cumsum(count) - count
         who = np.repeat(np.arange(len(q)), count)
         with_ = order[np.arange(len(who)) - start[who] + low[who]]
-        apart, step = np.empty(len(who)), max(1, MOST_AT_ONCE // max(q.shape[1], 12 * len(self.frames), 1))
+        apart = np.empty(len(who))
+        step = max(1, MOST_AT_ONCE // max(q.shape[1], 12 * len(self.frames), 1))
         for i in range(0, len(who), step):
-            a, b = who[i : i + step], with_[i : i + step]
+            a = who[i : i + step]
+            b = with_[i : i + step]
             apart[i : i + step] = self._apart(q[a], X[a], self.q[b], self.poses[b])
         same = apart <= np.maximum(self.tolerance[with_], tolerance[who])
-        who, with_, apart = who[same], with_[same], apart[same]
+        who = who[same]
+        with_ = with_[same]
+        apart = apart[same]
         best = np.lexsort((with_, apart, who))[::-1]  # the nearest of each is written last
         out[who[best]] = with_[best]
         return out
@@ -210,7 +226,8 @@ class Clusters:
         for group in np.split(order, ends):
             left = np.sort(group)
             while len(left) > 1:
-                k, left = left[0], left[1:]
+                k = left[0]
+                left = left[1:]
                 apart = self._apart(q[left], X[left], q[k : k + 1], X[k : k + 1])
                 same = apart <= np.maximum(tolerance[left], tolerance[k])
                 out[left[same]] = k

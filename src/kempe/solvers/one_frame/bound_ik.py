@@ -24,7 +24,9 @@ LENGTH, ANGLE = TOLERANCE
 
 def bind(question: FrameProblem, task: str | None, shape: tuple[int, ...]) -> None:
     """Let calls like this one go by a `BoundIk` from now on, if they are plain enough."""
-    system, chain, key = question.system, question.chain, (question.frame, task, len(shape))
+    system = question.system
+    chain = question.chain
+    key = (question.frame, task, len(shape))
     point = question.name == "position" and (task is not None or shape != (4, 4))  # a turned particle is an error
     plain = shape in ((4, 4), (3,), (2,)) if point else (shape == (4, 4) and question.name != "position")
     if plain and question.axis == Z_AXIS and not chain.ints[HAS_QUATERNION] and key not in system._queries:
@@ -36,8 +38,11 @@ class BoundIk:
     """`ik` of single targets for one frame and task, with all looked up that can be: the way of plain calls."""
 
     def __init__(self, question: FrameProblem, shape: tuple[int, ...]):
-        self.requested, self.chain, self.rows = question, question.chain, multi_start.rows_of(question)
-        system, self.size = question.system, len(question.chain.q_index)
+        self.requested = question
+        self.chain = question.chain
+        self.rows = multi_start.rows_of(question)
+        system = question.system
+        self.size = len(question.chain.q_index)
         self.nq = system.nq
         first = int(self.chain.q_index[0]) if self.size else 0
         in_a_row = np.array_equal(self.chain.q_index, np.arange(first, first + self.size))
@@ -46,9 +51,15 @@ class BoundIk:
         """Whether the chain has all coordinates of the system."""
         self.plain = system.nq == system.nv == len(system.structure.layout.vector_q)
         """Whether entry i of q and of the limits belong together."""
-        self.lower, self.upper, self.unmoved = system.lower, system.upper, np.eye(4)[None]
-        self.shape, self.posed, self.new = shape, len(shape) == 2, maker(1, self.size + ANSWER)
-        self.reach, self.base, self.no_seed = schedule.reach, self.chain.base[0], self.chain.no_seed
+        self.lower = system.lower
+        self.upper = system.upper
+        self.unmoved = np.eye(4)[None]
+        self.shape = shape
+        self.posed = len(shape) == 2
+        self.new = maker(1, self.size + ANSWER)
+        self.reach = schedule.reach
+        self.base = self.chain.base[0]
+        self.no_seed = self.chain.no_seed
 
     def __reduce__(self) -> tuple[Any, ...]:
         return BoundIk, (self.requested, self.shape)
@@ -73,15 +84,18 @@ class BoundIk:
         """The answer for a target, None where target or seed need the general solver."""
         if target.shape != self.shape or not (self.posed or target.dtype == np.float64):
             return None
-        chain, n = self.chain, self.size
+        chain = self.chain
+        n = self.size
         if start is None:
-            base, seeds = self.base, self.no_seed
+            base = self.base
+            seeds = self.no_seed
         else:
             if start.__class__ is not np.ndarray or start.dtype != np.float64 or start.shape != (self.nq,):
                 return None
             if not (self.plain and start.flags.c_contiguous):
                 return None
-            base, seeds = start, (start if self.whole else start[self.part]).reshape(1, 1, n)
+            base = start
+            seeds = (start if self.whole else start[self.part]).reshape(1, 1, n)
         out = self.new()
         X = target.copy()[None] if self.posed else self._pose(target)  # the answer keeps it
         try:
@@ -107,7 +121,8 @@ class BoundIk:
                 return None
         if not missed or row[n + STATUS] == Status.SOLVED:
             return Solution.reached((self, X), q, row)
-        task, codes = self.task(X), np.array([Status.NOT_FOUND])
+        task = self.task(X)
+        codes = np.array([Status.NOT_FOUND])
         quiet(multi_start.look_closer)(task, codes)
         linear, angular, _, steps, starts = row[n:].tolist()
         return Solution(q, False, member(codes[0]), linear, angular, int(steps), int(starts), task)

@@ -28,7 +28,8 @@ def derivative(solution: Solution) -> Array:
     good = np.asarray(solution.success)
     if not good.ndim and not good:
         raise InputError(f"the target was not reached, so q does not follow it: {solution.status}")
-    system, chain = task.system, task.chain
+    system = task.system
+    chain = task.chain
     q = np.where(good[..., None], solution.q, system.neutral)
     J = jacobian(system, q, task.frame)[..., chain.v_index]
     R = fk(system, q, task.frame)[..., :3, :3]
@@ -38,7 +39,8 @@ def derivative(solution: Solution) -> Array:
     S[..., :3, :3] = S[..., 3:, 3:] = np.swapaxes(R, -1, -2)
     S *= np.array(task.mask, dtype=float)[:, None]
     J = np.where(system.upper > system.lower, 1.0, 0.0)[chain.v_index] * (S @ J)  # what has no room moves nothing
-    x, v = np.full((*q.shape[:-1], system.nv), np.nan), system.structure.layout.vector_v
+    x = np.full((*q.shape[:-1], system.nv), np.nan)
+    v = system.structure.layout.vector_v
     x[..., v] = q[..., system.structure.layout.vector_q]
     held = ((x <= system.lower + AT_LIMIT) | (x >= system.upper - AT_LIMIT))[..., chain.v_index]
     free = np.where(held[..., None, :], 0.0, J)

@@ -32,7 +32,9 @@ from kempe.status import Status
 
 AT_LIMIT = 1e-9
 """How near to a limit a coordinate is at it."""
-NEAR_MISS, NEAR_TURN, SMALL = 1e-6, 1e-2, 1e-2
+NEAR_MISS = 1e-6
+NEAR_TURN = 1e-2
+SMALL = 1e-2
 """Errors [m, rad] of a near miss, of which it is not said that the target may be outside; length of links [m] that are
 small for tolerances in metres."""
 ROUNDED = 2e-3
@@ -45,7 +47,8 @@ TILTED = 1e-7
 """Angle between a pose and the plane that is not rounding [rad]."""
 ROUNDING = 1e-14
 """What rounding makes of a configuration that reaches a target, in parts of its size."""
-RANK_TOLERANCE, NEARLY = 1e-9, 1e-4
+RANK_TOLERANCE = 1e-9
+NEARLY = 1e-4
 """Singular values below this fraction of the largest count as zero when the freedoms of a chain are counted, and when
 it is checked whether a search ended at a singular configuration."""
 
@@ -81,7 +84,8 @@ def sentence(solution: Solution, index: tuple[int, ...]) -> str:
 
 def proofs(solution: Solution, index: tuple[int, ...]) -> tuple[Evidence, ...]:
     """What proves that there is no answer for one target of a solution."""
-    task, code = solution.task, np.asarray(solution.code)
+    task = solution.task
+    code = np.asarray(solution.code)
     at = int(np.ravel_multi_index(index, code.shape)) if index else 0
     target = task.targets[at : at + 1]
     if code[index] not in (Status.OUT_OF_REACH, Status.NOT_FOUND):
@@ -131,7 +135,8 @@ def _rows(task: FrameProblem, q: Array, tolerance: float) -> int:
 
 def rank_of(task: FrameProblem) -> tuple[int, int]:
     """The equations of a task, and the freedoms in which the chain moves its frame at random configurations."""
-    system, rows = task.system, sum(map(bool, task.mask))
+    system = task.system
+    rows = sum(map(bool, task.mask))
     wanted = 2 * bool(any(task.mask[:3])) + bool(any(task.mask[3:])) if system.dim == 2 else rows
     return wanted, _rows(task, random(system, 0, 16), RANK_TOLERANCE)
 
@@ -230,7 +235,8 @@ def _close(task: FrameProblem, position: float, angle: float) -> Evidence | None
     """What a near miss means, where it is one: by then neither the search nor the workspace is known to end there."""
     if not any(task.mask[:3]) or position > NEAR_MISS or angle > NEAR_TURN:
         return None
-    longest, turn = task.chain.span.largest, angle if any(task.mask[3:]) else None
+    longest = task.chain.span.largest
+    turn = angle if any(task.mask[3:]) else None
     return evidence("near miss", place=position, turn=turn, longest=longest, small=longest <= SMALL)
 
 

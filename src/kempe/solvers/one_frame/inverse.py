@@ -46,7 +46,8 @@ if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
 
 METHODS = ("numeric", "analytic", "auto")
-TASKS, CLOSED = "tasks are requested, not a target of one frame", "method='analytic' asks for a closed form"
+TASKS = "tasks are requested, not a target of one frame"
+CLOSED = "method='analytic' asks for a closed form"
 USUAL = Usual("ik", starts=MOST, iterations=ITERATIONS, time_limit=SHORT, rng=0, threads=None)
 BATCH = Usual("ik", starts=MOST, iterations=ITERATIONS, time_limit=None, rng=0, threads=None)
 
@@ -105,7 +106,8 @@ def _of_frame(
     budget: Budget | None, history: bool,
 ) -> Solution:  # fmt: skip
     """The answer for targets of one frame."""
-    name, target = system.structure.frame_name(frame), given_target(system, target)
+    name = system.structure.frame_name(frame)
+    target = given_target(system, target)
     said, axis = task_and_axis(task)
     requested, targets, lead = _checked(system, name, target, said, axis)
     if start is not None:
@@ -171,10 +173,13 @@ def _no_tasks(system: System, frame: str | None, task: TaskOf, method: str, pref
 
 def _of_chain(problem: Problem) -> Solution:
     """The answer by the frame's own chain: by numbers, or in closed form where the method is not numeric."""
-    system, name, lead = problem.system, str(problem.frame), problem.lead
+    system = problem.system
+    name = str(problem.frame)
+    lead = problem.lead
     spend = (BATCH if lead else USUAL).of(problem.budget)
     usual = problem.budget is None or problem.budget.time_limit is None
-    chain, tolerance = chain_of(system, name, problem.task[1]), problem.tolerance
+    chain = chain_of(system, name, problem.task[1])
+    tolerance = problem.tolerance
     base, seeds = seeds_of(system, chain, problem.start, lead)
     question = FrameProblem(
         system, name, problem.targets, *problem.task, TOLERANCE if tolerance is None else tolerances(tolerance),
@@ -195,7 +200,8 @@ def _of_tasks(problem: Problem) -> Solution:
     """The answer of `kempe.solvers.tasks.ik_tasks.reach`."""
     from kempe.solvers.tasks.ik_tasks import reach
 
-    frame, targets = problem.frame, problem.targets
+    frame = problem.frame
+    targets = problem.targets
     held = problem.wanted if frame is None else of_target(frame, *problem.task, targets.reshape(*problem.lead, 4, 4))
     return reach(problem._replace(wanted=held))
 
@@ -268,7 +274,9 @@ def _judged(
 
     Where `run` has postponed targets, their part of it is found on demand.
     """
-    system, targets, code = question.system, question.targets, info[:, 0]
+    system = question.system
+    targets = question.targets
+    code = info[:, 0]
     if (code == Status.OUT_OF_REACH).any():
         given = (question, base, seeds, threads, q, residual, info, lead)
         return Solution.postponed(code.reshape(lead).copy(), question, (_nearest, given))
@@ -310,7 +318,8 @@ def run(
     """
     chain = task.chain
     goals = task.targets if targets is None else targets
-    n, nq = len(goals), len(chain.q_index)
+    n = len(goals)
+    nq = len(chain.q_index)
     out = np.empty((n, nq + ANSWER))
     bounds = chain.limits if limits is None else limits
 

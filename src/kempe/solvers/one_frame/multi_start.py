@@ -38,7 +38,11 @@ TOLERANCE = (1e-6, 1e-6)
 """Largest position error [m] and rotation angle [rad] of a success."""
 ROUND = 32
 """Starts of a round where there is a time limit: all targets get these before one gets more."""
-CHUNK, SERIAL_BELOW, LANES, WORK, NEAREST = 256, 1024, 8, 4096, 64
+CHUNK = 256
+SERIAL_BELOW = 1024
+LANES = 8
+WORK = 4096
+NEAREST = 64
 """Targets of a chunk, and from how many on there are threads; the targets that are searched side by side; starts of all
 targets together, and targets whose nearest configuration is searched for, between two looks at the clock."""
 LONG = 16
@@ -110,7 +114,8 @@ def answered(
     All targets get their first starts before one gets its last. Between two pieces of the work, which take about 0.1 s,
     Python sees an interrupt, and the clock is looked at.
     """
-    chain, n = task.chain, out.shape[1] - ANSWER
+    chain = task.chain
+    n = out.shape[1] - ANSWER
     head = (chain.ints, chain.floats, limits, rows_of(task), goals_of(task, targets), seeds, task.rng)
     few = task.round or FEW
     count = min(task.starts, few, GLANCE if postpone else few)
@@ -122,7 +127,8 @@ def answered(
     unbegun = left[out[left, n + STATUS] == UNBEGUN]
     if unbegun.size:
         first = seeds[:, 0] if seeds.shape[1] else chain.base[:, chain.q_index]
-        out[unbegun, :n], out[unbegun, n:] = first[unbegun] if len(first) > 1 else first, 0.0
+        out[unbegun, :n] = first[unbegun] if len(first) > 1 else first
+        out[unbegun, n:] = 0.0
         _end(task, targets, unbegun, out, alike=len(first) == 1)
     far = 0
     if postpone:
@@ -190,15 +196,18 @@ def _nearest(
     """Number of these rows that are not reached by the configurations nearest to their targets either."""
     from kempe.kernels.compiled import fallback
 
-    n, length = out.shape[1] - ANSWER, characteristic_length(task.system)
+    n = out.shape[1] - ANSWER
+    length = characteristic_length(task.system)
     nearest: Callable[..., int] = fallback.approach
     out[rows, n + LINEAR] = np.inf  # energies in another unit: descents begin there
 
     each = [0] if task.share == 1 else range(1, min(task.starts, DESCENTS) + 1)
 
     def work(i: int, j: int) -> int:
-        some, missed = rows[i:j], 0
-        own, found = _part(head, some), out[some]
+        some = rows[i:j]
+        missed = 0
+        own = _part(head, some)
+        found = out[some]
         if time.monotonic() >= task.end:
             _end(task, targets, some, out)
             return len(some)
@@ -231,7 +240,8 @@ def _some(
     threads: int | None, chunk: int | None = None,
 ) -> None:  # fmt: skip
     """Write the answers (k, n + ANSWER) of some starts for these rows, until the time is up; `head` as in `go_on`."""
-    search, given = _search(task.chain), _part(head, rows) if isinstance(rows, np.ndarray) else head
+    search = _search(task.chain)
+    given = _part(head, rows) if isinstance(rows, np.ndarray) else head
     piece = max(LANES, min(chunk or CHUNK, WORK // (count * task.share)))
 
     def work(i: int, j: int) -> int:
@@ -255,7 +265,8 @@ def _up_to(
         some = _more(task, head, left, done, count, out, threads)
         if some is None:
             break
-        left, done = some, done + count
+        left = some
+        done = done + count
     return left, done
 
 
@@ -295,7 +306,8 @@ def misses(task: FrameProblem, targets: Array, q: Array) -> Array:
 
     full = np.repeat(task.chain.base, len(q), axis=0)
     full[:, task.chain.q_index] = q
-    X, out = fk(task.system, full, task.frame, threads=1), np.zeros((len(targets), 2))
+    X = fk(task.system, full, task.frame, threads=1)
+    out = np.zeros((len(targets), 2))
     if any(task.mask[:3]):
         out[:, 0] = np.linalg.norm(X[:, :3, 3] - targets[:, :3, 3], axis=-1)
     if points_along(task.name):

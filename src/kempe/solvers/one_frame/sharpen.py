@@ -23,7 +23,9 @@ from kempe.spatial import Array
 TRIES = 24
 """Starts that are sharpened."""
 
-STEPS, LONGEST, DONE = 30, 0.5, 1e-4
+STEPS = 30
+LONGEST = 0.5
+DONE = 1e-4
 """Steps at most, the longest change of an angle in one, and the part of the tolerances at which they end.
 
 A step may make the error larger: what a millionth of a long lever turns beside the mark, the next step makes good."""
@@ -41,7 +43,8 @@ def search_again(task: FrameProblem, targets: Array, head: tuple[Any, ...], out:
     ints, floats, limits, rows, goals, seeds, rng = head
     n = out.shape[1] - ANSWER
     if task.name == "pose" and not np.any(rows[6]):
-        floats, goals = floats.copy(), goals.copy()
+        floats = floats.copy()
+        goals = goals.copy()
         tip = tip_of(ints, floats)
         goals[:, :3, 3] -= (goals[:, :3, :3] @ (tip[:, :3].T @ tip[:, 3])[:, None])[..., 0]
         tip[:, 3] = 0.0
@@ -77,9 +80,11 @@ def _by_equations(task: FrameProblem, targets: Array, q: Array) -> Array:
 
 def sharpen(task: FrameProblem, targets: Array, q: Array, limits: Array) -> tuple[Array, Array]:
     """Configurations (N, n) of the chain inside the limits (2, n), nearer to their targets, and their errors (N, 2)."""
-    best, least = q.copy(), misses(task, targets, q)
+    best = q.copy()
+    least = misses(task, targets, q)
     score = np.max(least / task.tolerance, axis=1)
-    left, x = np.flatnonzero(np.isfinite(score)), q[np.isfinite(score)]
+    left = np.flatnonzero(np.isfinite(score))
+    x = q[np.isfinite(score)]
     turns = moved_by(task.chain)[0]
     for _ in range(STEPS):
         if not len(left):
@@ -93,13 +98,16 @@ def sharpen(task: FrameProblem, targets: Array, q: Array, limits: Array) -> tupl
         at = left[better]
         best[at], least[at], score[at] = x[better], error[better], value[better]
         go_on = (score[left] > DONE) & np.isfinite(value)
-        left, x = left[go_on], x[go_on]
+        left = left[go_on]
+        x = x[go_on]
     return best, least
 
 
 def _step(task: FrameProblem, targets: Array, q: Array) -> Array:
     """Gauss-Newton steps (N, n), lengths measured by the longest of the chain, columns by themselves."""
-    chain, system, turn = task.chain, task.system, frame_of(np.array(task.axis))
+    chain = task.chain
+    system = task.system
+    turn = frame_of(np.array(task.axis))
     full = np.repeat(chain.base, len(q), axis=0)
     full[:, chain.q_index] = q
     X = fk(system, full, task.frame, threads=1)
@@ -117,7 +125,8 @@ def _step(task: FrameProblem, targets: Array, q: Array) -> Array:
     else:
         e[:, 3:] = spatial.log_so3(D)
     size = np.array([1.0 / max(chain.span.largest, 1e-300)] * 3 + [1.0] * 3) * task.mask
-    J, e = J * size[:, None], e * size
+    J = J * size[:, None]
+    e = e * size
     column = np.linalg.norm(J, axis=1, keepdims=True)
     column = np.where(column > 0.0, column, 1.0)
     return (np.linalg.pinv(J / column, rcond=CONDITION) @ e[..., None])[..., 0] / column[:, 0]

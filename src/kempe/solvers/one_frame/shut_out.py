@@ -32,7 +32,8 @@ def shut_out(task: FrameProblem, target: Array) -> Evidence | None:
 def _all_outside(task: FrameProblem, target: Array) -> Evidence | None:
     """Whether all the answers there are without limits are outside them."""
     system = task.system
-    chain, plain = task.chain, np.all(np.abs(numbers_of(task.chain.ints, task.chain.floats)[:, MULTIPLIER]) == 1.0)
+    chain = task.chain
+    plain = np.all(np.abs(numbers_of(task.chain.ints, task.chain.floats)[:, MULTIPLIER]) == 1.0)
     if max(task.tolerance) > CLEAR * CLEAR or len(chain.q_index) != len(chain.v_index) or not plain:
         return None
     if of_loops(system, task.frame) or shared_by(system, task.frame):
@@ -69,8 +70,10 @@ def _all_outside(task: FrameProblem, target: Array) -> Evidence | None:
 def _beyond(chain: Chain, q: Array) -> float:
     """How far the coordinate that is farthest outside its limits is outside, whatever whole turns are added."""
     turning, sliding = moved_by(chain)
-    (low, high), turns = chain.limits, 2.0 * np.pi * (turning & ~sliding)
-    above, below = np.maximum(q - high, 0.0), np.maximum(low - q, 0.0)
+    (low, high) = chain.limits
+    turns = 2.0 * np.pi * (turning & ~sliding)
+    above = np.maximum(q - high, 0.0)
+    below = np.maximum(low - q, 0.0)
     off = above + below
     for v in np.flatnonzero((turns > 0.0) & (off > 0.0)):  # the nearest turns on both sides of the range
         x = off[v] % turns[v]
@@ -81,13 +84,18 @@ def _beyond(chain: Chain, q: Array) -> float:
 
 def _slides_end(task: FrameProblem, target: Array) -> Evidence | None:
     """Whether slides which nothing turns end too far from the target, along some direction, whatever the rest does."""
-    chain, table = task.chain, rows_of(task.chain.ints)
-    rows, factors = placements_of(chain.ints, chain.floats), numbers_of(chain.ints, chain.floats)[:, MULTIPLIER]
-    R, place, reach = np.eye(3), np.zeros(3), 0.0
+    chain = task.chain
+    table = rows_of(task.chain.ints)
+    rows = placements_of(chain.ints, chain.floats)
+    factors = numbers_of(chain.ints, chain.floats)[:, MULTIPLIER]
+    R = np.eye(3)
+    place = np.zeros(3)
+    reach = 0.0
     axes: list[Array] = []
     moved: list[tuple[float, float]] = []
     for k, X in enumerate(rows):
-        place, R = place + R @ X[:, 3], R @ X[:, :3]
+        place = place + R @ X[:, 3]
+        R = R @ X[:, :3]
         if k == len(table) or table[k, KIND] != SLIDE:
             reach = sum(float(np.linalg.norm(Y[:, 3])) for Y in rows[k + 1 :])
             if np.any(table[k:, KIND] == SLIDE):
@@ -98,14 +106,16 @@ def _slides_end(task: FrameProblem, target: Array) -> Evidence | None:
         moved.append((float(ends.min()), float(ends.max())))
     if not axes or not task.mask[0] or len(set(table[: len(axes), V_INDEX])) < len(axes):
         return None
-    A, (low, high) = np.array(axes).T, np.array(moved).T
+    A = np.array(axes).T
+    (low, high) = np.array(moved).T
     p = target[0, :3, 3]
     for d in np.concatenate([A.T, np.linalg.pinv(A, rcond=1e-9)]):
         d = d / max(float(np.linalg.norm(d)), 1e-300)
         part = d @ A
         used = np.abs(part) > 1e-12
         ends = np.stack([part[used] * low[used], part[used] * high[used]])
-        least, most = float(ends.min(axis=0).sum()), float(ends.max(axis=0).sum())
+        least = float(ends.min(axis=0).sum())
+        most = float(ends.max(axis=0).sum())
         off = float(d @ (p - place))
         out = max(off - most, least - off) - reach
         if out > task.tolerance[0] + 1e-9 * (1.0 + abs(off) + reach):

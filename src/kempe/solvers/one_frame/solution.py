@@ -89,7 +89,10 @@ class Solution(Answer):
         """
         out = object.__new__(cls)
         own = out.__dict__
-        own["q"], own["success"], own["problem"], own["_measured"] = q, True, problem, measured
+        own["q"] = q
+        own["success"] = True
+        own["problem"] = problem
+        own["_measured"] = measured
         return out
 
     @classmethod

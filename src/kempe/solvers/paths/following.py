@@ -148,8 +148,12 @@ def ik_path(
 
 def by_steps(problem: Problem) -> IkPath:
     """The path, gone step by step."""
-    system, start, options, spend = problem.system, problem.start, problem.options, USUAL.of(problem.budget)
-    tolerance, restart = TOLERANCE if problem.tolerance is None else problem.tolerance, options["restart"]
+    system = problem.system
+    start = problem.start
+    options = problem.options
+    spend = USUAL.of(problem.budget)
+    tolerance = TOLERANCE if problem.tolerance is None else problem.tolerance
+    restart = options["restart"]
     time = TimeLimit(spend.time_limit)
     time.put_in_order()  # there is nothing to do afterwards
     decided_within(USUAL, time, system)
@@ -163,7 +167,8 @@ def by_steps(problem: Problem) -> IkPath:
     way = _FollowedPath(demands, options["max_step"], time, spend.progress)
     n = demands.lead[0]
     none = IkPath(system, np.full((n, system.nq), np.nan), np.zeros(n, dtype=bool), (), "", demands)
-    begin, begins = 0, list[Array]()
+    begin = 0
+    begins = list[Array]()
     try:
         with time:
             q0, info, begin = way.begun(first, restart)
@@ -230,7 +235,8 @@ class _FollowedPath(PathSteps):
 
     def forbidding(self, problem: Demands, q: Array) -> str:
         """The name of what holds always and repeats a row of the targets, at q and elsewhere; '' where nothing does."""
-        packed, name = problem.packed, ""
+        packed = problem.packed
+        name = ""
         if not packed.closed:
             return ""
         ties = [t.name for t in packed.loops.ties for _ in t.rows]
@@ -301,7 +307,9 @@ class _FollowedPath(PathSteps):
         out = np.full((n, self.system.nq), np.nan)
         jumps: list[int] = []
         said: list[str] = []
-        out[begin], interrupted, late = q, False, False
+        out[begin] = q
+        interrupted = False
+        late = False
         if begin:
             said.append(f"no answer was found for {'targets 0 to ' if begin > 1 else 'target '}{begin - 1}")
         try:
@@ -335,7 +343,10 @@ class _FollowedPath(PathSteps):
 
     def _go(self, out: Array, jumps: list[int], said: list[str], restart: bool, begin: int) -> None:
         """Write the path from its configuration at target `begin` on, and what there is to say."""
-        q, broken, before, last = out[begin], False, np.zeros(self.system.nv), 0.0
+        q = out[begin]
+        broken = False
+        before = np.zeros(self.system.nv)
+        last = 0.0
         for i in range(begin + 1, len(out)):
             found, part, way = (q, 0.0, 0.0) if broken else self.follow(i, q, before, last)
             if part < 1.0:
@@ -351,10 +362,12 @@ class _FollowedPath(PathSteps):
                     break
                 if broken:
                     continue
-                found, q = others[0], others[0]
+                found = others[0]
+                q = others[0]
             if way > STAYS:  # else the target stays, and one goes on as before it
                 moved = self.system.structure.layout.difference(q, found) / self.scale
-                before, last = moved if not before.any() else moved + self.calm * (before - moved), way
+                before = moved if not before.any() else moved + self.calm * (before - moved)
+                last = way
             q = self.away(i, found, self.avoids) if self.avoids else found
             out[i] = q
             if self.progress is not None:
@@ -390,7 +403,8 @@ def _all(problem: Problem, row: Demands, begin: int, q: Array) -> list[Array]:
         found = ik_all(problem.system, reals(problem.targets, "targets")[begin], problem.frame)
     except UnsupportedError:
         return []
-    starts, untouched = found.q[found.inside], apart(row.packed, row.pins)
+    starts = found.q[found.inside]
+    untouched = apart(row.packed, row.pins)
     starts[:, untouched] = q[untouched]
     answers = [row.run(x[None]) for x in starts]
     return [x[0] for x, info in answers if info[0, 0] == SOLVED]

@@ -72,7 +72,8 @@ class _Targets:
     """The problems of the single targets of a path, which are made where they are needed: there may be a million."""
 
     def __init__(self, problem: Demands):
-        self.count, self._of = problem.lead[0], functools.lru_cache(8)(problem.of)
+        self.count = problem.lead[0]
+        self._of = functools.lru_cache(8)(problem.of)
 
     def __len__(self) -> int:
         return self.count
@@ -88,10 +89,14 @@ class PathSteps:
         self, problem: Demands, max_step: float, budget: TimeLimit, progress: Callable[[int], None] | None = None
     ):  # fmt: skip
         tasks = tuple(t.exactly() for t in problem.tasks)
-        self.problem, self.max_step, self.budget = replace(problem, tasks=tasks), max_step, budget
+        self.problem = replace(problem, tasks=tasks)
+        self.max_step = max_step
+        self.budget = budget
         self.given = min(problem.tolerance)
         self.calm = CALM if self.given > TOLERANCE else 0.0
-        self.system, self.scale, self.progress = problem.system, problem.packed.scale, progress
+        self.system = problem.system
+        self.scale = problem.packed.scale
+        self.progress = progress
         self.rows = _Targets(self.problem)
         packed = problem.packed
         equal = np.repeat([not t.bounds for t in packed.loops.ties], [len(t.rows) for t in packed.loops.ties])
@@ -103,7 +108,8 @@ class PathSteps:
         """The problem at the fraction `part` of the way from target i - 1 to target i."""
         if part >= 1.0:
             return self.rows[i]
-        a, b = self.rows[i - 1].goals, self.rows[i].goals
+        a = self.rows[i - 1].goals
+        b = self.rows[i].goals
         goals: Any = tuple(
             [(_between(x, y, part), None if m is None or n is None else m + part * (n - m))
              for (x, m), (y, n) in zip(g, h, strict=True)] for g, h in zip(a, b, strict=True))  # fmt: skip
@@ -128,10 +134,12 @@ class PathSteps:
         packed = problem.packed
         e, J = packed.evaluate(q, problem.pins)
         if not self.counts.all():
-            e, J = e[self.counts], J[self.counts]
+            e = e[self.counts]
+            J = J[self.counts]
         if packed.closed:
             more, rows = packed.evaluate(q, problem.pins, closures=True)
-            e, J = np.concatenate([e, more]), np.concatenate([J, rows])
+            e = np.concatenate([e, more])
+            J = np.concatenate([J, rows])
         return e, J
 
     def step(self, problem: Demands, q: Array, order: Order | None = None) -> Array | None:
@@ -222,11 +230,15 @@ class PathSteps:
         It is the motion that lowers the sum of 1 / distance over all limits the fastest, distances as parts of ranges;
         its size is the rate of that times `strength`, and `AVOID` at most.
         """
-        system, limits = self.system, self.system.lower
-        at, v = system.structure.layout.vector_q, system.structure.layout.vector_v
+        system = self.system
+        limits = self.system.lower
+        at = system.structure.layout.vector_q
+        v = system.structure.layout.vector_v
         wide = system.upper[v] - limits[v]
         bounded = np.isfinite(wide) & (wide > 0.0)
-        at, v, wide = at[bounded], v[bounded], wide[bounded]
+        at = at[bounded]
+        v = v[bounded]
+        wide = wide[bounded]
         low, high = ((np.maximum(x, 1e-3 * wide)) / wide for x in (q[at] - limits[v], system.upper[v] - q[at]))
         pull = np.zeros(system.nv)
         pull[v] = (1.0 / low**2 - 1.0 / high**2) / wide * self.scale[v]
@@ -258,7 +270,10 @@ class PathSteps:
 
         `before` (nv,) is the scaled step that led to q, and `last` the length of its way.
         """
-        begin, order, part, size = q, self.first_order(self.rows[i], q), 0.0, 1.0
+        begin = q
+        order = self.first_order(self.rows[i], q)
+        part = 0.0
+        size = 1.0
         if abs(order.way - last) > UNEVEN * last:
             before = before * (order.way / last if last else 0.0)
         near = order.ratio < WEAK
@@ -278,7 +293,8 @@ class PathSteps:
                 if size < 0.5**DEPTH:
                     break
             else:
-                q, part = found, part + size
+                q = found
+                part = part + size
                 size = min(2.0 * size, 1.0 - part)
         if part < 1.0 and (found := self.bridge(i, begin, before, order)) is not None:
             return found, 1.0, order.way
@@ -289,6 +305,7 @@ def _between(a: Array | None, b: Array | None, part: float) -> Array | None:
     """The pose at a part of the way between two: positions linear, rotations by the exponential map."""
     if a is None or b is None:
         return None
-    R, S = a[:3, :3], b[:3, :3]
+    R = a[:3, :3]
+    S = b[:3, :3]
     turned = R @ spatial.exp_so3(part * spatial.log_so3(R.T @ S))
     return spatial.pose(turned, a[:3, 3] + part * (b[:3, 3] - a[:3, 3]))

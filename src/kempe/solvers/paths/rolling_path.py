@@ -45,8 +45,10 @@ def without_slip(way: PathSteps, path: IkPath, begin: int) -> IkPath:
 def _broken(path: IkPath, slip: Slip, first: int) -> IkPath:
     """The part of the path before it slips."""
     k = first + slip.index
-    q, success = path.q.copy(), path.success.copy()
-    q[k:], success[k:] = np.nan, False
+    q = path.q.copy()
+    success = path.success.copy()
+    q[k:] = np.nan
+    success[k:] = False
     many = int(success.sum())
     followed = f"{many} of {counted(len(q), 'target')} followed"
     status = f"{followed}; stops before target {k}: on the way there it {slip.text}; getting there is a manoeuvre"
@@ -74,7 +76,8 @@ def _step(way: PathSteps, i: int, part: float, q: Array) -> Array | None:
 
     The smallest such step, by Newton's method.
     """
-    system, problem = way.system, way.at(i, part)
+    system = way.system
+    problem = way.at(i, part)
 
     def both(d: Array) -> tuple[Array, Array]:
         e, J = way.missing(problem, system.structure.layout.integrate(q, d * way.scale))
@@ -87,6 +90,8 @@ def _step(way: PathSteps, i: int, part: float, q: Array) -> Array | None:
 
     found = gauss_newton(both, np.zeros(system.nv), ITERATIONS - 1, step=newton, met=HELD, last=0.0)
     layout = system.structure.layout
-    x, v, at = layout.integrate(q, found.x * way.scale), layout.vector_v, layout.vector_q
+    x = layout.integrate(q, found.x * way.scale)
+    v = layout.vector_v
+    at = layout.vector_q
     inside = (x[at] >= system.lower[v] - HELD) & (x[at] <= system.upper[v] + HELD)
     return x if found.size <= HELD and inside.all() else None

@@ -41,7 +41,8 @@ TOLERANCE = 1e-10
 """Largest error of the tasks along the way, in metres and radians."""
 HOLDS = (1e-9, 1e-9)
 """Largest error of a task, in metres and radians, with which it is said to hold along the way."""
-HOMING, MET = 8, 1e-6
+HOMING = 8
+MET = 1e-6
 """Steps by which a way is led to the configuration that it may have come back to, and the distance at which it has."""
 ALIKE = 0.98
 """Cosine above which two directions are those of one curve."""
@@ -130,8 +131,10 @@ def self_motion(
 def by_tangents(problem: Problem) -> SelfMotion:
     """The configurations, each a step along the tangent of the one before, led back."""
     spend: Any = USUAL.of(problem.budget)
-    system, direction = problem.system, problem.options["direction"]
-    steps, time = spend.points, TimeLimit(spend.time_limit)
+    system = problem.system
+    direction = problem.options["direction"]
+    steps = spend.points
+    time = TimeLimit(spend.time_limit)
     size = step = spend.step
     number = isinstance(step, (int, float, np.floating))
     if not is_whole(steps) or steps < 1 or not number or not 0.0 < step <= 0.5:
@@ -246,9 +249,15 @@ class _Direction:
         self, local: Local, wish: Array, wished: bool, step: float, time: TimeLimit,
         progress: Callable[[int], Any] | None,
     ) -> None:  # fmt: skip
-        self.time, self.progress, self.done = time, progress, 0
+        self.time = time
+        self.progress = progress
+        self.done = 0
         self.broken: BaseException | None = None
-        self.local, self.problem, self.wish, self.wished, self.step = local, local.problem, wish, wished, step
+        self.local = local
+        self.problem = local.problem
+        self.wish = wish
+        self.wished = wished
+        self.step = step
 
     def follow(self, q: Array, sign: float, steps: int, goal: tuple[Array, Array] | None = None) -> _HalfCurve:
         """One way from q, until it comes to the goal, a configuration (nq,) and the direction (nv,) in which it is
@@ -264,8 +273,10 @@ class _Direction:
     def _follow(
         self, q: Array, sign: float, steps: int, goal: tuple[Array, Array] | None, out: list[Array]
     ) -> _HalfCurve:
-        system, way = self.problem.system, sign * self.wish
-        a, given = self._node(q, way), goal is not None
+        system = self.problem.system
+        way = sign * self.wish
+        a = self._node(q, way)
+        given = goal is not None
         goal = (q, a.t) if goal is None else goal
         nothing = _HalfCurve(out, False, "where the tasks leave nothing of this direction", a.t)
         if a.sigma < LEAST_PART:
@@ -311,9 +322,11 @@ class _Direction:
 
         Steps from a that are as long as the goal is ahead, each led back, end there.
         """
-        (there, along), t = goal, a.t
+        (there, along) = goal
+        t = a.t
         home = self._short(a.x, there)
-        ahead, reach = float(home @ t), float(np.linalg.norm(self.local.between(a.x, b.x)))
+        ahead = float(home @ t)
+        reach = float(np.linalg.norm(self.local.between(a.x, b.x)))
         if t @ along < 0.5 or not 0.0 <= ahead <= 1.2 * reach or np.linalg.norm(home) > 2.0 * reach:
             return False
         q: Array | None = a.x
@@ -331,14 +344,16 @@ class _Direction:
         """The shortest step (nv,) from a to b; unlimited joints turn the short way."""
         from kempe.kinematics.configuration import circles
 
-        v, round_ = self.problem.system.structure.layout.difference(a, b), circles(self.problem.system)
+        v = self.problem.system.structure.layout.difference(a, b)
+        round_ = circles(self.problem.system)
         v[round_] -= 2.0 * np.pi * np.round(v[round_] / (2.0 * np.pi))
         return v / self.problem.packed.scale
 
 
 def _stop(problem: Demands, q: Array, t: Array, ahead: float) -> str:
     """What stands in the way of going on from q along t: a limit, or the bound of a task, not farther than `ahead`."""
-    system, scale = problem.system, problem.packed.scale
+    system = problem.system
+    scale = problem.packed.scale
     if names := _at_limits(system, q, t, ahead * scale):
         return f"the limit of {names[0]!r}"
     there = system.structure.layout.integrate(q, ahead * t * scale)
@@ -346,9 +361,11 @@ def _stop(problem: Demands, q: Array, t: Array, ahead: float) -> str:
     beyond = np.append(rows.beyond(there, declared=True) * rows.scale[: rows.declared], 0.0)
     if beyond.max() > 0.01 * ahead:
         return f"the one-sided constraint {rows.names[int(beyond.argmax())]!r}"
-    owner, ties = problem.packed.owner, problem.packed.loops.ties
+    owner = problem.packed.owner
+    ties = problem.packed.loops.ties
     for i in sorted({int(k) for k, tie in zip(owner, ties, strict=True) if tie.bounds and k >= 0}):
-        task, goals = problem.tasks[i], problem.goals[i]
+        task = problem.tasks[i]
+        goals = problem.goals[i]
         if max(task.measure(system, there, goals)) > 0.01 * ahead:
             return f"the bound of {task.label!r}"
     return "a point where it cannot be followed"
@@ -356,7 +373,8 @@ def _stop(problem: Demands, q: Array, t: Array, ahead: float) -> str:
 
 def _at_limits(system: System, q: Array, t: Array, ahead: Array | float = 0.0) -> list[str]:
     """Coordinates at a limit that the direction t (nv,) pushes outwards, or takes there within `ahead` (nv,)."""
-    v, x = system.structure.layout.vector_v, q[system.structure.layout.vector_q]
+    v = system.structure.layout.vector_v
+    x = q[system.structure.layout.vector_q]
     near = AT_LIMIT + np.abs(ahead * t)[v]
     low = (x <= system.lower[v] + near) & (t[v] < 0.0)
     high = (x >= system.upper[v] - near) & (t[v] > 0.0)

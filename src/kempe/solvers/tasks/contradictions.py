@@ -80,7 +80,9 @@ def contradictory(problem: Demands) -> np.ndarray:
 
 def _held(problem: Demands, i: int) -> BodyDemand | None:
     """What a task says of one body; None for tasks of other kinds."""
-    task, system, goal = problem.tasks[i], own_tree(problem.system), problem.goals[i][0][0]
+    task = problem.tasks[i]
+    system = own_tree(problem.system)
+    goal = problem.goals[i][0][0]
     if not isinstance(task, PlacedTask) or isinstance(task, Centred) or goal is None or len(problem.goals[i]) > 1:
         return None
     if task.shape.turns not in (L.NO_TURN, L.FULL, L.ANGLE, L.ALIGN):
@@ -135,7 +137,8 @@ def _places(a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
     out: list[Exclusion] = []
     slack = a.linear + b.linear
     if a.point and b.point:
-        p, g = a.goal[..., :3, 3], b.goal[..., :3, 3]
+        p = a.goal[..., :3, 3]
+        g = b.goal[..., :3, 3]
         off = np.abs(np.linalg.norm(g - p, axis=-1) - length)
         how = "point" if length <= SLACK else "points"
         out.append(Exclusion(how, _more(off, slack, p, g)))
@@ -147,9 +150,11 @@ def _places(a: BodyDemand, b: BodyDemand) -> list[Exclusion]:
         if point.point and there.region is not None:
             axes, low, high = there.region
             way = there.local[:3, 3] - point.local[:3, 3]
-            p, more = point.goal[..., :3, 3], slack + length
+            p = point.goal[..., :3, 3]
+            more = slack + length
             if point.turn:
-                p, more = p + _body(point) @ way, slack + 2.0 * point.angular * length
+                p = p + _body(point) @ way
+                more = slack + 2.0 * point.angular * length
             x = np.einsum("...ji,...j->...i", there.goal[..., :3, :3], p - there.goal[..., :3, 3])[..., axes]
             off = np.linalg.norm(x - np.clip(x, low, high), axis=-1)
             out.append(Exclusion("region", _more(off, more, p, there.goal[..., :3, 3])))

@@ -26,12 +26,15 @@ if TYPE_CHECKING:
     from kempe.kinematics.tasks.packed import Packed
     from kempe.model.system import System
 
-EACH, MOST, HOPELESS = 30, 15_000, 10
+EACH = 30
+MOST = 15_000
+HOPELESS = 10
 """Starts by the square of the number of limited coordinates that the tasks move, their largest number, and the part of
 them that is tried where no answer without limits is found either. With 30, 1470 are for an arm with seven joints."""
 
 
-GLIMPSE, SHARE = 10_000, 2_500
+GLIMPSE = 10_000
+SHARE = 2_500
 """Calls of Python functions after which it is checked whether a search may ever end well, and calls of each of the
 searches by which this is checked. They are counted, not timed, so that no answer depends on how busy the machine is."""
 
@@ -43,7 +46,8 @@ class Effort:
     """A check for `watched_by` that lets a search call functions, and begin starts, `most` times in all."""
 
     def __init__(self, most: int):
-        self.most, self.count = most, 0
+        self.most = most
+        self.count = 0
 
     def __call__(self) -> None:
         """Count one more. Raises `EndReached` where these are too many."""
@@ -93,7 +97,9 @@ def most_starts(system: System, packed: Packed) -> int:
     """Starts before tasks are given up: they grow with the number of limits that an answer may touch. Kept."""
     found = packed.stages.get(most_starts)
     if found is None:
-        plan, weights, nv = packed.loops.plan, packed.loops.weights, system.nv
+        plan = packed.loops.plan
+        weights = packed.loops.weights
+        nv = system.nv
         places = plan[plan[L.AT_PLACES] :][: L.PLACE_INTS * nv].reshape(nv, L.PLACE_INTS)
         moves = np.diff(plan[plan[L.AT_VARS] :][: nv + 1]) > 0
         _, low, high, *_ = L.velocity_lists(weights, nv)

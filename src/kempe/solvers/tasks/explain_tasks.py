@@ -49,7 +49,8 @@ def sentence(answer: Reached, index: tuple[int, ...]) -> str:
     if code is Status.BAD_INPUT:
         return "goals or start have numbers that are not finite or too large, or a goal is not a pose"
     row = int(np.ravel_multi_index(index, np.shape(answer.code))) if index else 0
-    problem, q = answer.problem.of(row), answer.q[index]
+    problem = answer.problem.of(row)
+    q = answer.q[index]
     misses = {t.label: answer.errors[t.label][index] for t in problem.tasks}
     soft = ", ".join(f"{t.label!r} stays off by {_off(t, misses)}" for t in problem.tasks if t.weight is not None)
     hard = [t for t in problem.tasks if t.weight is None]
@@ -150,7 +151,8 @@ def _reasons(problem: Demands, q: Array) -> list[Any]:
 def proofs(answer: Reached, index: tuple[int, ...]) -> tuple[Evidence, ...]:
     """What proves that the tasks of one problem of an answer do not hold together."""
     row = int(np.ravel_multi_index(index, np.shape(answer.code))) if index else 0
-    code, problem = np.asarray(answer.code)[index], answer.problem.of(row)
+    code = np.asarray(answer.code)[index]
+    problem = answer.problem.of(row)
     if code == Status.CONTRADICTORY:
         return tuple(_contradicting(problem))
     hard = [i for i, t in enumerate(problem.tasks) if t.weight is None] if code == Status.OUT_OF_REACH else []
@@ -163,7 +165,8 @@ def _contradicting(problem: Demands) -> list[Evidence]:
     for i, j, found in contradictions(problem):
         off = float(np.ravel(found.off)[0])
         if off > 0.0 and (i, j) not in out:
-            first, second = problem.tasks[i].label, problem.tasks[j].label
+            first = problem.tasks[i].label
+            second = problem.tasks[j].label
             out[i, j] = evidence(
                 "contradiction", how=found.how, off=off, first=first, second=second, longest=found.longest
             )

@@ -74,11 +74,14 @@ def reach(problem: Problem) -> Reached:
     restarts (Levenberg, 1944; Sugihara, 2011), then the lower levels in the null space of the higher ones (Siciliano
     and Slotine, 1991). Errors: `InputError`, `UnknownNameError`.
     """
-    system, prefer, spend = problem.system, problem.prefer, BATCH.of(problem.budget)
+    system = problem.system
+    prefer = problem.prefer
+    spend = BATCH.of(problem.budget)
     if not (prefer is None or callable(prefer) or (isinstance(prefer, str) and prefer in PREFERRED)):
         raise InputError(f"prefer is {shown(prefer)}; it must be {', '.join(map(repr, PREFERRED))} or a function of q")
     tolerance = TOLERANCE if problem.tolerance is None else problem.tolerance
-    starts, threads = spend.starts, spend.threads
+    starts = spend.starts
+    threads = spend.threads
     turns = prefer is None or prefer == "nearest"
     time = TimeLimit(USUAL.of(problem.budget).time_limit)
     decided_within(USUAL, time, system)
@@ -164,7 +167,8 @@ def _distinct(wanted: Any, dim: int) -> tuple[Task, ...]:
         if task.tolerance is not None:
             allowed = tolerances(task.tolerance)
             task = task if task.tolerance.__class__ in (int, float) else replace(task, tolerance=allowed)
-        label, count = task.label, 1
+        label = task.label
+        count = 1
         while label in out:
             count += 1
             label = f"{task.label} ({count})"
@@ -186,7 +190,10 @@ def _preferring(problem: Demands, prefer: Any, base: Array) -> Demands:
 
 def judge(problem: Demands, q: Array, info: np.ndarray) -> Reached:
     """The answer, each configuration checked by the forward model, the limits and the loops."""
-    system, lead, packed, status = problem.system, problem.lead, problem.packed, info[:, 0]
+    system = problem.system
+    lead = problem.lead
+    packed = problem.packed
+    status = info[:, 0]
     bad = status == S.BAD_INPUT
     some_bad = bad.any()
     sound = (np.where(bad[:, None], system.neutral, q) if some_bad else q).reshape(*lead, system.nq)

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 
 Search = Callable[[Demands, Array, "int | None"], tuple[Array, np.ndarray]]
 
-GAIN, LITTLE = 1e-6, 1e-12
+GAIN = 1e-6
+LITTLE = 1e-12
 """Part of the square that a level misses by which another must be less to count as lower, and the least difference."""
 MET = 1e-16
 """Square of what a soft level misses up to which it is met."""
@@ -94,7 +95,8 @@ def _compare(
     part = _part(problem, end)
     here = values(part, q[at], rows[at])
     missed = (here > MET).any(axis=1)
-    at, here = at[missed], here[missed]
+    at = at[missed]
+    here = here[missed]
     if not at.size or time.monotonic() >= problem.end:
         return
     alone, found = solve(part, base, search, threads, rows[at])
@@ -102,14 +104,18 @@ def _compare(
     there = values(part, alone, rows[at])
     fair = (found[:, 0] == S.SOLVED) | ((found[:, 0] == S.NOT_FOUND) & (info[at, 0] == S.NOT_FOUND))
     better = fair & is_lower(there, here)
-    at, alone, there = at[better], alone[better], there[better]
+    at = at[better]
+    alone = alone[better]
+    there = there[better]
     if not at.size:
         return
     again, more = _lead_on(problem, rows[at], alone, threads, 0)
     lost = is_lower(there, values(part, again, rows[at]))
-    again[lost], more[lost, 0] = alone[lost], S.NOT_FOUND
+    again[lost] = alone[lost]
+    more[lost, 0] = S.NOT_FOUND
     in_time = more[:, 0] < S.LATE
-    q[at[in_time]], info[at[in_time], 0] = again[in_time], more[in_time, 0]
+    q[at[in_time]] = again[in_time]
+    info[at[in_time], 0] = more[in_time, 0]
     info[at, 1] += more[:, 1]
 
 
@@ -159,7 +165,8 @@ def _part(problem: Demands, end: Level) -> Demands:
         chosen = tuple(i for i, level in enumerate(levels) if level <= end)
         packed = packed_for(problem.system, tuple(problem.tasks[i] for i in chosen), problem.packed.turns)
         keep(problem.packed.stages, requested, (chosen, packed), KEPT)
-    tasks, goals = tuple([problem.tasks[i] for i in chosen]), tuple([problem.goals[i] for i in chosen])
+    tasks = tuple([problem.tasks[i] for i in chosen])
+    goals = tuple([problem.goals[i] for i in chosen])
     pins = packed.pins(goals, problem.lead if lead_of(goals) else ())
     use = (True,) * len(tasks)
     return replace(
@@ -181,17 +188,22 @@ def values(problem: Demands, q: Array, rows: np.ndarray) -> Array:
     """
     from kempe.kernels.compiled import closure_batch
 
-    loops, m = problem.packed.loops, len(problem.packed.rows)
+    loops = problem.packed.loops
+    m = len(problem.packed.rows)
     stages, strengths, *_ = problem.levels
     pins = problem.pins[rows] if len(problem.pins) > 1 else problem.pins
-    g, none, ties = np.empty((len(q), m)), np.empty((0, m, 0)), len(loops.ties)
+    g = np.empty((len(q), m))
+    none = np.empty((0, m, 0))
+    ties = len(loops.ties)
     closure_batch.equations(
         loops.ints, loops.floats, loops.plan, loops.weights, pins, np.ascontiguousarray(q), False, g, none
     )
-    out, at = np.zeros((len(q), int(stages[:ties].max()) + 1)), 0
+    out = np.zeros((len(q), int(stages[:ties].max()) + 1))
+    at = 0
     g -= np.clip(g, *loops.bounds)
     for k, (tie, lengths) in enumerate(zip(loops.ties, loops.lengths, strict=True)):
-        count, stage = len(tie.rows), stages[k]
+        count = len(tie.rows)
+        stage = stages[k]
         error = g[:, at : at + count]
         at += count
         if stage < 1:

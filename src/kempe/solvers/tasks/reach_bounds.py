@@ -38,7 +38,8 @@ def beyond(problem: Demands, task: Task, goals: Goals) -> Array:
 
     It is a lower bound of the error in its place; zero where lengths say nothing, or within the tolerances.
     """
-    system, (goal, _) = own_tree(problem.system), goals[0]
+    system = own_tree(problem.system)
+    (goal, _) = goals[0]
     none = np.zeros((1, 2))
     if not isinstance(task, PlacedTask) or isinstance(task, Centred) or task.bounded or goal is None:
         return none
@@ -61,5 +62,6 @@ def _bounds(system: System, hold: TaskTie) -> tuple[list[ReachBound], int]:
     table, _, v_index = local_chain(system.structure.table, hold.b)
     row, X, particle = table.at[hold.b]
     table = replace(table, at={hold.b: (row, X @ np.reshape(hold.X_B, (4, 4)), particle)})
-    packed, limits = table.pack([hold.b]), system.structure.limits[v_index].T
+    packed = table.pack([hold.b])
+    limits = system.structure.limits[v_index].T
     return [b for arrays in (packed, regauge(*packed)) for b in reach_bounds(*arrays, limits)], len(v_index)

@@ -9,7 +9,8 @@ from kempe.kinematics.tasks.packed import Packed
 from kempe.spatial import Array
 
 NONE = np.zeros(0, dtype=np.int64)
-SAMPLES, NOTHING = 3, 1e-12
+SAMPLES = 3
+NOTHING = 1e-12
 """Configurations at which it is looked what moves what, and derivatives there that are none, but rounding."""
 
 

@@ -48,7 +48,8 @@ def derivative(answer: Reached) -> dict[str, Array]:
     goals, and second ones, are central differences. Errors: `InputError` where a single problem was not solved,
     `UnsupportedError` for soft tasks of several priorities and functions that are preferred.
     """
-    problem, good = answer.problem, np.asarray(answer.success)
+    problem = answer.problem
+    good = np.asarray(answer.success)
     if not good.ndim and not good:
         raise InputError(f"the tasks do not hold, so q does not follow their goals: {answer.status}")
     soft = {t.priority for t in problem.tasks if t.weight is not None}
@@ -71,7 +72,8 @@ def derivative(answer: Reached) -> dict[str, Array]:
 
 def _one(problem: Demands, q: Array) -> dict[str, Array]:
     """The derivatives of one answer."""
-    system, scale = problem.system, problem.packed.scale
+    system = problem.system
+    scale = problem.packed.scale
     counts = _active(problem, q)
     at = _rows(problem, q, problem.pins, counts)
     g = at.S.T @ at.soft
@@ -86,9 +88,12 @@ def _one(problem: Demands, q: Array) -> dict[str, Array]:
     second = (near[: system.nv] - near[system.nv :]) / (2.0 * REAL_STEP)
     second = 0.5 * (second + second.T)
     free = _free(problem, q, at.H)
-    n, m = int(free.sum()), len(at.H)
+    n = int(free.sum())
+    m = len(at.H)
     K = np.zeros((n + m, n + m))
-    K[:n, :n], K[n:, :n], K[:n, n:] = second[np.ix_(free, free)], at.H[:, free], at.H[:, free].T
+    K[:n, :n] = second[np.ix_(free, free)]
+    K[n:, :n] = at.H[:, free]
+    K[:n, n:] = at.H[:, free].T
     inverse = np.linalg.pinv(K, rcond=RANK)[:n]
     out: dict[str, Array] = {}
     for k, task in enumerate(problem.tasks):
@@ -121,7 +126,8 @@ def _active(problem: Demands, q: Array) -> tuple[np.ndarray, np.ndarray, Array]:
 
 def _rows(problem: Demands, q: Array, pins: Array, counts: tuple[np.ndarray, np.ndarray, Array]) -> _DerivativeRows:
     """What is held and what is lowered at q (..., nq), for pins (n or 1, k)."""
-    packed, (held, soft, weight) = problem.packed, counts
+    packed = problem.packed
+    (held, soft, weight) = counts
     error, J = packed.evaluate(q, pins)
     closed, C = packed.evaluate(q, pins, closures=True)
     low, high = ends_of_rows(packed)
@@ -136,7 +142,8 @@ def _rows(problem: Demands, q: Array, pins: Array, counts: tuple[np.ndarray, np.
 
 def _free(problem: Demands, q: Array, H: Array) -> np.ndarray:
     """Which velocity coordinates (nv,) move: not those at a limit, unless the others cannot do without them."""
-    system, v = problem.system, problem.system.structure.layout.vector_v
+    system = problem.system
+    v = problem.system.structure.layout.vector_v
     x = q[system.structure.layout.vector_q]
     free = np.ones(system.nv, dtype=bool)
     if problem.limits:

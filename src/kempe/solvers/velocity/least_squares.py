@@ -56,7 +56,9 @@ def damped(
     solution without bounds, where it is known.
     """
     x, hard, s, Vt = wished or wish(A, b, damping, near)
-    n, k, most = A.shape[1], len(s), float(s[:1].max(initial=0.0))
+    n = A.shape[1]
+    k = len(s)
+    most = float(s[:1].max(initial=0.0))
     if bend is not None and (way := _way_out(A, b, s, Vt, bend)) is not None:
         force, lead = way
         slow = damping * (most or 1.0) if near is None else damping
@@ -80,7 +82,8 @@ def _way_out(A: Array, b: Array, s: Array, Vt: Array, bend: Bend) -> tuple[float
 
     The direction is that of the largest curvature towards b among those that move nothing to first order.
     """
-    k, size = len(s), math.sqrt(b @ b)
+    k = len(s)
+    size = math.sqrt(b @ b)
     dead = Vt[int((s > DEAD * s[:1].max(initial=0.0)).sum()) :]
     if not size or not len(dead) or len(dead) == len(Vt) - k:
         return None
@@ -115,7 +118,8 @@ def wish(A: Array, b: Array, damping: float, near: float | None = NEAR, more: fl
     most = float(s[0]) if len(s) else 0.0
     seen = s > FLAT * most
     if near is None:
-        near, damping = NEAR * (most or 1.0), damping * (most or 1.0)
+        near = NEAR * (most or 1.0)
+        damping = damping * (most or 1.0)
     hard = np.where(seen & (s < near), damping * np.sqrt(np.maximum(1.0 - (s / near) ** 2, 0.0)), 0.0)
     hard = np.sqrt(np.square(hard) + more * more) if more else hard
     k = len(s)
@@ -134,13 +138,16 @@ def scaled(
     comes to rest there. From a singular configuration the motion leaves along a curvature towards b. There a direction
     is kept to `BENT`. `bend` gives the derivatives (k, m, n) of A along directions (k, n).
     """
-    n, size = A.shape[1], math.sqrt(b @ b)
+    n = A.shape[1]
+    size = math.sqrt(b @ b)
     inside = np.minimum(np.maximum(0.0, low), high) if G is None else np.zeros(n)
     if not size or inside.any() or not n:
         return inside
     U, s, Vt = svd(A, full_matrices=True)
-    k, most = len(s), float(s[0])
-    near, G = near or NEAR * (most or 1.0), np.eye(n) if G is None else G
+    k = len(s)
+    most = float(s[0])
+    near = near or NEAR * (most or 1.0)
+    G = np.eye(n) if G is None else G
     along = U[:, :k].T @ b
     weak = s < near
     left = np.abs(along) - np.where(weak, BENT * size * (1.0 - np.square(np.minimum(s / near, 1.0))), 0.0)
@@ -221,7 +228,8 @@ def bounded(A: Array, b: Array, low: Array, high: Array, first: Array, G: Array 
     Without G the bounds are those of x: `first` (n,) says which are tried first, those that it violates. With G, whose
     rows then need not be independent, `first` must be within them. A must have full column rank.
     """
-    plain, eye = G is None, np.eye(A.shape[1])
+    plain = G is None
+    eye = np.eye(A.shape[1])
     rows: Array = eye if G is None else G
     x = np.minimum(np.maximum(first, low), high) if plain else first.copy()
     held = (first <= low) | (first >= high) if plain else np.zeros(len(low), dtype=bool)
@@ -229,7 +237,8 @@ def bounded(A: Array, b: Array, low: Array, high: Array, first: Array, G: Array 
         Z = eye[:, ~held] if plain else null(rows[held])
         if Z.shape[1]:
             step = Z @ np.linalg.lstsq(A @ Z, b - A @ x, rcond=None)[0]
-            value, way = rows @ x, rows @ step
+            value = rows @ x
+            way = rows @ step
             slack = 0.0 if plain else SLACK * max(1.0, float(np.abs(way).max(initial=0.0)))
             over = ~held & (((way < 0.0) & (value + way < low - slack)) | ((way > 0.0) & (value + way > high + slack)))
             if over.any():

@@ -35,10 +35,13 @@ if TYPE_CHECKING:
 
 WHOLE = 1.0 - 1e-3
 """Fraction of what is wanted that counts as all of it: damping takes less than the rest far from singularities."""
-NONE, EYE = np.zeros(0), np.eye(3)
-TURNING, SLIDING = math.pi, 1.0
+NONE = np.zeros(0)
+EYE = np.eye(3)
+TURNING = math.pi
+SLIDING = 1.0
 """Largest speeds of joints that the description gives none, in rad/s and m/s."""
-SLOW, SHORTER = 0.0499, 5
+SLOW = 0.0499
+SHORTER = 5
 """Part of its speed above which no joint turns back from one cycle to the next; halvings of a step for that."""
 SKEW = 1e-5
 """Sum of what a rotation's product with its transpose may miss."""
@@ -80,7 +83,8 @@ class IkStep(Answer):
 
     def _sentence(self, index: tuple[int, ...]) -> str:
         if self.success:
-            text, default = "The wanted motion in full", ()
+            text = "The wanted motion in full"
+            default = ()
         else:
             none = "Nothing of the wanted motion" if self.velocity.any() else "No motion"
             text = f"{self.fraction:.3g} of the wanted motion" if self.fraction > 0.0 else none
@@ -119,7 +123,8 @@ class Servo:
         self.frame = frame
         self.query = query(system, frame)
         chain = chain_of(system, frame)
-        self.v, reach = chain.v_index, min((b.largest for b in chain.bounds), default=math.inf)
+        self.v = chain.v_index
+        reach = min((b.largest for b in chain.bounds), default=math.inf)
         self.near = NEAR * min(1.0, reach) if reach > 0.0 else NEAR
         """Singular values to be damped: metres, so less where the whole chain is shorter than one."""
         layout = system.structure.layout
@@ -128,18 +133,17 @@ class Servo:
         self.at_v = np.array([k for k, _ in limited], dtype=np.int64)
         self.at_q = np.array([i for _, i in limited], dtype=np.int64)
         own = self.v[self.at_v]
-        self.lower, self.upper, self.speed = (
-            system.lower[own],
-            system.upper[own],
-            system.structure.velocity_limits[self.v],
-        )
+        self.lower = system.lower[own]
+        self.upper = system.upper[own]
+        self.speed = system.structure.velocity_limits[self.v]
         self.upcoming: tuple[Any, Any] = None, None
         """A move that was computed ahead, after what asks for it: the next cycle mostly does."""
         self.unbounded = np.full(len(self.v), math.inf)
         self.plain = len(limited) == len(self.v)
         self.ahead, self.behind = np.arange(2 * len(self.v)).reshape(2, -1)
         self.names = [system.structure.velocity_names[int(i)] for i in self.v]
-        length, slides = characteristic_length(system), ~system.structure.coordinates.turning[self.v]
+        length = characteristic_length(system)
+        slides = ~system.structure.coordinates.turning[self.v]
         slides[~np.isin(self.v, system.structure.layout.vector_v)] = False
         self.metric = np.array([1.0 / length] * 3 + [1.0] * 3)
         """What weighs the error of a pose as `ik` does."""
@@ -150,7 +154,8 @@ class Servo:
     ) -> Move:  # fmt: skip
         """The velocities for a twist (6,) or towards a pose (4, 4), at a configuration (nq,)."""
         pose, J = self.query.pose_and_jacobian(q)
-        J, w = J[:, self.v], weights
+        J = J[:, self.v]
+        w = weights
         low, high = self.box(q, dt, fastest)
         if x.ndim == 2:
             approach = Approach(self, q, x, pose, J, dt, w, SLOW * float(fastest.min(initial=math.inf)))
@@ -182,7 +187,8 @@ class Servo:
         What is outside its limits comes back as fast as it may.
         """
         x = q[self.at_q]
-        low, high = -speed, speed.copy()
+        low = -speed
+        high = speed.copy()
         low[self.at_v] = np.minimum(np.maximum(low[self.at_v], (self.lower - x) / dt), speed[self.at_v])
         high[self.at_v] = np.maximum(np.minimum(high[self.at_v], (self.upper - x) / dt), -speed[self.at_v])
         return low, high
@@ -216,7 +222,8 @@ class Servo:
             out[self.behind, self.at_q] -= step
             return out
         moves = np.zeros((2 * n, self.system.nv))
-        moves[range(n), self.v], moves[range(n, 2 * n), self.v] = step, -step
+        moves[range(n), self.v] = step
+        moves[range(n, 2 * n), self.v] = -step
         return self.system.structure.layout.integrate(q, moves)
 
     def after(self, q: Array, velocity: Array, dt: float) -> Array:
@@ -285,7 +292,8 @@ def ik_step(
     name = system.structure.frame_name(frame)
     if rolls(system) or obstacle(system, name) or one_sided_rows(system).declared:
         return _held_step(system, q, wanted, name, dt, speed, default, damping, keep_direction, w)
-    servo, x = _servo(system, name), _motion(wanted)
+    servo = _servo(system, name)
+    x = _motion(wanted)
     fastest = speed[servo.v]
     case = x.tobytes(), dt, fastest.tobytes(), damping, keep_direction, None if w is None else w.tobytes()
 
@@ -303,7 +311,8 @@ def ik_step(
     own, low, high, J, twist, calm = law(q)
     if not calm:
         own = own * steady(after, own, fastest)
-    velocity, had = servo.spread(own), J @ own
+    velocity = servo.spread(own)
+    had = J @ own
     part = _part(had, twist) if w is None else _part(w * had, w * twist)
     at = ((own <= low) | (own >= high)).nonzero()[0]
     names = tuple(servo.names[int(i)] for i in at)
@@ -376,7 +385,8 @@ def _held_step(
         closed.upcoming = (case, there.tobytes()), found
         return found[1]
 
-    stages, (after, u, calm) = at(q), step(q)
+    stages = at(q)
+    (after, u, calm) = step(q)
     if not calm and (part := steady(then, u, speed / closed.scale)) < 1.0:
         after, u = closed.after(q, part * u, dt, low, high)
     velocity = u * closed.scale
@@ -455,7 +465,8 @@ def speeds(system: System) -> Array:
 
     The defaults hold for coupled joints too: a coordinate is so slow that none of its followers exceeds them.
     """
-    table, given = own_tree(system).structure.table, system.structure.velocity_limits
+    table = own_tree(system).structure.table
+    given = system.structure.velocity_limits
     usual = np.where(system.structure.coordinates.turning, TURNING, SLIDING)
     usual[system.structure.layout.quaternion_v[:, None] + np.arange(3)] = TURNING
     for kind, v, m in zip(table.kind.tolist(), table.iv.tolist(), table.multiplier.tolist(), strict=True):

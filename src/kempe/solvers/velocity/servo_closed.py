@@ -45,9 +45,12 @@ OPEN = 1e-3
 """By how much, in radians and characteristic lengths, loops may be open at first: more is no drift."""
 CLOSED = 1e-12
 """By how much they may be open after the step."""
-CORRECTIONS, HALVINGS = 8, 12
+CORRECTIONS = 8
+HALVINGS = 12
 """Steps that close the loops again, and how often a step is halved after which that fails."""
-HALF, ENOUGH, BUSY = 0.5, 1e-13, 2.0
+HALF = 0.5
+ENOUGH = 1e-13
+BUSY = 2.0
 """Part of what is required that a step of first order may leave; what may be left in any case; and what earlier stages
 miss, as a multiple of the square of the step, to count as not arrived."""
 DIFFERENCE = 1e-5
@@ -108,13 +111,18 @@ class ConstrainedSteps:
     """
 
     def __init__(self, system: System):
-        self.system, layout = system, system.structure.layout
+        self.system = system
+        layout = system.structure.layout
         self.closing = ideal_of(system)
         loops = full(self.closing, True)
-        self.length, self.names, self.rolls = loops.length, loops.names, rolls(system)
+        self.length = loops.length
+        self.names = loops.names
+        self.rolls = rolls(system)
         self.scale: Array = loops.scale
-        self.at_v, self.at_q = layout.vector_v, layout.vector_q
-        self.lower, self.upper = system.lower[self.at_v], system.upper[self.at_v]
+        self.at_v = layout.vector_v
+        self.at_q = layout.vector_q
+        self.lower = system.lower[self.at_v]
+        self.upper = system.upper[self.at_v]
         self.bounds = one_sided_rows(self.closing)
         self.upcoming: tuple[Any, Any] = None, None
         """A step that was computed ahead, after what asks for it."""
@@ -124,10 +132,15 @@ class ConstrainedSteps:
 
         What is outside its limits comes back as fast as it may.
         """
-        x, low, high, at = q[self.at_q], -speed, speed.copy(), self.at_v
-        below, above = self.lower - x, self.upper - x
+        x = q[self.at_q]
+        low = -speed
+        high = speed.copy()
+        at = self.at_v
+        below = self.lower - x
+        above = self.upper - x
         near = EPSILON * np.maximum(1.0, np.abs(x))
-        below[np.abs(below) <= near], above[np.abs(above) <= near] = 0.0, 0.0
+        below[np.abs(below) <= near] = 0.0
+        above[np.abs(above) <= near] = 0.0
         low[at] = np.minimum(np.maximum(low[at], below / dt), speed[at])
         high[at] = np.maximum(np.minimum(high[at], above / dt), -speed[at])
         return low / self.scale, high / self.scale
@@ -154,7 +167,8 @@ class ConstrainedSteps:
 
     def _between(self, q: Array, dt: float) -> tuple[Array, Array, Array]:
         """Declared one-sided rows (m, nv) of the scaled velocities, and between what they stay within dt."""
-        rows, k = self.bounds, self.bounds.declared
+        rows = self.bounds
+        k = self.bounds.declared
         if not k:
             return np.zeros((0, self.system.nv)), np.zeros(0), np.zeros(0)
         value, G = rows.rates(q, declared=True)
@@ -180,7 +194,8 @@ class ConstrainedSteps:
         Hessian that counts for the last stage.
         """
         N, rest, rows, least, most = free
-        some, own = _Descent(N, speeds), np.isfinite(low) | np.isfinite(high)
+        some = _Descent(N, speeds)
+        own = np.isfinite(low) | np.isfinite(high)
         rows = np.concatenate([np.eye(len(low))[own], rows])
         box = Stage(N.T[:0], low[:0], rows, np.append(low[own], least), np.append(high[own], most))
         some.take(box.beside(rest), 0.0)
@@ -192,7 +207,8 @@ class ConstrainedSteps:
     def blocking(self, q: Array, stages: list[Stage], u: Array, low: Array, high: Array) -> tuple[str, ...]:
         """Names of the velocity constraints that prevent what velocities u (nv,) miss: by their multipliers."""
         pull = sum((s.A.T @ (s.b - s.A @ u) for s in stages if s.hard), np.zeros(len(u)))
-        C, A = evaluate(self.closing, q, True, True)[1], hard_rows(self.system, q, self.scale)[0]
+        C = evaluate(self.closing, q, True, True)[1]
+        A = hard_rows(self.system, q, self.scale)[0]
         bounds = np.eye(len(u))[(u <= low) | (u >= high)]
         forces = np.linalg.lstsq(np.concatenate([A, C, bounds]).T, pull, rcond=1e-9)[0][: len(A)]
         some = np.abs(forces) > PREVENTS * math.sqrt(float(pull @ pull))
@@ -228,14 +244,18 @@ class ConstrainedSteps:
                 return after, u, False
             other = self.towards(q, stages, low, high, damping, False, dt, at, slow)[1]
             return *self.after(q, share * u + (1.0 - share) * other, dt, low, high), False
-        wide, speeds = (low, high), None
+        wide = (low, high)
+        speeds = None
         if not free.rest.any() and (low <= 0.0).all() and (high >= 0.0).all():
             least, most = self.box(q, dt, np.full(len(low), math.inf))
-            wide, speeds = (np.maximum(least, -LARGEST / dt), np.minimum(most, LARGEST / dt)), (low, high)
+            wide = (np.maximum(least, -LARGEST / dt), np.minimum(most, LARGEST / dt))
+            speeds = (low, high)
         u = self.velocity(free, stages, *wide, damping)
-        size, requested = dt * float(u @ u), [s.missed() for s in stages]
+        size = dt * float(u @ u)
+        requested = [s.missed() for s in stages]
         still = size * dt <= ENOUGH**2
-        whole, left = speeds is None or part_within(u, low, high) == 1.0, [s.missed(u) for s in stages]
+        whole = speeds is None or part_within(u, low, high) == 1.0
+        left = [s.missed(u) for s in stages]
         if not (whole or still):  # far away
             left = [s.missed() for s in at(self.after(q, u, dt, *wide)[0])]
         k = next((k for k, had in enumerate(requested) if left[k] > max(HALF * had, ENOUGH / dt)), None)
@@ -251,15 +271,18 @@ class ConstrainedSteps:
             next_speed = size * math.sqrt(len(u)) / max(NEAR, damping)
             calm = whole and max(left, default=0.0) <= ENOUGH / dt and damping >= NEAR and next_speed <= slow
             return *self.after(q, u, dt, low, high), calm
-        own, before = stages[: k + 1], requested[k]
-        model, more = self.curvature(q, free.basis, own, u, *wide, dt, at), 0.0
+        own = stages[: k + 1]
+        before = requested[k]
+        model = self.curvature(q, free.basis, own, u, *wide, dt, at)
+        more = 0.0
         for _ in range(TRIALS):
             convex = model + more * np.eye(len(model))
             u = self.velocity(free, own, *wide, damping, model=convex)
             promise = before**2 - own[k].missed(u) ** 2
             if promise <= BLIND * before**2 and (way := self.aside(free, own, u, *wide, dt, model)) is not None:
                 u, promise = way
-                speeds, convex = (low, high) if speeds is None else speeds, None
+                speeds = (low, high) if speeds is None else speeds
+                convex = None
             if 0.0 <= promise <= STILL * before**2 + (ROUNDING / dt) ** 2:
                 break
             if promise > 0.0 and (
@@ -283,7 +306,8 @@ class ConstrainedSteps:
 
         The step is halved until it lowers what is missed by half of what it promises; if it never does, there is none.
         """
-        twist, before = Twist(dt, self.bend(q, free.basis, stages[0], at), True), stages[0].missed()
+        twist = Twist(dt, self.bend(q, free.basis, stages[0], at), True)
+        before = stages[0].missed()
         u = self.velocity(free, stages, low, high, 0.0, twist=twist)
         for _ in range(HALVINGS if before > ENOUGH / dt else 0):
             promise = before**2 - stages[0].missed(u) ** 2
@@ -313,7 +337,8 @@ class ConstrainedSteps:
             return None
         way = N @ (own @ W[:, 0])
         way = way if float(way @ (stages[-1].A.T @ stages[-1].b)) >= 0.0 else -way
-        rows, ends = [np.eye(len(u)), free.rows], [(low, high), (free.low, free.high)]
+        rows = [np.eye(len(u)), free.rows]
+        ends = [(low, high), (free.low, free.high)]
         for s in stages:
             kept = (s.low <= 0.0) & (s.high >= 0.0)
             rows.append(s.inequalities[kept])
@@ -333,9 +358,12 @@ class ConstrainedSteps:
             size = np.abs(ways).max(axis=1)
             moves = (DIFFERENCE / np.where(size > 0.0, size, 1.0))[:, None] * (ways @ N.T)
             ends = self.system.structure.layout.integrate(q, np.concatenate([moves, -moves]) * self.scale)
-            per, k = (size / (2.0 * DIFFERENCE))[:, None, None], len(ways)
-            A, C = at(ends)[0].A, evaluate(self.closing, ends, True, True)[1]
-            A, C = (A[:k] - A[k:]) * per, (C[:k] - C[k:]) * per
+            per = (size / (2.0 * DIFFERENCE))[:, None, None]
+            k = len(ways)
+            A = at(ends)[0].A
+            C = evaluate(self.closing, ends, True, True)[1]
+            A = (A[:k] - A[k:]) * per
+            C = (C[:k] - C[k:]) * per
             if C.shape[-2]:
                 A = A - stage.A @ np.linalg.pinv(evaluate(self.closing, q, True, True)[1], rcond=1e-8) @ C
             return A @ N
@@ -351,7 +379,8 @@ class ConstrainedSteps:
 
         def push(x: Array, requested: list[Stage]) -> tuple[Array, Array]:
             """What the last stage pulls at (..., nv), and the rows (..., m, nv) that stay, at configurations."""
-            C, s = evaluate(self.closing, x, True, True)[1], requested[-1]
+            C = evaluate(self.closing, x, True, True)[1]
+            s = requested[-1]
             out = np.maximum(s.low, 0.0) + np.minimum(s.high, 0.0)
             pull = np.einsum("...i,...ij->...j", s.b, s.A) + np.einsum("...i,...ij->...j", out, s.inequalities)
             return dt * pull, np.concatenate([C, *(t.A for t in requested[:-1])], axis=-2)
@@ -382,17 +411,16 @@ class ConstrainedSteps:
 
         By the smallest corrections (Newton), bounded where these would leave the box.
         """
-        system, x = (
-            self.system,
-            self.system.structure.layout.integrate(q, (self.bent(q, u, dt) if self.rolls else u) * self.scale * dt),
-        )
+        system = self.system
+        x = self.system.structure.layout.integrate(q, (self.bent(q, u, dt) if self.rolls else u) * self.scale * dt)
         before = self.bounds.beyond(q, declared=True) if self.bounds.declared else x
         for _ in range(CORRECTIONS):
             error, C = self._missed(x, before)
             if np.abs(error).max(initial=0.0) <= CLOSED:
                 return self._inside(q, x)
             moved = system.structure.layout.difference(q, x) / self.scale
-            least, most = np.minimum(low * dt - moved, 0.0), np.maximum(high * dt - moved, 0.0)
+            least = np.minimum(low * dt - moved, 0.0)
+            most = np.maximum(high * dt - moved, 0.0)
             more = -np.linalg.pinv(C, rcond=1e-8) @ error
             if (more < least).any() or (more > most).any():
                 A = np.concatenate([C, LEAST * np.eye(len(more))])
@@ -424,13 +452,19 @@ class _Descent:
     """Velocities N z, lowered stage by stage: what earlier stages reached stays."""
 
     def __init__(self, N: Array, speeds: tuple[Array, Array] | None = None):
-        self.N, self.z, self.free = N, np.zeros(N.shape[1]), np.eye(N.shape[1])
-        self.G, self.low, self.high = np.zeros((0, N.shape[1])), np.zeros(0), np.zeros(0)
+        self.N = N
+        self.z = np.zeros(N.shape[1])
+        self.free = np.eye(N.shape[1])
+        self.G = np.zeros((0, N.shape[1]))
+        self.low = np.zeros(0)
+        self.high = np.zeros(0)
         self.speeds = speeds
 
     def take(self, stage: Stage, damping: float, twist: Twist | None = None, model: Array | None = None) -> None:
         """Do for a stage what can be done; `model` (k, k), where given, is the Hessian that counts for it."""
-        A, b, G = stage.A @ self.N, stage.b, stage.inequalities @ self.N
+        A = stage.A @ self.N
+        b = stage.b
+        G = stage.inequalities @ self.N
         value = G @ self.z
         slack = BEYOND * np.maximum(1.0, np.abs(value))
         out = (value < stage.low - slack) | (value > stage.high + slack)
@@ -439,8 +473,11 @@ class _Descent:
         free = self.free
         equations = np.concatenate([A, G[out]]) @ free
         wish = np.concatenate([b - A @ self.z, (np.clip(value, stage.low, stage.high) - value)[out]])
-        low, high = self.low - self.G @ self.z, self.high - self.G @ self.z
-        low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)  # rounding
+        low = self.low - self.G @ self.z
+        high = self.high - self.G @ self.z
+        # rounding
+        low = np.minimum(low, 0.0)
+        high = np.maximum(high, 0.0)
         if len(wish) and free.shape[1]:
             if twist is not None and twist.kept:
                 y = scaled(equations, wish, low, high, twist.dt, twist.bend, self.G @ free, None)
@@ -461,19 +498,26 @@ class _Descent:
     def _slowed(self, y: Array, equations: Array, low: Array, high: Array) -> Array:
         """y (k,) of the free velocities, shortened until limits of speed alone hold, then the nearest that is left."""
         assert self.speeds is not None
-        rows, (least, most), now = self.N @ self.free, self.speeds, self.N @ self.z
+        rows = self.N @ self.free
+        (least, most) = self.speeds
+        now = self.N @ self.z
         y = part_within(rows @ y, least, most) * y
-        value, least, most = rows @ y, np.minimum(least - now, 0.0), np.maximum(most - now, 0.0)
+        value = rows @ y
+        least = np.minimum(least - now, 0.0)
+        most = np.maximum(most - now, 0.0)
         if (value >= least).all() and (value <= most).all():
             return y
-        G, low, high = np.concatenate([rows, self.G @ self.free]), np.append(least, low), np.append(most, high)
+        G = np.concatenate([rows, self.G @ self.free])
+        low = np.append(least, low)
+        high = np.append(most, high)
         weak = SHIFT * NEAR * (float(np.linalg.norm(equations, 2)) or 1.0)
         metric = np.concatenate([equations, weak * np.eye(len(y))])
         return bounded(metric, metric @ y, low, high, np.zeros(len(y)), G)
 
     def _bound(self, G: Array, low: Array, high: Array) -> None:
         self.G = np.concatenate([self.G, G])
-        self.low, self.high = np.concatenate([self.low, low]), np.concatenate([self.high, high])
+        self.low = np.concatenate([self.low, low])
+        self.high = np.concatenate([self.high, high])
 
 
 def convex(H: Array, pull: Array, J: Array, damping: float) -> tuple[Array, Array]:
@@ -492,7 +536,8 @@ def convex(H: Array, pull: Array, J: Array, damping: float) -> tuple[Array, Arra
 
 def stages_of(problem: Demands, q: Array, dt: float) -> list[Stage]:
     """What tasks ask of the velocities at q (..., nq), level by level: that what they miss is gone after dt."""
-    packed, loops = problem.packed, problem.packed.loops
+    packed = problem.packed
+    loops = problem.packed.loops
     error, J = packed.evaluate(q, problem.pins)
     levels, strengths, *_ = problem.levels
     counts = np.array([len(t.rows) for t in loops.ties])
@@ -501,10 +546,13 @@ def stages_of(problem: Demands, q: Array, dt: float) -> list[Stage]:
     weight = np.repeat(np.sqrt(strengths[:, 0]), counts)[own]
     low, high = ends_of_rows(packed)
     equal = low == high
-    J, low, high = weight[:, None] * J, weight * (low - error) / dt, weight * (high - error) / dt
+    J = weight[:, None] * J
+    low = weight * (low - error) / dt
+    high = weight * (high - error) / dt
     out: list[Stage] = []
     for s in range(1, int(level.max(initial=0)) + 1):
-        same, between = (level == s) & equal, (level == s) & ~equal
+        same = (level == s) & equal
+        between = (level == s) & ~equal
         ends = low[..., between], high[..., between]
         out.append(Stage(J[..., same, :], low[..., same], J[..., between, :], *ends, bool(hard[level == s][0])))
     return out

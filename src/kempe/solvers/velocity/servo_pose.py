@@ -26,27 +26,35 @@ ENOUGH = 1e-26
 """Square of the error that counts as zero: 1e-13 of a length."""
 RESIDUAL = 0.5
 """Damping as a part of the error (Levenberg and Marquardt; Sugihara, 2011)."""
-ENOUGH_GAIN, LITTLE_GAIN = 0.75, 0.25
+ENOUGH_GAIN = 0.75
+LITTLE_GAIN = 0.25
 """Decreases of the error, as parts of what a straight way would give, from which a step of first order counts alone,
 and up to which one of second order does; between them they are mixed."""
 DIFFERENCE = 1e-5
 """Step of the differences of the Jacobian, in radians and characteristic lengths."""
-LARGEST, ASIDE = 0.5, 0.05
+LARGEST = 0.5
+ASIDE = 0.05
 """Longest step of a coordinate where no speed bounds it, and where a singular configuration is left."""
-FLAT, SADDLE = 1e-10, 1e-6
+FLAT = 1e-10
+SADDLE = 1e-6
 """Parts of the largest curvature: up to the first it counts as none, below minus the second as negative."""
-TAKEN, STRICT = 0.1, 0.5
+TAKEN = 0.1
+STRICT = 0.5
 """Part of the promised decrease that must be had; more than half of it where a direction is kept."""
-STILL, BLIND = 1e-20, 1e-13
+STILL = 1e-20
+BLIND = 1e-13
 """Promised decreases, as parts of the square of the error, below which one rests, or rounding hides the true one."""
 ROUNDING = 1e-28
 """Promised decrease below which one rests, however small the error is."""
-LITTLE, LEADS = 0.01, 0.05
+LITTLE = 0.01
+LEADS = 0.05
 """Decreases of the error, as parts of what the joints move: up to the first no direction is kept, from the second on it
 alone counts; between them the straight step and the one towards the nearest pose are mixed."""
-SLOW, FAST = 0.1, 0.5
+SLOW = 0.1
+FAST = 0.5
 """The same for the part of the speed, or of the rest of the way, that a straight step makes use of."""
-TRIALS, HALVINGS = 16, 6
+TRIALS = 16
+HALVINGS = 6
 """Steps tried in one cycle, each shorter than the one before; halvings of a step in a direction that is kept."""
 
 
@@ -56,13 +64,18 @@ def error(goal: Array, pose: Array) -> Array:
     out[:3] = goal[:3, 3] - pose[:3, 3]
     R = goal[:3, :3] @ pose[:3, :3].T
     (a, b, c), (d, e, f), (g, h, i) = R.tolist()
-    x, y, z, cosine = 0.5 * (h - f), 0.5 * (c - g), 0.5 * (d - b), 0.5 * (a + e + i - 1.0)
+    x = 0.5 * (h - f)
+    y = 0.5 * (c - g)
+    z = 0.5 * (d - b)
+    cosine = 0.5 * (a + e + i - 1.0)
     if not cosine > -0.9:  # the antisymmetric part fades
         out[3:] = spatial.log_so3(R)
         return out
     sine = math.sqrt(x * x + y * y + z * z)
     factor = math.atan2(sine, cosine) / sine if sine > 1e-8 else 1.0
-    out[3], out[4], out[5] = factor * x, factor * y, factor * z
+    out[3] = factor * x
+    out[4] = factor * y
+    out[5] = factor * z
     return out
 
 
@@ -72,10 +85,15 @@ class Approach:
     def __init__(
         self, servo: Servo, q: Array, goal: Array, pose: Array, J: Array, dt: float, weights: Array | None, slow: float
     ):  # fmt: skip
-        self.servo, self.before, self.goal, self.dt = servo, q, goal, dt
-        self.slow, self.calm = slow, False
+        self.servo = servo
+        self.before = q
+        self.goal = goal
+        self.dt = dt
+        self.slow = slow
+        self.calm = False
         """A speed that no joint exceeds in the next cycle, where it is `calm`."""
-        self.e, self.J = error(goal, pose), J
+        self.e = error(goal, pose)
+        self.J = J
         self.metric = servo.metric if weights is None else servo.metric * weights
         self.missing = self.metric * self.e
         self.even = weights is None or weights[3] == weights[4] == weights[5]
@@ -157,19 +175,24 @@ class Approach:
         for _ in range(HALVINGS):
             if self.left(velocity) <= self.square - STRICT * slope:
                 return velocity
-            velocity, slope = 0.5 * velocity, 0.5 * slope
+            velocity = 0.5 * velocity
+            slope = 0.5 * slope
         return 0.0 * velocity
 
     def second_order(self, low: Array, high: Array, damping: Array) -> Array:
         """The velocities (n,) in the box that make the error's second order least, if they lower the error itself."""
-        unit, dt = self.servo.unit, self.dt
-        least, most = np.maximum(low * dt / unit, -LARGEST), np.minimum(high * dt / unit, LARGEST)
+        unit = self.servo.unit
+        dt = self.dt
+        least = np.maximum(low * dt / unit, -LARGEST)
+        most = np.minimum(high * dt / unit, LARGEST)
         rest = np.minimum(np.maximum(0.0, least), most)
-        push, H = self.A.T @ self.missing, self.hessian()
+        push = self.A.T @ self.missing
+        H = self.hessian()
         strength = np.abs(H).max(axis=1)
         idle = strength <= FLAT * strength.max()
         weak = damping * unit
-        model, more = H + weak.T @ weak if len(weak) else H, 0.0
+        model = H + weak.T @ weak if len(weak) else H
+        more = 0.0
         for _ in range(TRIALS):
             z, curvature, way = newton(model, push, least, most)
             z[idle] = rest[idle]
@@ -195,11 +218,13 @@ class Approach:
         Of the chain's second derivatives by differences of its Jacobian, of the logarithm by its own derivative
         (Bullo and Murray, 1995).
         """
-        servo, w = self.servo, self.metric
+        servo = self.servo
+        w = self.metric
         if not self.even:
             return self.by_differences()
         J = servo.query.pose_and_jacobian(servo.beside(self.before, DIFFERENCE * servo.unit))[1]
-        ahead, behind = J[: len(servo.v)], J[len(servo.v) :]
+        ahead = J[: len(servo.v)]
+        behind = J[len(servo.v) :]
         rate = w[:, None] * turned(self.e[3:], self.J) * servo.unit
         forces = ((w * self.missing) @ (ahead - behind))[:, servo.v] * servo.unit
         H = self.A.T @ rate - forces / (2.0 * DIFFERENCE)
@@ -207,7 +232,8 @@ class Approach:
 
     def by_differences(self) -> Array:
         """The Hessian (n, n) where turns about the axes of the ground count unequally: differences of the gradient."""
-        servo, w = self.servo, self.metric
+        servo = self.servo
+        w = self.metric
         pushes: list[Array] = []
         for q in servo.beside(self.before, DIFFERENCE * servo.unit):
             pose, J = servo.query.pose_and_jacobian(q)
@@ -224,7 +250,9 @@ def led_on(A: Array, b: Array, x: Array, low: Array, high: Array) -> float:
     By the decrease of what is missed for what the joints move, and by how much of the room that the box and the rest of
     the way leave is used: close to a singular configuration it is little.
     """
-    wish, size, had = math.sqrt(float(b @ b)), math.sqrt(float(x @ x)), float(b @ (A @ x))
+    wish = math.sqrt(float(b @ b))
+    size = math.sqrt(float(x @ x))
+    had = float(b @ (A @ x))
     if not had > 0.0:
         return 0.0
     gain = had / (wish * size)

@@ -68,7 +68,8 @@ def _angle(sheet: Sheet, subject: Subject, joint: SeenJoint) -> None:
     if len(names) != 1 or len(joint.motions) != 1:
         return
     value = float(coordinate_value(subject.system, sheet.scene.q, names[0]))
-    text, gid = subject.measured_text(names[0]), f"angle:{joint.name}"
+    text = subject.measured_text(names[0])
+    gid = f"angle:{joint.name}"
     if joint.motions[0].kind == P:
         _dimension(sheet, flat(joint.F), flat(joint.M), text, gid, style.DRIVER)
         return
@@ -82,7 +83,8 @@ def arc(
     sheet: Sheet, c: Array, start: float, stop: float, text: str, gid: str, radius: float = ARC, colour: str = INK
 ) -> None:  # fmt: skip
     """Draw an angle at c (2,) between two directions [rad], with a line along each, and collect its name."""
-    r, size = sheet.r, radius * sheet.r
+    r = sheet.r
+    size = radius * sheet.r
     for k, angle in enumerate((start, stop)):
         line = np.array([c, c + (1.7 if k == 0 else 1.25) * size * np.array([np.cos(angle), np.sin(angle)])])
         sheet.line(line, f"{gid}:side{k}", style.RAILS, **{**THIN, "ls": (0, (4, 3)), "color": GROUND})
@@ -102,7 +104,8 @@ def _way_to(sheet: Sheet, subject: Subject, frame: str) -> None:
     first = next((j for j in sheet.scene.joints if j.parent == 0 and j.kind == "revolute"), None)
     if first is None:
         return
-    c, tip = flat(first.M), flat(fk(subject.system, sheet.scene.q, frame))
+    c = flat(first.M)
+    tip = flat(fk(subject.system, sheet.scene.q, frame))
     sheet.line(np.array([c, tip]), f"way:{frame}", style.BLOCKS, **{**THIN, "ls": (0, (6, 2)), "color": style.DRIVER})
     zero = float(np.arctan2(first.F[1, 0], first.F[0, 0]))
     link = float(np.arctan2(first.M[1, 0], first.M[0, 0]))
@@ -134,7 +137,8 @@ def _dimension(sheet: Sheet, a: Array, b: Array, text: str, gid: str, colour: st
     length = float(np.linalg.norm(b - a))
     if length < 1e-9 * sheet.scene.size:
         return
-    along, r = (b - a) / length, sheet.r
+    along = (b - a) / length
+    r = sheet.r
     side = np.array([-along[1], along[0]])
     t = np.linspace(0.05, 0.95, 24)[:, None]
 
@@ -161,7 +165,9 @@ def _dimension(sheet: Sheet, a: Array, b: Array, text: str, gid: str, colour: st
 
 def freedoms(sheet: Sheet, joint: SeenJoint) -> None:
     """Draw an arrow with two heads for each freedom of a joint: round it, or along what it slides on."""
-    r, c, gid = sheet.r, flat(sheet.scene.seat(joint, sheet.r)), f"motion:{joint.name}"
+    r = sheet.r
+    c = flat(sheet.scene.seat(joint, sheet.r))
+    gid = f"motion:{joint.name}"
     for k, p in enumerate(joint.motions):
         if p.kind == P:
             along = joint.F[:2, "xyz".index(p.axis)]

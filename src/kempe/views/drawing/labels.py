@@ -15,7 +15,8 @@ RINGS = (1.0, 1.6, 2.4, 3.5)
 """Distances from the point that are tried, in clearances."""
 
 
-MOST, WIDEST = 32, 44
+MOST = 32
+WIDEST = 44
 """Letters of one name in a picture, and of one line of several."""
 
 
@@ -81,7 +82,8 @@ class Obstacles:
         s = self._near(points.reshape(-1, 2))
         if not len(s):
             return np.zeros(points.shape[:-1])
-        a, d = s[:, 0:2], s[:, 2:4] - s[:, 0:2]
+        a = s[:, 0:2]
+        d = s[:, 2:4] - s[:, 0:2]
         length2 = np.maximum((d * d).sum(axis=1), 1e-300)
         rel = points[..., None, :] - a
         t = np.clip((rel * d).sum(axis=-1) / length2, 0.0, 1.0)
@@ -95,7 +97,8 @@ class Obstacles:
         s = self._packed
         if not len(s) or not len(points):
             return s[:0]
-        low, high = np.minimum(s[:, 0:2], s[:, 2:4]) - s[:, 4:5], np.maximum(s[:, 0:2], s[:, 2:4]) + s[:, 4:5]
+        low = np.minimum(s[:, 0:2], s[:, 2:4]) - s[:, 4:5]
+        high = np.maximum(s[:, 0:2], s[:, 2:4]) + s[:, 4:5]
         return s[((low <= points.max(axis=0)) & (high >= points.min(axis=0))).all(axis=1)]
 
     def place(self, p: Array, size: tuple[float, float], clearance: float, outward: Array) -> Array:

@@ -23,7 +23,8 @@ ARC = 4.5
 
 def texts(subject: Subject, mark: float) -> list[Text]:
     """What is written beside names of joints and frames; `mark` is the length of drawn axes [m]."""
-    options, scene = subject.options, subject.scene
+    options = subject.options
+    scene = subject.scene
     out: list[Text] = []
     for name, X in subject.axes.items():
         below = subscript(subject.system, name)
@@ -74,7 +75,9 @@ def angles(ax: Any, subject: Subject, r: float) -> list[Text]:
         if len(names) != 1 or len(joint.motions) != 1:
             continue
         value = float(coordinate_value(subject.system, subject.scene.q, names[0]))
-        gid, c, F = f"angle:{joint.name}", joint.centre, joint.F[:3, :3]
+        gid = f"angle:{joint.name}"
+        c = joint.centre
+        F = joint.F[:3, :3]
         look = {"color": INK, "style": "italic", "gid": f"label:{gid}"}
         if joint.motions[0].kind == P:
             a = joint.F[:3, 3] + 2.5 * r * F[:, 0]

@@ -20,7 +20,8 @@ from kempe.views.drawing import labels, shapes, style
 from kempe.views.drawing.planar import Sheet
 from kempe.views.drawing.style import FAINT, FONT, INK, PAPER
 
-WIDTH, HEIGHT = (3.2, 7.0), (2.4, 6.6)
+WIDTH = (3.2, 7.0)
+HEIGHT = (2.4, 6.6)
 """Least and largest size of a drawing in inches."""
 
 
@@ -75,7 +76,8 @@ def curve(sheet: Sheet, name: str, points: Array, here: Array | None, number: in
 def limits(sheet: Sheet, room: float = 4.0) -> tuple[Array, Array]:
     """Lower left and upper right corner of all that is drawn, with room of some pin radii for the labels."""
     p = np.concatenate([x for x in sheet.extent if len(x)]) if sheet.extent else np.zeros((1, 2))
-    lower, upper = p.min(axis=0) - room * sheet.r, p.max(axis=0) + room * sheet.r
+    lower = p.min(axis=0) - room * sheet.r
+    upper = p.max(axis=0) + room * sheet.r
     return lower, upper
 
 
@@ -86,11 +88,15 @@ def figure_for(
     width = WIDTH[1] - 0.7 * with_axes
     height = width * span[1] / span[0]
     if height > HEIGHT[1]:
-        width, height = width * HEIGHT[1] / height, HEIGHT[1]
-    width, height = max(width, WIDTH[0]), max(height, HEIGHT[0])
+        width = width * HEIGHT[1] / height
+        height = HEIGHT[1]
+    width = max(width, WIDTH[0])
+    height = max(height, HEIGHT[0])
     left, bottom = (0.62, 0.5) if with_axes else (0.05, 0.32)
-    right, top = 0.12, 0.12 + above
-    w, h = width + left + right, height + bottom + top
+    right = 0.12
+    top = 0.12 + above
+    w = width + left + right
+    h = height + bottom + top
     rect: Any = (left / w, bottom / h, width / w, height / h)
     return make(w, h).add_axes(rect)
 
@@ -106,7 +112,8 @@ def finish(sheet: Sheet, lower: Array, upper: Array, with_axes: bool) -> None:
     middle = 0.5 * (lower + upper)
     sheet.obstacles.bounds = lower, upper
     for text, p, clearance, look in sheet.labels:
-        size, text = look.get("size", FONT), labels.shortened(text)
+        size = look.get("size", FONT)
+        text = labels.shortened(text)
         width, height = labels.extent(text, size, "weight" in look)
         outward = (p - middle) / max(float(np.linalg.norm(upper - lower)), 1e-300)
         box = (width * metres_a_point, height * metres_a_point)
@@ -154,7 +161,8 @@ def legend(ax: Any, own: bool, handles: list[Any] | None = None, **how: Any) -> 
         ax.legend(**how, loc="best")
         return
     figure: Any = ax.figure
-    (wide, high), box = figure.get_size_inches(), ax.get_position(original=True)
+    (wide, high) = figure.get_size_inches()
+    box = ax.get_position(original=True)
     more = max(labels.extent(str(x.get_label()), FONT - 1)[0] for x in entries) / 72.0 + 0.9
     figure.set_size_inches(wide + more, high)
     part = wide / (wide + more)
@@ -180,7 +188,8 @@ def _scale_bar(sheet: Sheet) -> None:
     ax: Any = sheet.ax
     x0, x1 = ax.get_xlim()
     length = nice(0.22 * (x1 - x0))
-    start, transform = x0 + 0.02 * (x1 - x0), ax.get_xaxis_transform()
+    start = x0 + 0.02 * (x1 - x0)
+    transform = ax.get_xaxis_transform()
     tick = 0.05 / max(ax.get_position().height * ax.figure.get_figheight(), 1e-9)
     y = -1.6 * tick
     look = {"color": INK, "lw": 1.2, "transform": transform, "clip_on": False, "gid": "scale"}

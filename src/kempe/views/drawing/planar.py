@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.path import Path
 
-PIN_OF_SIZE, PIN_OF_LINK, PIN_LEAST = 0.020, 0.15, 0.008
+PIN_OF_SIZE = 0.020
+PIN_OF_LINK = 0.15
+PIN_LEAST = 0.008
 """Radius of a pin: as part of the whole drawing, at most as part of a short link, at least of the drawing."""
 
 
@@ -98,7 +100,8 @@ def draw(sheet: Sheet, texts: dict[str, str], frames: bool = True) -> None:
 
 def _slides(sheet: Sheet, joint: SeenJoint) -> None:
     """Draw strokes along the axes of F that a joint slides along."""
-    c, along = flat(joint.M), [joint.F[:2, "xyz".index(p.axis)] for p in joint.motions if p.kind == P]
+    c = flat(joint.M)
+    along = [joint.F[:2, "xyz".index(p.axis)] for p in joint.motions if p.kind == P]
     if along:
         ends = [(c - 2.6 * sheet.r * d, c + 2.6 * sheet.r * d) for d in along]
         sheet.patch(shapes.strokes(ends), f"joint:{joint.name}", style.PINS, ec=INK)
@@ -124,8 +127,11 @@ def ghost(sheet: Sheet, scene: Scene, number: int) -> None:
 
 
 def _link(sheet: Sheet, link: SeenLink) -> None:
-    scene, r = sheet.scene, sheet.r
-    p, colour, gid = flat(scene.points(link)), style.link_colour(link.number), f"link:{link.name}"
+    scene = sheet.scene
+    r = sheet.r
+    p = flat(scene.points(link))
+    colour = style.link_colour(link.number)
+    gid = f"link:{link.name}"
     if link.particle:
         X = next(iter(link.bodies.values()))
         sheet.patch(shapes.circle(flat(X), 1.1 * r), gid, style.POINTS, fc=colour, ec=INK)
@@ -155,7 +161,8 @@ def _link(sheet: Sheet, link: SeenLink) -> None:
 
 def _cross(sheet: Sheet, X: Array, gid: str, colour: str) -> None:
     """Draw a body without extent: its axes x and y."""
-    c, arms = flat(X), X[:2, :2].T * 3.2 * sheet.r
+    c = flat(X)
+    arms = X[:2, :2].T * 3.2 * sheet.r
     for name, arm, part in (("x", arms[0], 0.0), ("y", arms[1], 0.45)):
         line = np.array([c, c + arm])
         sheet.line(line, f"{gid}:{name}", style.POINTS, color=style.mix(colour, PAPER, part), lw=1.6)
@@ -170,7 +177,8 @@ def _rods(sheet: Sheet) -> None:
     r = sheet.r
     pivots = [flat(j.on(0)) for j in sheet.scene.joints if j.kind == "revolute" and 0 in (j.parent, j.child)]
     for name, links, ends, wrong in sheet.scene.rods:
-        p, colour = flat(ends), OPEN if abs(wrong) > WRONG * sheet.scene.size else INK
+        p = flat(ends)
+        colour = OPEN if abs(wrong) > WRONG * sheet.scene.size else INK
         sheet.patch(shapes.rounded(p, 0.4 * BAR * r), f"rod:{name}", style.BARS, fc=style.FAINT, ec=colour)
         sheet.obstacles.segment(p[0], p[1], r)
         sheet.labels.append((name, p.mean(axis=0), 1.2 * r, {"gid": f"label:{name}", "color": INK}))
@@ -182,7 +190,8 @@ def _rods(sheet: Sheet) -> None:
     for mark in sheet.scene.marks:
         touches.draw(sheet, mark)
     for name, links, A, point in sheet.scene.lines:
-        along, c = A[:2, 2], flat(point)
+        along = A[:2, 2]
+        c = flat(point)
         at = float(along @ (c - flat(A)))
         ends = flat(A) + np.outer([min(0.0, at - 5 * r), max(0.0, at + 5 * r)], along)
         colour = style.link_colour(links[0])
@@ -200,7 +209,8 @@ def _rods(sheet: Sheet) -> None:
 
 def _pins(sheet: Sheet) -> list[tuple[Array, list[SeenJoint]]]:
     """Draw the revolute joints and ground symbols; returns the joints that share each point."""
-    scene, r = sheet.scene, sheet.r
+    scene = sheet.scene
+    r = sheet.r
     groups: list[tuple[Array, list[SeenJoint]]] = []
     for joint in scene.joints:
         c = flat(scene.seat(joint, r))
@@ -225,7 +235,8 @@ def _pins(sheet: Sheet) -> list[tuple[Array, list[SeenJoint]]]:
 
 def _down(sheet: Sheet, p: Array) -> Array:
     """Direction (2,) of the ground symbol at p: down, unless a link lies there and another side is free."""
-    best, least = np.array([0.0, -1.0]), np.inf
+    best = np.array([0.0, -1.0])
+    least = np.inf
     for down, dislike in (((0.0, -1.0), 0.0), ((0.0, 1.0), 0.35), ((-1.0, 0.0), 0.45), ((1.0, 0.0), 0.45)):
         d = np.array(down)
         along = np.array([-d[1], d[0]])
@@ -233,7 +244,8 @@ def _down(sheet: Sheet, p: Array) -> Array:
         where = where[:, None] + np.outer(np.linspace(-1.2, 1.2, 5), along) * sheet.r
         cost = float((sheet.obstacles.covered(where) > 0.5).mean()) + dislike
         if cost < least and not sheet.steady:
-            best, least = d, cost
+            best = d
+            least = cost
     return best
 
 
@@ -248,19 +260,25 @@ def _ground(sheet: Sheet, p: Array, down: Array, name: str) -> None:
 
 
 def _prismatic(sheet: Sheet, joint: SeenJoint) -> None:
-    scene, r = sheet.scene, sheet.r
+    scene = sheet.scene
+    r = sheet.r
     if scene.telescopic(joint, r):
         _telescope(sheet, joint)
         return
     ends = joint.parent, joint.child
     rail = 0 if 0 in ends else max(ends, key=lambda k: (scene.reach(joint, k), k == joint.parent))
     block = joint.child if rail == joint.parent else joint.parent
-    c, along = flat(joint.on(block)), joint.axis[:2]
+    c = flat(joint.on(block))
+    along = joint.axis[:2]
     lo, hi = travel(scene, joint, sheet.configurations)
     now = float(along @ (flat(joint.M) - flat(joint.F)))
     if block == joint.parent:
-        along, lo, hi, now = -along, lo, hi, now
-    a, b = c + (lo - now - 4.2 * r) * along, c + (hi - now + 4.2 * r) * along
+        along = -along
+        lo = lo
+        hi = hi
+        now = now
+    a = c + (lo - now - 4.2 * r) * along
+    b = c + (hi - now + 4.2 * r) * along
     if rail == 0:
         _ground_rail(sheet, joint, a, b)
     else:
@@ -295,7 +313,9 @@ def _ground_rail(sheet: Sheet, joint: SeenJoint, a: Array, b: Array) -> None:
 
 def _telescope(sheet: Sheet, joint: SeenJoint) -> None:
     """Draw a cylinder on the parent, and a rod of the child that goes into it."""
-    r, p, m = sheet.r, flat(joint.F), flat(joint.M)
+    r = sheet.r
+    p = flat(joint.F)
+    m = flat(joint.M)
     along = m - p
     for (a, b, half), link, part in (
         ((0.12, 0.58, 1.35), joint.parent, "cylinder"), ((0.5, 1.0, 0.45), joint.child, "rod"),
@@ -313,7 +333,8 @@ def _telescope(sheet: Sheet, joint: SeenJoint) -> None:
 
 def _open(sheet: Sheet, joint: SeenJoint) -> None:
     """Draw a dashed line where a joint does not hold together at this configuration."""
-    a, b = flat(joint.F), flat(joint.M)
+    a = flat(joint.F)
+    b = flat(joint.M)
     if joint.kind == "prismatic":
         b = b - joint.axis[:2] * float(joint.axis[:2] @ (b - a))
     elif joint.kind not in SYMBOLS:
@@ -327,7 +348,8 @@ def _open(sheet: Sheet, joint: SeenJoint) -> None:
 
 def _driver(sheet: Sheet, joint: SeenJoint) -> None:
     """Draw a curved arrow round a driven pin, a straight one beside a driven slider."""
-    r, c = sheet.r, flat(joint.M)
+    r = sheet.r
+    c = flat(joint.M)
     gid = f"driver:{joint.name}"
     look = {"fc": DRIVER, "ec": "none"}
     if joint.kind == "prismatic":
@@ -340,7 +362,8 @@ def _driver(sheet: Sheet, joint: SeenJoint) -> None:
         sheet.patch(shapes.arrow_head(start + 4.6 * r * along, along, 1.5 * r), f"{gid}:head", style.ARROWS, **look)
         sheet.obstacles.segment(start, start + 4.6 * r * along, 0.8 * r)
         return
-    radius, sweep = 3.0 * r, float(np.deg2rad(110.0))
+    radius = 3.0 * r
+    sweep = float(np.deg2rad(110.0))
     begin: float
     costs: list[tuple[float, float]] = []
     for begin in np.deg2rad(np.arange(0.0, 360.0, 15.0)):
@@ -361,7 +384,8 @@ def _driver(sheet: Sheet, joint: SeenJoint) -> None:
 def _frames(sheet: Sheet, link: SeenLink, labels: bool) -> None:
     centres = [flat(j.M) for j in sheet.scene.joints]
     for name, X in link.frames.items():
-        c, gid = flat(X), f"frame:{name}"
+        c = flat(X)
+        gid = f"frame:{name}"
         if link.ground:
             d = 0.8 * sheet.r * np.array([[1.0, 1.0], [1.0, -1.0]])
             sheet.patch(shapes.strokes([(c - e, c + e) for e in d]), gid, style.POINTS, ec=GROUND, lw=1.2)
@@ -377,9 +401,11 @@ def _frames(sheet: Sheet, link: SeenLink, labels: bool) -> None:
 
 def mark(sheet: Sheet, name: str, X: Array, labels: bool) -> None:
     """Draw the axes x and y of a frame (4, 4), and its name where that is not written for its link already."""
-    c, gid = flat(X), f"mark:{name}"
+    c = flat(X)
+    gid = f"mark:{name}"
     for k, axis in enumerate("xy"):
-        along, colour = X[:2, k], style.AXES[k]
+        along = X[:2, k]
+        colour = style.AXES[k]
         tip = c + style.MARK * sheet.r * along
         sheet.line(np.array([c, tip]), f"{gid}:{axis}", style.ARROWS, color=colour, lw=1.8, solid_capstyle="round")
         head = shapes.arrow_head(tip + 1.4 * sheet.r * along, along, 1.4 * sheet.r)

@@ -109,7 +109,8 @@ def _axis_names(sheet: Sheet, name: str, X: Array, below: str) -> None:
 
 def _over(sheet: Sheet, scene: Scene, number: int) -> None:
     """Draw the links of another configuration, in a colour and with an outline of its own."""
-    colour, gid = style.over_colour(number), f"configuration{number}"
+    colour = style.over_colour(number)
+    gid = f"configuration{number}"
     line = style.DASHES[number % len(style.DASHES)]
     for link in scene.links[1:]:
         p = flat(scene.points(link))

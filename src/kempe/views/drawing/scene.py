@@ -217,7 +217,8 @@ def _end(mechanism: Mechanism, bodies: dict[str, Array]) -> dict[str, Array]:
     Of several, such as cameras of a head, the one farthest from the body that the others are fixed to.
     """
     fixed = [j for j in mechanism.joints.values() if j.parent in bodies and j.child in bodies]
-    inner, outer = {j.parent for j in fixed}, {j.child for j in fixed}
+    inner = {j.parent for j in fixed}
+    outer = {j.child for j in fixed}
     ends = [name for name in bodies if name in outer and name not in inner]
     head = next(iter(bodies.values()))[:3, 3]
     far = max(ends, key=lambda name: float(np.linalg.norm(bodies[name][:3, 3] - head)), default=None)
@@ -251,7 +252,8 @@ def _constraints(system: System, poses: dict[str, Array], number: dict[str, int]
     marks: list[SeenMark] = []
     for c in (c for c in mechanism.constraints.values() if c.parent):
         X_A, X_B = c.frames(mechanism.parameters, system.dim)
-        A, B = poses[c.parent] @ X_A, poses[c.child] @ X_B
+        A = poses[c.parent] @ X_A
+        B = poses[c.child] @ X_B
         ends = number[c.parent], number[c.child]
         if c.rod:
             p = np.stack([A[:3, 3], B[:3, 3]])
@@ -265,9 +267,11 @@ def _constraints(system: System, poses: dict[str, Array], number: dict[str, int]
 
 def _mark(system: System, c: Declared, link: int, A: Array, B: Array) -> SeenMark:
     """A constraint that is no rod or line, with the plane that it touches or lies on, if there is one."""
-    made, plane = with_numbers(c.of, system.structure.parameters), None
+    made = with_numbers(c.of, system.structure.parameters)
+    plane = None
     rows = [r for r in made.rows(system.dim) if not r.velocity]
-    flat, point = system.dim == 2, bool(rows) and rows[0].op is Op.POINT
+    flat = system.dim == 2
+    point = bool(rows) and rows[0].op is Op.POINT
     if len(rows) == 1 and (made.symbol in ("contact", "wheel") or (point and not flat)):
         normal = A[:3, rows[0].args[0] if point else 1 if flat else 2]
         plane = B[:3, 3] - normal * float(normal @ (B - A)[:3, 3]), normal

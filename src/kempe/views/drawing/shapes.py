@@ -51,7 +51,8 @@ def rounded(points: Array, radius: float) -> Path:
     vertices: list[Array] = []
     codes: list[Any] = []
     for k, corner in enumerate(corners):
-        start, stop = normals[k - 1], normals[k]
+        start = normals[k - 1]
+        stop = normals[k]
         stop = start + (stop - start) % 360.0
         arc = Path.arc(start, stop if stop > start + 1e-6 else start + 1e-6)
         unit = np.asarray(arc.vertices)
@@ -104,7 +105,8 @@ def ground(p: Array, down: Array, r: float) -> tuple[Path, Path]:
 def box(centre: Array, along: Array, half_length: float, half_height: float) -> Path:
     """Outline of a rectangle about a centre, its length in the direction `along` (unit vector)."""
     up = np.array([-along[1], along[0]])
-    x, y = half_length * along, half_height * up
+    x = half_length * along
+    y = half_height * up
     return polygon(np.array([centre - x - y, centre + x - y, centre + x + y, centre - x + y]))
 
 

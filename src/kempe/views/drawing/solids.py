@@ -88,7 +88,8 @@ class Solids:
     def bowl(self, name: str, centre: Array, radius: float, way: Array, colour: str) -> None:
         """Add half of a hollow sphere, the half that lies in the direction `way` (3,), of 4 by 12 faces."""
         R = spatial.align_z(way)
-        lat, lon = np.deg2rad(np.linspace(90.0, 5.0, 5)), np.arange(13) * (2 * np.pi / 12)
+        lat = np.deg2rad(np.linspace(90.0, 5.0, 5))
+        lon = np.arange(13) * (2 * np.pi / 12)
         p = np.stack([np.outer(np.cos(lat), np.cos(lon)), np.outer(np.cos(lat), np.sin(lon)),
                       np.outer(np.sin(lat), np.ones(13))], axis=-1) @ R.T  # fmt: skip
         for i in range(4):
@@ -101,10 +102,12 @@ class Solids:
         """Add a box about the origin of the pose X (4, 4), with half-lengths (3,) along its axes."""
         for axis in range(3):
             for sign in (-1.0, 1.0):
-                u, v = (axis + 1) % 3, (axis + 2) % 3
+                u = (axis + 1) % 3
+                v = (axis + 2) % 3
                 corners = np.zeros((4, 3))
                 corners[:, axis] = sign
-                corners[:, u], corners[:, v] = (-1, 1, 1, -1), (-1, -1, 1, 1)
+                corners[:, u] = (-1, 1, 1, -1)
+                corners[:, v] = (-1, -1, 1, 1)
                 self.face(name, X[:3, 3] + (corners * half) @ X[:3, :3].T, sign * X[:3, axis], colour, edge=edge)
 
     def plate(self, name: str, corners: Array, colour: str, alpha: float, edge: str = "") -> None:

@@ -69,7 +69,8 @@ def picture(
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     ax.computed_zorder = False
-    scene, solids = subject.scene, Solids()
+    scene = subject.scene
+    solids = Solids()
     radius = subject.radius or symbols.radius(scene)
     skeleton = symbols.build(solids, scene, radius, subject.way)
     if subject.options.motion:
@@ -141,7 +142,8 @@ def _mark(ax: Any, name: str, X: Array, length: float) -> Array:
 
 def camera(elev: float, azim: float) -> Array:
     """Rows right, up and towards the eye (3, 3) of a view; angles in degrees."""
-    e, a = np.deg2rad(elev), np.deg2rad(azim)
+    e = np.deg2rad(elev)
+    a = np.deg2rad(azim)
     return np.array([
         [-np.sin(a), np.cos(a), 0.0],
         [-np.sin(e) * np.cos(a), -np.sin(e) * np.sin(a), np.cos(e)],
@@ -167,12 +169,15 @@ def _view(scene: Scene) -> tuple[float, float]:
 
 def _frame(ax: Any, points: Array, elev: float, azim: float) -> None:
     """Set limits with equal scales, light axes in metres, and the view."""
-    lower, upper = points.min(axis=0), points.max(axis=0)
+    lower = points.min(axis=0)
+    upper = points.max(axis=0)
     room = 0.03 * float((upper - lower).max()) or 0.5  # a lone point has no extent
-    lower, upper = lower - room, upper + room
+    lower = lower - room
+    upper = upper + room
     thin = 0.3 * float((upper - lower).max())
     grow = np.maximum(thin - (upper - lower), 0.0) / 2
-    lower, upper = lower - grow, upper + grow
+    lower = lower - grow
+    upper = upper + grow
     for axis, name, a, b in zip((ax.xaxis, ax.yaxis, ax.zaxis), "xyz", lower, upper, strict=True):
         getattr(ax, f"set_{name}lim")(a, b)
         axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
@@ -191,14 +196,17 @@ def _frame(ax: Any, points: Array, elev: float, azim: float) -> None:
 
 def fit(ax: Any) -> None:
     """Let the box fill the figure, and the figure be no larger than the box with its axes needs."""
-    figure, side, room = ax.figure, 7.0, (0.75, 0.55)
+    figure = ax.figure
+    side = 7.0
+    room = (0.75, 0.55)
     figure.set_size_inches(side, side)
     seen = _on_axes(ax, _corners(ax))
     span = np.ptp(seen, axis=0)
     zoom = float(min((side - 2 * r) / side / x for r, x in zip(room, span, strict=True)))
     aspect(ax, zoom)
     seen = _on_axes(ax, _corners(ax))
-    lower, upper = seen.min(axis=0) * side - room, seen.max(axis=0) * side + room
+    lower = seen.min(axis=0) * side - room
+    upper = seen.max(axis=0) * side + room
     size = np.maximum(upper - lower, (3.2, 2.4))
     corner = 0.5 * (size - lower - upper)
     figure.set_size_inches(*size)
@@ -237,7 +245,8 @@ def _labels(
     """Write names of joints and frames, and other texts at their points, placed in the plane of the picture."""
     from matplotlib.patheffects import withStroke
 
-    scene, words = subject.scene, subject.options.words
+    scene = subject.scene
+    words = subject.options.words
     obstacles = Obstacles()
     for line in skeleton:
         obstacles.line(line @ eye[:2].T, 1.2 * radius, 0.8)
@@ -255,7 +264,8 @@ def _labels(
     obstacles.bounds = (centre - half, centre + half) if own else None
     groups: list[tuple[Array, list[str], dict[str, Any]]] = []
     for joint in scene.joints:
-        seat, text = scene.seat(joint, radius), subject.joint_text(joint)
+        seat = scene.seat(joint, radius)
+        text = subject.joint_text(joint)
         if not text:
             continue
         near = next((g for g in groups if np.linalg.norm(eye[:2] @ (g[0] - seat)) < 1.2 * radius), None)

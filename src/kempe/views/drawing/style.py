@@ -40,7 +40,8 @@ BAR = 0.68
 """Half-width of a bar."""
 BLOCK = (2.5, 1.45)
 """Half-length and half-height of a sliding block."""
-GROUND_HEIGHT, GROUND_HALF = 2.7, 2.3
+GROUND_HEIGHT = 2.7
+GROUND_HALF = 2.3
 """Height of the triangle under a ground pivot, half-length of its hatched base line."""
 MARK = 5.0
 """Length of the axes of a frame that is marked."""

@@ -16,7 +16,8 @@ from kempe.views.drawing.scene import Scene, SeenJoint
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-IN_PLACE, SHORT = 4, (2, 12)
+IN_PLACE = 4
+SHORT = (2, 12)
 """Configurations whose names stand beside them, and letters of these in space and in the plane; others have a key."""
 NOTHING = 1e-12
 """Values up to this are rounding [m, rad]."""
@@ -90,7 +91,8 @@ class Subject:
 
     def joint_text(self, joint: SeenJoint) -> str:
         """What is written beside a joint: its name, or its coordinates with their values."""
-        words, names = self.options.words, self.coordinates(joint)
+        words = self.options.words
+        names = self.coordinates(joint)
         with_values = [coordinate_text(self, n) for n in names] if "coordinates" in words else []
         angles = bool(self.options.angles) and names == [joint.name]
         if "joints" not in words or angles or (with_values and names == [joint.name]):

@@ -14,7 +14,9 @@ from kempe.views.drawing.scene import Scene, SeenJoint, SeenLink, SeenMark, dist
 from kempe.views.drawing.solids import Solids, flat_hull
 from kempe.views.drawing.style import DRIVER, GROUND, INK, OPEN, WRONG
 
-OF_SIZE, OF_LINK, LEAST = 0.02, 0.13, 0.0125
+OF_SIZE = 0.02
+OF_LINK = 0.13
+LEAST = 0.0125
 """Radius of a hinge: as part of the drawing, at most as part of a short link, at least of the drawing."""
 DETOUR = 1.76
 """How much longer the way along two axes and their common normal may be than the straight one: sqrt(3) and a bit."""
@@ -64,10 +66,14 @@ def build(solids: Solids, scene: Scene, r: float, configurations: Array | None) 
 
 def _constraint(solids: Solids, mark: SeenMark, r: float) -> None:
     """Draw an axle with wheels, a wheel or ball on the plane that it touches, or a point."""
-    name, c, axle, colour = f"mark:{mark.name}", mark.point, mark.B[:3, 1], style.link_colour(mark.link)
+    name = f"mark:{mark.name}"
+    c = mark.point
+    axle = mark.B[:3, 1]
+    colour = style.link_colour(mark.link)
     if mark.plane is not None:
         X = np.eye(4)
-        X[:3, :3], X[:3, 3] = spatial.align_z(mark.plane[1]), mark.plane[0]
+        X[:3, :3] = spatial.align_z(mark.plane[1])
+        X[:3, 3] = mark.plane[0]
         solids.plate(f"{name}:plane", _square(X, max(2.0 * mark.radius, 6.0 * r)), GROUND, 0.25, GROUND)
     if mark.radius > 0.0 and mark.disc:
         half = 0.08 * mark.radius * axle
@@ -137,8 +143,11 @@ def _along_axes(A: Array, B: Array, use_a: bool, use_b: bool) -> Array:
 
     Straight where a joint has no axis, where axes are parallel, and where the way would be a detour.
     """
-    a, b = A[:3, 3], B[:3, 3]
-    d, u, v = b - a, A[:3, 2], B[:3, 2]
+    a = A[:3, 3]
+    b = B[:3, 3]
+    d = b - a
+    u = A[:3, 2]
+    v = B[:3, 2]
     straight = np.array([a, b])
     if not (use_a or use_b):
         return straight
@@ -156,7 +165,8 @@ def _along_axes(A: Array, B: Array, use_a: bool, use_b: bool) -> Array:
 
 
 def _link(solids: Solids, scene: Scene, link: SeenLink, r: float, skeleton: list[Array]) -> None:
-    colour, name = style.link_colour(link.number), f"link:{link.name}"
+    colour = style.link_colour(link.number)
+    name = f"link:{link.name}"
     drawn = lines_of(scene, link)
     for line in drawn:
         _pipe(solids, name, line, LINK * r, style.mix(colour, style.PAPER, 0.15))
@@ -222,7 +232,8 @@ def _mark(solids: Solids, name: str, p: Array, r: float) -> None:
     """Draw a pyramid on a hatched plate, below p."""
     base = p - np.array([0.0, 0.0, 3.0 * r])
     square = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-    foot, fill = base + 1.5 * r * square, style.mix(GROUND, style.PAPER, 0.55)
+    foot = base + 1.5 * r * square
+    fill = style.mix(GROUND, style.PAPER, 0.55)
     for k in range(4):
         corners = np.array([p, foot[k], foot[(k + 1) % 4]])
         normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
@@ -249,7 +260,8 @@ def _side(scene: Scene, j: SeenJoint, link: int, usual: float) -> Array:
 
 def _revolute(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None) -> None:
     """Draw a barrel of the child between two knuckles of the parent."""
-    name, c = f"joint:{j.name}", j.centre
+    name = f"joint:{j.name}"
+    c = j.centre
     solids.tube(name, c - r * j.axis, c + r * j.axis, r, _own(j, colour), 1, edge=INK)
     for sign in (-1.0, 1.0):
         solids.tube(name, c + sign * r * j.axis, c + 1.7 * sign * r * j.axis, r, _tone(j.parent), 1, edge=INK)
@@ -257,13 +269,16 @@ def _revolute(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str,
 
 def _rail(scene: Scene, j: SeenJoint, r: float, configurations: Array | None) -> tuple[Array, Array]:
     """Ends of the rail of a joint that slides along z of F: from F to M, or along its travel on the ground."""
-    origin, axis = j.F[:3, 3], j.axis
+    origin = j.F[:3, 3]
+    axis = j.axis
     now = float(axis @ (j.centre - origin))
     if 0 not in (j.parent, j.child) or j.kind != "prismatic":
-        lo, hi = min(now, 0.0), max(now, 0.0)
+        lo = min(now, 0.0)
+        hi = max(now, 0.0)
     else:
         lo, hi = travel(scene, j, configurations)
-        lo, hi = min(lo, now), max(hi, now)
+        lo = min(lo, now)
+        hi = max(hi, now)
     c = j.centre - now * axis
     return c + (lo - BEYOND * r) * axis, c + (hi + BEYOND * r) * axis
 
@@ -281,7 +296,8 @@ def _prismatic(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str
     X = j.M.copy()
     if scene.telescopic(j, r):
         along = j.centre - j.F[:3, 3]
-        low, high = j.F[:3, 3] + 0.16 * along, j.F[:3, 3] + 0.56 * along
+        low = j.F[:3, 3] + 0.16 * along
+        high = j.F[:3, 3] + 0.56 * along
         X[:3, 3] = scene.seat(j, r)
         own = style.mix(style.link_colour(j.child), style.PAPER, 0.35)
         base = style.mix(style.link_colour(j.parent), style.PAPER, 0.15)
@@ -314,7 +330,8 @@ def _helical(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, 
     _cylindrical(solids, scene, j, r, colour, configurations)
     turns = np.linspace(0.0, 6 * np.pi, 37)
     along = np.linspace(-1.4, 1.4, 37) * r
-    x, y = j.F[:3, 0], j.F[:3, 1]
+    x = j.F[:3, 0]
+    y = j.F[:3, 1]
     helix = j.centre + 1.15 * r * (np.cos(turns)[:, None] * x + np.sin(turns)[:, None] * y) + along[:, None] * j.axis
     for p, q in zip(helix[:-1], helix[1:], strict=True):
         solids.tube(f"joint:{j.name}", p, q, 0.14 * r, INK, 1, caps=False, sides=5)
@@ -329,7 +346,8 @@ def _spherical(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str
 def _universal(solids: Solids, scene: Scene, j: SeenJoint, r: float, colour: str, configurations: Array | None) -> None:
     """Draw a cross, one arm along x of F, the other along y of M, each in the fork of its link."""
     for arm, link, usual in ((j.F[:3, 0], j.parent, -1.0), (j.M[:3, 1], j.child, 1.0)):
-        a, b = j.centre - 1.8 * r * arm, j.centre + 1.8 * r * arm
+        a = j.centre - 1.8 * r * arm
+        b = j.centre + 1.8 * r * arm
         solids.tube(f"joint:{j.name}", a, b, 0.4 * r, colour, 2, edge=INK)
         tint = _tone(link) if link == j.parent else _own(j, JOINT)
         back = 2.4 * r * _side(scene, j, link, usual)

@@ -20,10 +20,14 @@ AXLE = 0.22
 
 def draw(sheet: Sheet, mark: SeenMark) -> None:
     """Draw where a constraint holds: an axle with wheels, a wheel or ball on the line that it touches, or a point."""
-    r, c, gid = sheet.r, mark.point[:2], f"mark:{mark.name}"
-    label, colour = c, style.link_colour(mark.link)
+    r = sheet.r
+    c = mark.point[:2]
+    gid = f"mark:{mark.name}"
+    label = c
+    colour = style.link_colour(mark.link)
     if mark.plane is not None:
-        foot, down = mark.plane[0][:2], -mark.plane[1][:2]
+        foot = mark.plane[0][:2]
+        down = -mark.plane[1][:2]
         half = max(mark.radius, 4.0 * r) * 1.6 * np.array([-down[1], down[0]])
         sheet.patch(shapes.hatched(foot - half, foot + half, down, r), f"{gid}:plane", style.RAILS, fc="none",
                     ec=GROUND, lw=1.1)  # fmt: skip
@@ -39,10 +43,12 @@ def draw(sheet: Sheet, mark: SeenMark) -> None:
 
 def wheels(sheet: Sheet, mark: SeenMark, gid: str, colour: str = INK) -> Array:
     """Draw an axle with its wheels, if the constraint is one; where there is room for its name (2,)."""
-    r, c = sheet.r, mark.point[:2]
+    r = sheet.r
+    c = mark.point[:2]
     if mark.symbol != "wheel" or mark.radius > 0.0:
         return c
-    along, across = mark.B[:2, 0], mark.B[:2, 1]
+    along = mark.B[:2, 0]
+    across = mark.B[:2, 1]
     half = max(4.0 * r, AXLE * sheet.scene.size) * across
     sheet.line(np.array([c - half, c + half]), f"{gid}:axle", style.BARS, color=colour, lw=1.8)
     for k, end in enumerate((c - half, c + half)):

@@ -77,12 +77,16 @@ class _TaskReader:
     """Makes tasks of the tables of a document."""
 
     def __init__(self, system: System, document: Document, folder: Path, degrees: bool):
-        self.system, self.document, self.folder, self.degrees = system, document, folder, degrees
+        self.system = system
+        self.document = document
+        self.folder = folder
+        self.degrees = degrees
         self.angle = DEGREE if degrees else 1.0
 
     def all(self) -> FileTasks:
         """All tasks of the file."""
-        findings, where = self.document.findings, self.document.where
+        findings = self.document.findings
+        where = self.document.where
         for key in self.document.data:
             if key != "task":
                 findings.add(f"unknown key {shorten(key)}", "", where(key), "write [[task]] above each task")
@@ -98,7 +102,8 @@ class _TaskReader:
 
     def task(self, table: dict[str, Any], index: int) -> _TaskRow | None:
         """A task, or None after recording what is wrong."""
-        findings, at = self.document.findings, ("task", index)
+        findings = self.document.findings
+        at = ("task", index)
         kind = table.get("type")
         subject = f"task {shorten(table.get('name') or kind or index + 1)}"
         if not isinstance(kind, str) or kind not in types():

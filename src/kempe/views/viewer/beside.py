@@ -20,7 +20,8 @@ class Job:
     """A computation in rounds, each of which gives an action for the page; `dropped` once nobody waits for it."""
 
     def __init__(self, key: str, work: Callable[[Callable[..., None]], Iterator[Action]]):
-        self.key, self.dropped = key, False
+        self.key = key
+        self.dropped = False
         self.rounds = work(self.check)
 
     def check(self, *done: object) -> None:
@@ -37,8 +38,11 @@ class Beside:
     """
 
     def __init__(self, post: Callable[[str, Action], None], failed: Callable[[str], Any]):
-        self.post, self.failed = post, failed
-        self.jobs, self.ready, self.open = list[Job](), threading.Condition(), True
+        self.post = post
+        self.failed = failed
+        self.jobs = list[Job]()
+        self.ready = threading.Condition()
+        self.open = True
         threading.Thread(target=self._work, daemon=True).start()
 
     def start(self, key: str, work: Callable[[Callable[..., None]], Iterator[Action]]) -> None:

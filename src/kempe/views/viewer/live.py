@@ -52,7 +52,8 @@ def show(
     end of Python. A `UserWarning` names the meshes that are not drawn. Errors: `InputError` for shapes and a port that
     is in use; `UnknownNameError` for a frame.
     """
-    opened, viewer = flag(browser, "browser"), serve(system, q, frame, path, share, port, deg)
+    opened = flag(browser, "browser")
+    viewer = serve(system, q, frame, path, share, port, deg)
     if said := viewer.drawn.lost_sentence:
         warn(said, UserWarning)
     if opened:
@@ -65,7 +66,8 @@ def serve(
     port: int | None = None, deg: bool = False,
 ) -> Viewer:  # fmt: skip
     """A `Viewer` as `show` makes it, without a browser and without a warning about meshes."""
-    shared, degrees = flag(share, "share"), flag(deg, "deg")
+    shared = flag(share, "share")
+    degrees = flag(deg, "deg")
     return Viewer(Session(system, q, frame, path), shared, _checked(port), degrees)
 
 
@@ -73,10 +75,14 @@ class Viewer:
     """A page that is served: `url` is its address, `q` (nq,) the configuration of the page that was moved last."""
 
     def __init__(self, session: Session, share: bool, port: int, deg: bool = False):
-        self.session, self.share, self.system, self.deg = session, share, session.system, deg
+        self.session = session
+        self.share = share
+        self.system = session.system
+        self.deg = deg
         self.drawn = Drawn(session.system, session.q, None if session.motion is None else session.motion.q)
         self.pages: dict[int, Page] = {}
-        self._last, self._closed = session, threading.Event()
+        self._last = session
+        self._closed = threading.Event()
         self.server = PageServer(port, self.system.name)
         self.server.gui.main_panel.dock_right()
         self.server.scene.set_up_direction("+y" if self.system.dim == 2 else "+z")
@@ -113,8 +119,11 @@ class Viewer:
     def _connected(self, client: Any) -> None:
         session = self.session if self.share else copy.copy(self.session)
         session.lock = self.session.lock if self.share else threading.RLock()
-        client.camera.max_orbit_distance, client.camera.min_orbit_distance = float("inf"), self.drawn.near
-        wide, high = client.camera.image_width, client.camera.image_height  # later without the panel
+        client.camera.max_orbit_distance = float("inf")
+        client.camera.min_orbit_distance = self.drawn.near
+        # later without the panel
+        wide = client.camera.image_width
+        high = client.camera.image_height
         below = COVERED if wide <= SHEET else 0.0  # a width of 575 may be reported as 576
         aspect = (wide if below else wide - PANEL) / high
         if below or aspect < 1.0:

@@ -50,16 +50,21 @@ class Page:
     """
 
     def __init__(self, viewer: Viewer, client: Any, session: Session, drawn: Drawn):
-        self.viewer, self.client, self.session = viewer, client, session
+        self.viewer = viewer
+        self.client = client
+        self.session = session
         self.waiting: dict[str, Callable[[], Any]] = {}
-        self.ready, self.open, self.dragging = threading.Condition(), True, ""
+        self.ready = threading.Condition()
+        self.open = True
+        self.dragging = ""
         self.spent: list[float] = []
         self.revision = -1
         self.nodes = Nodes(client.scene, drawn, session.q)
         self.sliders: dict[str, Any] = {}
         self.made: tuple[tuple[str, str], ...] = ()
         self.arrived = self.slid = 0.0
-        self.searches, self.overlays = Beside(self.post, self._say), Beside(self.post, self._say)
+        self.searches = Beside(self.post, self._say)
+        self.overlays = Beside(self.post, self._say)
         self.follow = False
         with client.atomic():
             self._panel(drawn)
@@ -144,7 +149,8 @@ class Page:
             if handle is None or slider.name == self.dragging or abs(handle.value - slider.value) <= 1e-9:
                 continue
             if not handle.min <= slider.value <= handle.max:  # an angle without limits: the slider goes along
-                handle.min, handle.max = slider.low, slider.high
+                handle.min = slider.low
+                handle.max = slider.high
             handle.value = slider.value
 
     def _miss(self) -> None:
@@ -159,7 +165,8 @@ class Page:
     # ---- what is on the page
 
     def _panel(self, drawn: Drawn) -> None:
-        gui, session = self.client.gui, self.session
+        gui = self.client.gui
+        session = self.session
         gui.configure_theme(show_logo=False, show_share_button=False)
         gui.set_panel_label(session.system.name)
         self.counted = gui.add_html("")
@@ -203,13 +210,15 @@ class Page:
 
         async def called(event: Any) -> None:
             if event.client is not None:
-                self.dragging, self.follow = key if key in self.sliders else "", False
+                self.dragging = key if key in self.sliders else ""
+                self.follow = False
                 self.post(key, action)
 
         return called
 
     def _make_sliders(self) -> None:
-        session, gui = self.session, self.client.gui
+        session = self.session
+        gui = self.client.gui
         self.revision = session.revision
         wanted = tuple(map(self._in_units, session.sliders))
         made = tuple((s.name, s.unit) for s in wanted)
@@ -241,7 +250,8 @@ class Page:
         return Slider(slider.name, "deg", *(x / DEGREE for x in slider[2:]))
 
     def _gizmo(self) -> None:
-        session, flat = self.session, self.session.system.dim == 2
+        session = self.session
+        flat = self.session.system.dim == 2
         quat, place = poses_as(session.pose)
         self.gizmo = self.client.scene.add_transform_controls(
             "/target", scale=0.22 * max(self.nodes.drawn.rigid.size, 1e-9), active_axes=(True, True, not flat),
@@ -318,8 +328,10 @@ class Page:
         def take(found: Session) -> None:
             session = self.session
             if session.q is found.q:
-                session.solutions, session.kind = found.solutions, kind
-                session.status, session.took = found.status, found.took
+                session.solutions = found.solutions
+                session.kind = kind
+                session.status = found.status
+                session.took = found.took
                 self.follow = kind == "solution" and len(found.solutions) > 0
                 if then is not None and len(found.solutions):
                     then()
@@ -378,8 +390,10 @@ class Page:
         """Move the camera back until what is laid over the system is in the picture."""
         if not len(overlay.extent):
             return
-        camera, (low, high) = self.client.camera, overlay.extent
-        away, at = camera.position - camera.look_at, np.array(camera.look_at)
+        camera = self.client.camera
+        (low, high) = overlay.extent
+        away = camera.position - camera.look_at
+        at = np.array(camera.look_at)
         far = float(np.linalg.norm(np.maximum(np.abs(high - at), np.abs(low - at))))
         far *= 0.5 * SEES / np.tan(0.5 * camera.fov)
         if np.linalg.norm(away) < far:

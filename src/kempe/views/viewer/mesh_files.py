@@ -34,7 +34,8 @@ MOST = 500_000_000
 """Bytes of triangles of all meshes of a model, at most."""
 MEMORY = 2 * 2**30
 """Bytes of memory that may be used to read one mesh."""
-EACH, ALL = 20, 120.0
+EACH = 20
+ALL = 120.0
 """Seconds of processor time for one mesh, and seconds for all of a model, at most."""
 FARTHEST = 1e9
 """Bound of the sizes, places and scales of shapes [m]: pages hold them with 32 bits."""
@@ -166,7 +167,8 @@ def read_meshes(paths: Iterable[Path]) -> dict[Path, Any]:
         if path not in found:
             found[path] = _refused(path)
     left = [path for path, said in found.items() if not said]
-    first, end = 0, time.monotonic() + ALL
+    first = 0
+    end = time.monotonic() + ALL
     with tempfile.TemporaryDirectory() as folder:
         while first < len(left):
             seconds = end - time.monotonic()

@@ -93,7 +93,8 @@ MOTIONS: dict[str, Callable[[Session], Any]] = {
 
 def possible(session: Session) -> tuple[str, ...]:
     """Names of `MOTIONS` that a system of this kind can have."""
-    system, freedoms = session.system, len(session.sliders)
+    system = session.system
+    freedoms = len(session.sliders)
     rows = [r for c in system.mechanism.constraints.values() for r in c.of.rows(system.dim)]
     rolls = any(r.velocity for r in rows)
     falls = len(system.parent) == 1 and any(c.bounds(system.dim) for c in system.mechanism.constraints.values())

@@ -40,7 +40,8 @@ CUT = "; cut open at y = {:.3g} m"
 """What is said of what is shown from there on only, so that one sees into it."""
 ROUNDS = 8
 """Rounds in which singular configurations are searched for."""
-REACHED, OFTEN = "#6f9fd0", "#2f5f95"
+REACHED = "#6f9fd0"
+OFTEN = "#2f5f95"
 """Colours of what is reached, in one way and in several."""
 KINDS = {"red": "#b3261e", "blue": "#0b5fa5", "green": "#2b7a3b", "purple": "#7a4fbf", "brown": "#8a5a00"}
 """Colours of sets of singular configurations, by their words."""
@@ -80,7 +81,8 @@ def _curve(session: Session) -> Iterator[Overlay]:
     """What the frame's origin passes in the motion that is played, else in the whole motion with one freedom."""
     from kempe.analysis.motion.motion import trace
 
-    system, frame = session.system, session.frame
+    system = session.system
+    frame = session.frame
     if session.motion is not None:
         places = fk(system, session.motion.q, frame)[:, :3, 3]
         yield Overlay(f"what {frame} passes", lines=_pairs(places))
@@ -97,7 +99,8 @@ def _workspace(session: Session) -> Iterator[Overlay]:
     from kempe.analysis.spaces.planar.planar_workspace import planar_workspace
     from kempe.analysis.spaces.workspace.mapping import workspace
 
-    system, frame = session.system, session.frame
+    system = session.system
+    frame = session.frame
     if system.dim == 2:
         try:
             exact = planar_workspace(system, frame)
@@ -155,7 +158,9 @@ def _quads(n: int) -> np.ndarray:
 
 def _cells(found: Workspace, cut: float) -> Overlay:
     """The cells that samples fell into: in the plane all of them, in space the surface of those from y = `cut` on."""
-    grid, some, said = found.map.grid, found.map.occupied.copy(), found.status
+    grid = found.map.grid
+    some = found.map.occupied.copy()
+    said = found.status
     d = some.ndim
     if d == 3:
         some[:, grid.centres("y") < cut] = False
@@ -182,7 +187,8 @@ def _capability(session: Session) -> Iterator[Overlay]:
     from kempe.analysis.spaces.reach.capability import capability_map
     from kempe.analysis.spaces.workspace.mapping import workspace
 
-    system, frame = session.system, session.frame
+    system = session.system
+    frame = session.frame
     rough = workspace(system, frame, n=20_000, cells=8).map.grid
     box = np.stack([rough.low, rough.high])[:, : system.dim]
     for cells in MAP:
@@ -206,13 +212,17 @@ def _singular(session: Session) -> Iterator[Overlay]:
     """Where the frame is at singular configurations that were found, set by set in a colour."""
     from kempe.analysis.spaces.singular.singularities import singularities
 
-    system, frame = session.system, session.frame
+    system = session.system
+    frame = session.frame
     task = None if has_loops(system) else session.task
     held: dict[str, list[Array]] = {}
-    starts, total, words = 4 if has_loops(system) else 32, 0, list(KINDS)
+    starts = 4 if has_loops(system) else 32
+    total = 0
+    words = list(KINDS)
     for k in range(ROUNDS):
         budget = Budget(starts=starts, rng=k)
-        total, starts = total + starts, min(2 * starts, 64)
+        total = total + starts
+        starts = min(2 * starts, 64)
         try:
             found = singularities(system, frame, task, budget=budget)
         except InputError:
@@ -222,7 +232,9 @@ def _singular(session: Session) -> Iterator[Overlay]:
         for one in found.sets:
             places = fk(system, one.q, frame)[:, :3, 3]
             held.setdefault(one.name or " and ".join(one.kinds), []).append(places)
-        points, colours, said = [np.zeros((0, 3))], [np.zeros((0, 3))], list[str]()
+        points = [np.zeros((0, 3))]
+        colours = [np.zeros((0, 3))]
+        said = list[str]()
         for (name, several), word in zip(held.items(), itertools.cycle(words)):
             points.append(np.concatenate(several))
             colours.append(np.tile(rgb(KINDS[word]), (len(points[-1]), 1)))

@@ -19,7 +19,9 @@ class Player:
     """What a page shows of motions; `motion` is the one that its slider is for."""
 
     def __init__(self, page: Page):
-        self.page, self.motion, self.playing = page, page.session.motion, False
+        self.page = page
+        self.motion = page.session.motion
+        self.playing = False
         gui = page.client.gui
         with gui.add_folder("motion") as self.folder:
             self.finds: Any = None
@@ -61,7 +63,9 @@ class Player:
             threading.Thread(target=self._run, daemon=True).start()
 
     def _run(self) -> None:
-        page, bar, motion = self.page, self.time, self.motion
+        page = self.page
+        bar = self.time
+        motion = self.motion
         if motion is None:
             return
         part = bar.value if bar.value < bar.max else 0.0

@@ -63,7 +63,8 @@ class SolidRecord(Solids):
 
     def face(self, name: str, corners: Array, normal: Array, colour: str, alpha: float = 1.0, edge: str = "") -> None:
         """Add a flat convex face with its outward normal, seen from both sides where it can be looked through."""
-        (a, b, c), (d, e, f) = (corners[1] - corners[0]).tolist(), (corners[-1] - corners[0]).tolist()
+        (a, b, c) = (corners[1] - corners[0]).tolist()
+        (d, e, f) = (corners[-1] - corners[0]).tolist()
         turned = normal @ (b * f - c * e, c * d - a * f, a * e - b * d) < 0.0  # of np.cross, which is slow
         fan = _fan(len(corners))[:, :: -1 if turned else 1]
         both = fan if alpha == 1.0 else np.concatenate([fan, fan[:, ::-1]])
@@ -95,14 +96,16 @@ class SheetRecord(planar.Sheet):
         self._stroke(gid, points[np.isfinite(points).all(axis=1)], layer + 0.5, colour, how.get("lw", 1.5))
 
     def _stroke(self, gid: str, points: Array, layer: float, colour: Any, width: float) -> None:
-        a, b = points[:-1], points[1:]
+        a = points[:-1]
+        b = points[1:]
         length = np.linalg.norm(b - a, axis=1, keepdims=True)
         a, b, along = (x[length[:, 0] > 1e-12] for x in (a, b, (b - a) / np.maximum(length, 1e-300)))
         if not len(a):
             return
         half = 0.5 * POINT * width * self.r
         side = half * np.stack([-along[:, 1], along[:, 0]], axis=1)
-        a, b = a - 0.6 * half * along, b + 0.6 * half * along
+        a = a - 0.6 * half * along
+        b = b + 0.6 * half * along
         corners = np.stack([a - side, b - side, b + side, a + side], axis=1).reshape(-1, 2)
         quads = (4 * np.arange(len(a))[:, None, None] + _fan(4)).reshape(-1, 3)
         self._add(gid, corners, quads, layer, colour)
@@ -175,7 +178,8 @@ class RigidParts:
     """
 
     def __init__(self, system: System, q: Array):
-        self.system, self.q = system, q
+        self.system = system
+        self.q = q
         scene = look(system, q)
         self.heads = [system.body_names.index(link.name) for link in scene.links]
         self.names = tuple(link.name for link in scene.links)
@@ -194,7 +198,8 @@ class RigidParts:
         solid = [p.corners @ X[:, p.carrier, :3, :3].swapaxes(-1, -2) + X[:, p.carrier, None, :3, 3]
                  for p in self.parts if p.colours[:, 3].min() == 1.0]  # fmt: skip
         points = np.concatenate([s.reshape(-1, 3) for s in solid]) if solid else points
-        low, high = points.min(axis=0), points.max(axis=0)
+        low = points.min(axis=0)
+        high = points.max(axis=0)
         return 0.5 * (low + high), float(np.linalg.norm(high - low))
 
     def places(self, q: Array) -> tuple[Array, Array]:
@@ -239,14 +244,16 @@ class RigidParts:
         return X
 
     def _parts(self, scene: Scene) -> list[RigidPart]:
-        system, q = self.system, scene.q
+        system = self.system
+        q = scene.q
         rng = np.random.default_rng(0)
         other = integrate(system, q, APART * rng.choice([-1.0, 1.0], system.nv) * rng.uniform(0.5, 1.0, system.nv))
         first = [p for p in self._record(scene) if not p.name.startswith("open:")]
         second: dict[str, list[DrawnPiece]] = {}
         for piece in self._record(look(system, other)):
             second.setdefault(piece.name, []).append(piece)
-        X, Y = self._stretched(q), self._stretched(other)
+        X = self._stretched(q)
+        Y = self._stretched(other)
         X_inv = np.linalg.inv(X)
         held: dict[tuple[int, bool], list[DrawnPiece]] = {}
         count: dict[str, int] = {}
@@ -291,7 +298,8 @@ class RigidParts:
     def _slide_of(self, scene: Scene, piece: DrawnPiece) -> int | None:
         """The number of the carrier of a piece of what slides; None where it is that of a link, as all others."""
         what, _, of = piece.name.partition(":")
-        name, first = of.partition(":")[0], len(self.heads) + len(self.rods)
+        name = of.partition(":")[0]
+        first = len(self.heads) + len(self.rods)
         spans = {s.name: k for k, s in enumerate(self.slides, first) if s.part is None}
         seats = {s.name: k for k, s in enumerate(self.slides, first) if s.part is not None}
         if any(line[0] == name for line in scene.lines):
@@ -319,14 +327,18 @@ class RigidParts:
 
 def _slides(scene: Scene, r: float) -> list[Slide]:
     """What is drawn between the two halves of each joint that slides, and where a point is on its line."""
-    system, out = scene.system, list[Slide]()
-    mechanism, number = system.mechanism, system.body_names.index
+    system = scene.system
+    out = list[Slide]()
+    mechanism = system.mechanism
+    number = system.body_names.index
     for seen in scene.joints:
         if seen.kind not in SLIDING:
             continue
-        joint, links = mechanism.joints[seen.name], (seen.parent, seen.child)
+        joint = mechanism.joints[seen.name]
+        links = (seen.parent, seen.child)
         X_PF, X_CM = (X.evaluate(mechanism.parameters) for X in (joint.X_PF, joint.X_CM))
-        a, b = (number(joint.parent), X_PF), (number(joint.child), X_CM)
+        a = (number(joint.parent), X_PF)
+        b = (number(joint.child), X_CM)
         if scene.telescopic(seen, r):
             out += [Slide(seen.name, links, a, b), Slide(seen.name, links, a, b, part=0.36)]
         elif scene.system.dim == 3 and (0 not in links or seen.kind != "prismatic"):
@@ -363,8 +375,10 @@ def _between(scene: Scene, slide: Slide, r: float, R: Array) -> list[DrawnPiece]
     half = 1.25 * r if line else 0.5 * style.BAR * r
     z = np.array([0.0, 1.0] if slide.part is None else [-5.0 * r, 5.0 * r])
     colour = style.link_colour(rail)
-    fill, dark = style.mix(colour, style.PAPER, 0.45 if line else 0.25), style.mix(colour, style.INK, 0.45)
-    layer, edge = (style.POLYGONS if line else style.BARS), 0.5 * POINT * 0.9 * r
+    fill = style.mix(colour, style.PAPER, 0.45 if line else 0.25)
+    dark = style.mix(colour, style.INK, 0.45)
+    layer = style.POLYGONS if line else style.BARS
+    edge = 0.5 * POINT * 0.9 * r
     up = R[2] / np.linalg.norm(R[2])
     side = np.cross([0.0, 0.0, 1.0], up)
 

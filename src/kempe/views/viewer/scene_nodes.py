@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 
 SAID = 3
 """Meshes that could not be shown that are named in one sentence."""
-GHOST, SEEN = 0.4, 0.25
+GHOST = 0.4
+SEEN = 0.25
 """How much is seen of a ghost, and of a surface that is laid over a system."""
 ABOVE = 3.0
 """Height of lines above a planar drawing, in radii of a pin."""
@@ -40,9 +41,11 @@ SOME = 48
 """Configurations of a motion by which a camera is placed."""
 ROOM = {2: 1.15, 3: 1.53}
 """Height of the picture where the camera looks at, in diagonals of the drawing, in the plane and in space."""
-UPWARDS, ASIDE = np.array([0.0, 0.0, 1.0]), np.array([0.6, -0.85, 0.4])
+UPWARDS = np.array([0.0, 0.0, 1.0])
+ASIDE = np.array([0.6, -0.85, 0.4])
 """From where planar and spatial systems are looked at."""
-NEAR, FAR = 0.01, 1000.0
+NEAR = 0.01
+FAR = 1000.0
 """How near to the camera and how far from it things are seen, in diagonals of the drawing."""
 SOFT = np.cos(np.deg2rad(35.0))
 """Cosine of the angle up to which neighbouring triangles are shaded as one round surface."""
@@ -65,7 +68,8 @@ class Drawn:
     def __init__(self, system: System, q: Array, way: Array | None = None):
         self.system = system
         self.rigid = RigidParts(system, q)
-        self.middle, self.size = self.rigid.middle, self.rigid.size
+        self.middle = self.rigid.middle
+        self.size = self.rigid.size
         if way is not None:
             some = way[np.unique(np.linspace(0, len(way) - 1, SOME).round().astype(int))]
             self.middle, self.size = self.rigid.box(np.concatenate([q[None], some]), self.middle[None])
@@ -134,7 +138,9 @@ class Drawn:
         far = 0.5 * high / np.tan(0.5 * opening)
         up = upright - away * float(upright @ away) / float(away @ away)
         at = self.middle - 0.5 * below * high * float(np.linalg.norm(away) / np.linalg.norm(up)) * up
-        camera.fov, camera.near, camera.far = opening, self.near, FAR * size
+        camera.fov = opening
+        camera.near = self.near
+        camera.far = FAR * size
         camera.position = tuple(at + far * away)
         camera.look_at = tuple(at)
 
@@ -158,7 +164,8 @@ def soft_normals(corners: Array) -> Array:
     order = np.argsort(place, kind="stable")
     out = own.copy()
     for step in range(1, int(np.bincount(place).max())):  # each corner with the one `step` after it
-        i, k = order[:-step], order[step:]
+        i = order[:-step]
+        k = order[step:]
         both = (place[i] == place[k]) & (np.sum(unit[i] * unit[k], axis=1) > SOFT)
         np.add.at(out, i[both], own[k[both]])
         np.add.at(out, k[both], own[i[both]])
@@ -184,17 +191,21 @@ class Nodes:
     """The nodes of a drawn system in one scene of viser."""
 
     def __init__(self, scene: Any, drawn: Drawn, q: Array):
-        self.scene, self.drawn = scene, drawn
+        self.scene = scene
+        self.drawn = drawn
         self.frames: dict[int, Any] = {}
         self.ghosts: list[tuple[int, Any]] = []
-        self.labels, self.axes, self.laid = list[Any](), list[Any](), dict[str, list[Any]]()
+        self.labels = list[Any]()
+        self.axes = list[Any]()
+        self.laid = dict[str, list[Any]]()
         self.poses, self.lengths = drawn.rigid.places(q)
         self.stretched: dict[int, list[Any]] = {}
         quats, places = poses_as(self.poses)
         for k in sorted({s.carrier for s in drawn.shapes}):
             self.frames[k] = scene.add_frame(f"/system/{k}", show_axes=False, wxyz=quats[k], position=places[k])
         for i, (shape, file) in enumerate(zip(drawn.shapes, drawn.files, strict=True)):
-            name, scale = f"/system/{shape.carrier}/{i}", _along(self.lengths[shape.carrier])
+            name = f"/system/{shape.carrier}/{i}"
+            scale = _along(self.lengths[shape.carrier])
             if shape.opacity == 1.0:
                 node = scene.add_glb(name, file, scale=scale)
             else:
@@ -236,7 +247,8 @@ class Nodes:
         self.axes = []
         if not shown:
             return
-        (scene, X), r = self.drawn.seen, self.drawn.rigid.r
+        (scene, X) = self.drawn.seen
+        r = self.drawn.rigid.r
         for link in scene.links:
             for k, Y in enumerate((link.bodies | link.frames).values()):
                 quat, place = poses_as(X[link.number] @ Y)
@@ -253,16 +265,20 @@ class Nodes:
         new = self.laid[name] = []
         flat = self.drawn.system.dim == 2
         above = np.array([0.0, 0.0, ABOVE * self.drawn.rigid.r if flat else 0.0], dtype=np.float32)
-        scene, at, still = self.scene, f"/over/{name}", {"cast_shadow": False, "receive_shadow": False}
+        scene = self.scene
+        at = f"/over/{name}"
+        still = {"cast_shadow": False, "receive_shadow": False}
         if len(overlay.lines):
-            lines, colour = overlay.lines.astype(np.float32) + above, _bytes(rgb(style.curve_colour(0)))
+            lines = overlay.lines.astype(np.float32) + above
+            colour = _bytes(rgb(style.curve_colour(0)))
             new.append(scene.add_line_segments(f"{at}/lines", lines, colour, thickness=2.5,
                                                thickness_units="screen"))  # fmt: skip
         for k, (corners, triangles, colour) in enumerate(overlay.surfaces):
             new.append(scene.add_mesh_simple(f"{at}/{k}", corners - above, triangles, color=_bytes(rgb(colour)),
                                              opacity=SEEN, side="double", **still))  # fmt: skip
         if len(overlay.points):
-            ball, none = trimesh.creation.icosphere(1, 0.5), np.tile([1.0, 0.0, 0.0, 0.0], (len(overlay.points), 1))
+            ball = trimesh.creation.icosphere(1, 0.5)
+            none = np.tile([1.0, 0.0, 0.0, 0.0], (len(overlay.points), 1))
             new.append(scene.add_batched_meshes_simple(
                 f"{at}/points", ball.vertices, ball.faces, none, overlay.points + above, lod="off",
                 batched_scales=overlay.sizes.astype(np.float32), batched_colors=_bytes(overlay.colours),
@@ -277,11 +293,13 @@ class Nodes:
         for k in np.flatnonzero(np.abs(lengths - self.lengths) > 1e-12):
             for node in self.stretched.get(int(k), ()):
                 node.scale = _along(lengths[k])
-        self.poses, self.lengths = X, lengths
+        self.poses = X
+        self.lengths = lengths
         quats, places = poses_as(X)
         for k, frame in self.frames.items():
             if moved[k]:
-                frame.wxyz, frame.position = quats[k], places[k]
+                frame.wxyz = quats[k]
+                frame.position = places[k]
 
     def haunt(self, solutions: Array, clicked: Any = None) -> None:
         """Show the other solutions (k, nq) as ghosts; `clicked` is called with the event of a click on one."""
@@ -299,7 +317,8 @@ class Nodes:
         quats, places = poses_as(X)
         for k, node in self.ghosts:
             scale = scales[:, k]
-            node.batched_wxyzs, node.batched_positions = quats[:, k], places[:, k]
+            node.batched_wxyzs = quats[:, k]
+            node.batched_positions = places[:, k]
             if not np.array_equal(scale, node.batched_scales):
                 node.batched_scales = scale
             node.visible = bool(len(solutions))

@@ -72,21 +72,29 @@ class Session:
     def __init__(self, system: System, q: Any = None, frame: Any = None, path: Any = None):
         from kempe.views.plots import configuration_of
 
-        self.system, self.lock = system, threading.RLock()
+        self.system = system
+        self.lock = threading.RLock()
         self.motion = motion_from(system, path)
         self.q = np.array(configuration_of(system, q, None if self.motion is None else self.motion.q))
-        self.status, self.target, self.revision, self.chart = "", None, 0, None
-        self.solutions, self.kind, self.took = np.empty((0, system.nq)), "solution", 0.0
+        self.status = ""
+        self.target = None
+        self.revision = 0
+        self.chart = None
+        self.solutions = np.empty((0, system.nq))
+        self.kind = "solution"
+        self.took = 0.0
         self.progress: Callable[..., None] | None = None
         self._bare = not (has_loops(system) or system.mechanism.constraints)
         self._closes = not self._bare and bool(evaluate(system, system.neutral, False, True)[0].size)
-        self._units, self.rng = units(system), np.random.default_rng(0)
+        self._units = units(system)
+        self.rng = np.random.default_rng(0)
         if q is not None and has_loops(system) and not judge(system, self.q):
             self._take(assemble(system, start=self.q), "closed from the q given")
         self._choose()
         self.frames = _by_use(system)
         self.frame = self.frames[0] if frame is None else system.structure.frame_name(frame)
-        self.task, self.home = self.usual_task(), self.q
+        self.task = self.usual_task()
+        self.home = self.q
 
     # ---- coordinates
 
@@ -99,12 +107,15 @@ class Session:
         return tuple(self._slider(n, float(x)) for n, x in zip(self.chart.useful, values, strict=False))
 
     def _slider(self, name: str, value: float) -> Slider:
-        names, system = self.system.structure.velocity_names, self.system
+        names = self.system.structure.velocity_names
+        system = self.system
         if name not in names:
             return Slider(name, "rad", -BALL, BALL, value)
-        i, unit = names.index(name), self._units.get(name, "rad")
+        i = names.index(name)
+        unit = self._units.get(name, "rad")
         wide = FULL if unit == "rad" else self.size
-        low, high = float(system.lower[i]), float(system.upper[i])
+        low = float(system.lower[i])
+        high = float(system.upper[i])
         about = value if abs(value) > wide else 0.0
         low = low if np.isfinite(low) else (high - 2 * wide if np.isfinite(high) else about - wide)
         high = high if np.isfinite(high) else max(low, about - wide) + 2 * wide
@@ -124,7 +135,8 @@ class Session:
         if chart is None or name not in chart.useful:
             raise InputError(f"{name!r} is no independent coordinate here: {', '.join(chart.useful if chart else ())}")
         self.target = None
-        k, known = chart.useful.index(name), self.system.coordinate_names
+        k = chart.useful.index(name)
+        known = self.system.coordinate_names
         if not chart.dependent and name in known:
             q = np.array(self.q)
             q[known.index(name)] = value
@@ -235,11 +247,13 @@ class Session:
     def solve(self, kind: str = "solution") -> int:
         """Find the other configurations of a kind; their number, and a sentence about them where there is none."""
         self._after()
-        self.kind, begun = kind, time.perf_counter()
+        self.kind = kind
+        begun = time.perf_counter()
         with self._said():
             q = self._modes() if kind == "mode" else self._others()
             self.solutions = self._apart(q.reshape(int(np.prod(q.shape[:-1])), self.system.nq))[:GHOSTS]
-            n, where = len(self.solutions), "" if kind == "mode" else f" with {self.frame} here"
+            n = len(self.solutions)
+            where = "" if kind == "mode" else f" with {self.frame} here"
             if n:
                 self.status = f"{n} other {KINDS[kind]}{'s' * (n > 1)}{where}: click on one"
             else:
@@ -250,7 +264,8 @@ class Session:
 
     def _others(self) -> Array:
         """Configurations (k, nq) with the frame where it is."""
-        X, system = self.pose, self.system
+        X = self.pose
+        system = self.system
         if has_loops(system):
             known = {self.frame: X if self.task == "pose" else X[: system.dim, 3]}
             return self._closing(known)
@@ -274,13 +289,15 @@ class Session:
 
     def _apart(self, q: Array) -> Array:
         """Those of configurations (k, nq) that differ from q; of loops those that look different from one another."""
-        system, q = self.system, q[np.isfinite(q).all(axis=1)]
+        system = self.system
+        q = q[np.isfinite(q).all(axis=1)]
         if not has_loops(system):
             return q[distance(system, q, self.q) > APART] if len(q) else q
         links = look(system, self.q)
         heads = [system.body_names.index(link.name) for link in links.links]
         own = [links.points(link) for link in links.links]
-        X, Y = np.linalg.inv(fk(system, self.q)[heads]), fk(system, np.concatenate([self.q[None], q]))[:, heads]
+        X = np.linalg.inv(fk(system, self.q)[heads])
+        Y = fk(system, np.concatenate([self.q[None], q]))[:, heads]
         at = np.concatenate([(p @ A[:3, :3].T + A[:3, 3]) @ B[..., :3, :3].swapaxes(-1, -2) + B[:, None, :3, 3]
                              for p, A, B in zip(own, X, Y.swapaxes(0, 1), strict=True)], axis=1)  # fmt: skip
         seen = [0]
@@ -349,7 +366,9 @@ class Session:
         self._go(q, "")
 
     def _go(self, q: Array, said: str) -> None:
-        self.q, self.status, self.target = np.array(q), said, None
+        self.q = np.array(q)
+        self.status = said
+        self.target = None
         if self.chart is None or self.chart.dependent:
             self._choose()
         self._after()
@@ -359,7 +378,8 @@ class Session:
     def at(self, time: float) -> None:
         """Go to where the motion is at a time [s]."""
         if self.motion is not None:
-            self.q, self.target = self.motion.at(time), None
+            self.q = self.motion.at(time)
+            self.target = None
             self._after()
 
     def find_motion(self, name: str) -> bool:

@@ -35,9 +35,11 @@ if TYPE_CHECKING:
     from kempe.analysis.mobility.mobility import Mobility
     from kempe.model.system import System
 
-STARTS, VALUES = 256, 24
+STARTS = 256
+VALUES = 24
 """Random assemblies from which curves are traced, and values of each coordinate at which assembly modes are."""
-NEAR, SAME = 0.3, 1e-5
+NEAR = 0.3
+SAME = 1e-5
 """Distance from a node of a curve from which it is looked closer at, and that below which a point is on it."""
 NONE_INSIDE = "no configuration within limits and one-sided constraints was found"
 NOTHING = 1e-9
@@ -92,11 +94,15 @@ class Component(InWords):
 
         The distance is infinite where no curve is near.
         """
-        which, s, far = np.zeros(len(q), dtype=int), np.zeros(len(q)), np.full(len(q), np.inf)
+        which = np.zeros(len(q), dtype=int)
+        s = np.zeros(len(q))
+        far = np.full(len(q), np.inf)
         for i, path in enumerate(self.paths):
             at, off = _nearest(path, q, ~self.still)
             better = off < far
-            which[better], s[better], far[better] = i, at[better], off[better]
+            which[better] = i
+            s[better] = at[better]
+            far[better] = off[better]
         return which, s, far
 
     def contains(self, q: Array) -> np.ndarray:
@@ -120,7 +126,8 @@ class Component(InWords):
 
 def _wound(path: Path) -> dict[int, int]:
     """How many whole turns a curve goes on by until it repeats, by the place in q of angles of which turns count."""
-    layout, names = path.system.structure.layout, path.system.structure.velocity_names
+    layout = path.system.structure.layout
+    names = path.system.structure.velocity_names
     place = dict(zip(layout.vector_v.tolist(), layout.vector_q.tolist(), strict=True))
     return {place[int(v)]: path.turns[names[v]] for v in np.flatnonzero(winding_angles(path.system))
             if path.turns.get(names[v])}  # fmt: skip
@@ -131,21 +138,29 @@ def _at_first(path: Path, q: Array) -> Array:
     wound = _wound(path)
     if not wound:
         return q
-    at, turns = list(wound), 2.0 * np.pi * np.array(list(wound.values()))
-    out, periods = q.copy(), np.floor((q[:, at[0]] - path.track.q[0, at[0]]) / turns[0] + NOTHING)
+    at = list(wound)
+    turns = 2.0 * np.pi * np.array(list(wound.values()))
+    out = q.copy()
+    periods = np.floor((q[:, at[0]] - path.track.q[0, at[0]]) / turns[0] + NOTHING)
     out[:, at] -= periods[:, None] * turns
     return out
 
 
 def _nearest(path: Path, q: Array, useful: np.ndarray) -> tuple[Array, Array]:
     """Arc lengths (k,) of the points of a path nearest to configurations (k, nq), and their distances (k,)."""
-    manifold, track, q = Manifold(path.system, 1), path.track, _at_first(path, q)
-    nodes, t = track.q, np.where(useful, track.t, 0.0)
-    best, far = np.zeros(len(q), dtype=int), np.full(len(q), np.inf)
+    manifold = Manifold(path.system, 1)
+    track = path.track
+    q = _at_first(path, q)
+    nodes = track.q
+    t = np.where(useful, track.t, 0.0)
+    best = np.zeros(len(q), dtype=int)
+    far = np.full(len(q), np.inf)
     for k, node in enumerate(nodes):
         off = np.linalg.norm(manifold.between(np.broadcast_to(node, q.shape), q)[:, useful], axis=1)
-        best, far = np.where(off < far, k, best), np.minimum(off, far)
-    s, near = track.s[best], np.flatnonzero(far < NEAR)
+        best = np.where(off < far, k, best)
+        far = np.minimum(off, far)
+    s = track.s[best]
+    near = np.flatnonzero(far < NEAR)
     for _ in range(12) if len(near) and len(nodes) > 1 else ():
         way = np.where(useful, manifold.between(path.at(s[near]), q[near]), 0.0)
         far[near] = np.linalg.norm(way, axis=1)
@@ -160,7 +175,8 @@ def _nearest(path: Path, q: Array, useful: np.ndarray) -> tuple[Array, Array]:
 
 def _first(system: System, q: Array) -> list[int]:
     """Which of configurations (k, nq) are not the same as one before."""
-    metric, out = Manifold(system, 1).metric, list[int]()
+    metric = Manifold(system, 1).metric
+    out = list[int]()
     for k, x in enumerate(q):
         if not any(metric.distances(x[None], q[j][None])[0] < SAME for j in out):
             out.append(k)
@@ -349,7 +365,8 @@ def _traced(
     whole = sweep is not None and sweep.complete and len(own) == sweep.count
     q = own if whole else np.concatenate([home[None], own, _starts(system, home, spend)])
     q, several = _of_one_freedom(system, q, freedoms.dof or 1)
-    parts, late = list[Component](), False
+    parts = list[Component]()
+    late = False
     while len(q) and len(parts) != enough:
         left = time.left
         if left is not None and left <= 0.0:
@@ -379,13 +396,15 @@ def _of_one_freedom(system: System, q: Array, dof: int) -> tuple[Array, frozense
 def _starts(system: System, home: Array, spend: Budget) -> Array:
     """Closed configurations (k, nq) within all limits: near home, random ones, and assembly modes of a closed form."""
     rng = np.random.default_rng(spend.rng)
-    manifold, found = Manifold(system, 1), [home[None]]
+    manifold = Manifold(system, 1)
+    found = [home[None]]
     q = manifold.drawn(rng, start_count(spend.starts, DRAWN))
     found.append(q)
     for name in system.coordinate_names if system.dim == 2 else ():
         k = system.coordinate_names.index(name)
         if closed_form(system, [name]):
-            low, high = q[:, k].min(initial=0.0), q[:, k].max(initial=0.0)
+            low = q[:, k].min(initial=0.0)
+            high = q[:, k].max(initial=0.0)
             low, high = (
                 (-np.pi, np.pi) if manifold.circle[list(system.structure.layout.vector_q).index(k)] else (low, high)
             )

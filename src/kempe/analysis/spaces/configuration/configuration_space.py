@@ -168,7 +168,8 @@ class ConfigurationSpace(Report):
 def configuration_space(system: System) -> ConfigurationSpace:
     """The configuration space of a system; its dimension is found on demand."""
     turning = (system.structure.coordinates.turning & ~winding_angles(system))[system.structure.layout.vector_v]
-    turns, slides = int(turning.sum()), int((~turning).sum())
+    turns = int(turning.sum())
+    slides = int((~turning).sum())
     balls = len(system.structure.layout.quaternion_q)
     factors = [("SO(3)", balls), ("T", turns), ("R", slides)]
     if turns == 0 and slides and balls:

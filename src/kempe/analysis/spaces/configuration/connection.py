@@ -93,9 +93,12 @@ def path(system: System, q0: Any, q1: Any, *, budget: Budget | None = None) -> C
         raise InputError(
             f"step is {spend.step!r}; it must be between 1e-4 and 1, in radians and characteristic lengths"
         )
-    time, step, rng = time_of(USUAL, budget), float(spend.step), generator(spend.rng)
+    time = time_of(USUAL, budget)
+    step = float(spend.step)
+    rng = generator(spend.rng)
     try:
-        a, b = _end(system, q0, "q0"), _end(system, q1, "q1")
+        a = _end(system, q0, "q0")
+        b = _end(system, q1, "q1")
         manifold = Manifold(system, system.nv)
         for name, q in (("the start q0", a), ("the goal q1", b)):
             if not manifold.inside(q[None])[0]:
@@ -170,7 +173,8 @@ def _curve(system: System, a: Array, spend: Budget) -> Component:
 
 def _elsewhere(part: Component, ends: Array) -> tuple[Status, str] | None:
     """The outcome and why, where the curve through the first of two configurations does not pass the other."""
-    far, first = part.place(ends)[2], part.paths[0]
+    far = part.place(ends)[2]
+    first = part.paths[0]
     if far[1] < SAME:
         return None
     whole = "was traced wholly" if first.success else f"was traced in part ({first.status})"
@@ -182,7 +186,9 @@ def _elsewhere(part: Component, ends: Array) -> tuple[Status, str] | None:
 
 def _along_curves(part: Component, ends: Array, step: float) -> Connection:
     """The way along the traced curves through both ends (2, nq)."""
-    (a, b), (which, s, _), system = ends, part.place(ends), part.paths[0].system
+    (a, b) = ends
+    (which, s, _) = part.place(ends)
+    system = part.paths[0].system
     legs = _route(part, (int(which[0]), float(s[0])), (int(which[1]), float(s[1])))
     pieces = [part.paths[k].at(np.linspace(x, y, max(2, int(np.ceil(abs(y - x) / step)) + 1))) for k, x, y in legs]
     over = sum(k != j for (k, *_), (j, *_) in zip(legs, legs[1:], strict=False))
@@ -197,9 +203,11 @@ def _along_curves(part: Component, ends: Array, step: float) -> Connection:
 def _route(part: Component, begin: tuple[int, float], end: tuple[int, float]) -> list[tuple[int, float, float]]:
     """Legs (curve, from, to) of the shortest way between two places on curves that meet at singular points (Dijkstra,
     1959); a `to` beyond the length of a closed curve goes on around."""  # fmt: skip
-    metric, stops = Manifold(part.paths[0].system, 1).metric, [(*begin, None), (*end, None)]
+    metric = Manifold(part.paths[0].system, 1).metric
+    stops = [(*begin, None), (*end, None)]
     stops += [(k, e.s, e.q) for k, path in enumerate(part.paths) for e in path.singular_points]
-    cost, queue = {0: 0.0}, [(0.0, 0)]
+    cost = {0: 0.0}
+    queue = [(0.0, 0)]
     way: dict[int, tuple[int, tuple[int, float, float] | None]] = {}
     while queue:
         so_far, i = heapq.heappop(queue)
@@ -216,7 +224,8 @@ def _route(part: Component, begin: tuple[int, float], end: tuple[int, float]) ->
                 legs = [0.0]
             for leg in legs:
                 if so_far + abs(leg) < cost.get(j, np.inf):
-                    cost[j], way[j] = so_far + abs(leg), (i, (k, s, s + leg) if to == k else None)
+                    cost[j] = so_far + abs(leg)
+                    way[j] = (i, (k, s, s + leg) if to == k else None)
                     heapq.heappush(queue, (cost[j], j))
     out: list[tuple[int, float, float]] = []
     at = 1

@@ -26,7 +26,9 @@ NEAR = 3.0
 """How far configurations of neighbours may be apart, in parts of a turn along the lattice, to be of one sheet."""
 DAMPING = 1e-13
 """What is added to normal equations, as a part of their trace."""
-TRIES, FIRST, LONGEST = 10, 40, 0.4
+TRIES = 10
+FIRST = 40
+LONGEST = 0.4
 """Steps of Newton's method, those from where nothing is known yet, and the longest."""
 FOLLOWED = 0.5
 """How far apart neighbours on a line are at most, in radians and characteristic lengths."""
@@ -52,7 +54,8 @@ class NodeSolver:
     """
 
     def __init__(self, manifold: Manifold):
-        self.manifold, self.counts = manifold, not_spun(manifold.system)
+        self.manifold = manifold
+        self.counts = not_spun(manifold.system)
         self.spins = not self.counts.all()
 
     def solved(self, missing: Missing, q: Array, node: np.ndarray, tries: int = TRIES) -> tuple[Array, np.ndarray]:
@@ -60,7 +63,8 @@ class NodeSolver:
         M = self.manifold
 
         def equations(x: Array, at: np.ndarray) -> tuple[Array, Array]:
-            (F, J), (f, j) = M.equations(x), missing(x, node[at])
+            (F, J) = M.equations(x)
+            (f, j) = missing(x, node[at])
             still = spin_rates(M.system, x) if self.spins else J[:, :0]
             zero = np.zeros(still.shape[:2])
             return np.concatenate([F, f, zero], axis=1), np.concatenate([J, j, still * M.scale], axis=1)
@@ -105,8 +109,12 @@ def flooded(
 
     `progress` is called with the number of nodes that have some, and that of all.
     """
-    found, count = np.full((shape[0] * shape[1], 4, q.shape[1]), np.nan), np.zeros(shape[0] * shape[1], dtype=int)
-    broken, tries, swept, near = None, FIRST, False, NEAR * 2.0 * np.pi / max(shape)
+    found = np.full((shape[0] * shape[1], 4, q.shape[1]), np.nan)
+    count = np.zeros(shape[0] * shape[1], dtype=int)
+    broken = None
+    tries = FIRST
+    swept = False
+    near = NEAR * 2.0 * np.pi / max(shape)
     try:
         while len(q):
             new = list[tuple[np.ndarray, np.ndarray]]()
@@ -119,7 +127,8 @@ def flooded(
             )
             if progress is not None:
                 progress(int((count > 0).sum()), len(count))
-            tries, swept = TRIES, swept and not len(at)
+            tries = TRIES
+            swept = swept and not len(at)
             q, node = _to_neighbours(solver, shape, found, count, at, slot, near)
             if not len(q) and not swept:  # all that have more than a neighbour, once more
                 at, slot = np.nonzero(np.arange(found.shape[1]) < count[:, None])
@@ -137,16 +146,19 @@ def _added(
 ) -> Array:  # fmt: skip
     """Put those of configurations (k, nq) that their nodes (k,) lack into `found`; which these are goes to `new`."""
     order = np.argsort(node, kind="stable")
-    q, node = q[order], node[order]
+    q = q[order]
+    node = node[order]
     first = np.searchsorted(node, node)
     rank = np.arange(len(node)) - first  # the several candidates of a node come one after another
     for k in range(int(rank.max(initial=-1)) + 1):
-        x, at = q[rank == k], node[rank == k]
+        x = q[rank == k]
+        at = node[rank == k]
         known = np.zeros(len(at), dtype=bool)
         for slot in range(int(count[at].max(initial=0))):
             there = slot < count[at]
             known[there] |= solver.same(x[there], found[at[there], slot])
-        x, at = x[~known & (count[at] < MOST)], at[~known & (count[at] < MOST)]
+        x = x[~known & (count[at] < MOST)]
+        at = at[~known & (count[at] < MOST)]
         if count[at].max(initial=0) >= found.shape[1]:
             found = np.concatenate([found, np.full_like(found, np.nan)], axis=1)
         found[at, count[at]] = x
@@ -161,10 +173,13 @@ def _to_neighbours(
 ) -> tuple[Array, np.ndarray]:  # fmt: skip
     """Configurations, each as a start for those neighbours of its node that have fewer, or none so `near` to it."""
     i, j = np.divmod(node, shape[1])
-    starts, nodes = [found[:0, 0]], [node[:0]]
+    starts = [found[:0, 0]]
+    nodes = [node[:0]]
     for di, dj in ((1, 0), (-1, 0), (0, 1), (0, -1)):
         ok = (0 <= i + di) & (i + di < shape[0]) & (0 <= j + dj) & (j + dj < shape[1])
-        q, to, fewer = found[node[ok], slot[ok]], (i[ok] + di) * shape[1] + j[ok] + dj, count[node[ok]]
+        q = found[node[ok], slot[ok]]
+        to = (i[ok] + di) * shape[1] + j[ok] + dj
+        fewer = count[node[ok]]
         lacks = count[to] < fewer
         if near:
             lacks |= ~np.any([(k < count[to]) & (solver.apart(q, found[to, k]) < near)
@@ -176,13 +191,15 @@ def _to_neighbours(
 
 def in_order(solver: NodeSolver, q: Array, mask: np.ndarray) -> tuple[Array, np.ndarray]:
     """Configurations (n, k, nq) along a line, and which (n, k) there are, so ordered that each follows its like."""
-    q, mask = q.copy(), mask.copy()
+    q = q.copy()
+    mask = mask.copy()
     like: Array = q[0].copy()
     for i in range(len(q)):
         far = solver.apart(like[:, None], q[i][None])
         far = np.where(mask[i] & np.isfinite(far), far, np.pi)
         order = _matched(far)
-        q[i], mask[i] = q[i, order], mask[i, order]
+        q[i] = q[i, order]
+        mask[i] = mask[i, order]
         # what is too far to follow begins a line of its own
         mask[i] &= (far[np.arange(len(order)), order] < FOLLOWED) | (i == 0) | ~mask[i - 1]
         like = np.where((mask[i] | ~np.isfinite(like).all(axis=1))[:, None], q[i], like)
@@ -191,7 +208,8 @@ def in_order(solver: NodeSolver, q: Array, mask: np.ndarray) -> tuple[Array, np.
 
 def _matched(far: Array) -> np.ndarray:
     """For each of k rows of distances (k, k) a column of its own, the nearest pairs first."""
-    out, used = np.full(len(far), -1), set[int]()
+    out = np.full(len(far), -1)
+    used = set[int]()
     for at in np.argsort(far, axis=None).tolist():
         row, column = divmod(at, len(far))
         if out[row] < 0 and column not in used:

@@ -26,9 +26,13 @@ CLOSED = 1e-9
 """Norm of the closure equations, in radians and characteristic lengths, up to which a configuration is closed."""
 REGULAR = 1e-6
 """Singular value, as a part of the largest, below which a constraint counts as dependent on others."""
-TRIES, STEEP = 30, 0.5
+TRIES = 30
+STEEP = 0.5
 """Steps of a search for the manifold, and the longest: that of starts many lengths away is not bounded."""
-NEWTON, EXACT, LONGEST, NEARER = 8, 1e-11, 10.0, 0.7
+NEWTON = 8
+EXACT = 1e-11
+LONGEST = 10.0
+NEARER = 0.7
 """Steps of Newton's method, the norm of the equations at which it ends, that from which it does not begin, and the part
 of it that is left after a step, at most."""
 
@@ -45,9 +49,13 @@ class Manifold:
     """The closed configurations of a system where they have dimension `dim`, within its limits."""
 
     def __init__(self, system: System, dim: int):
-        self.system, self.dim = system, dim
-        self.scale, self.layout = closure_rows.scales(system), system.structure.layout
-        self.circle, self.one_sided, self.metric = circles(system), one_sided_rows(system), metric_of(system)
+        self.system = system
+        self.dim = dim
+        self.scale = closure_rows.scales(system)
+        self.layout = system.structure.layout
+        self.circle = circles(system)
+        self.one_sided = one_sided_rows(system)
+        self.metric = metric_of(system)
 
     def equations(self, q: Array) -> tuple[Array, Array]:
         """What is missing (k, m) in the equations at q (k, nq), and the derivatives (k, m, nv)."""
@@ -84,7 +92,8 @@ class Manifold:
 
     def frames(self, q: Array) -> Frames:
         """Tangents and normals at closed q (k, nq)."""
-        J, rank = self.equations(q)[1], self.system.nv - self.dim
+        J = self.equations(q)[1]
+        rank = self.system.nv - self.dim
         if not rank:
             eye = np.broadcast_to(np.eye(self.system.nv), (len(q), self.system.nv, self.system.nv))
             return Frames(eye, eye[..., :0], np.ones(len(q), dtype=bool))
@@ -107,8 +116,10 @@ class Manifold:
 
         By Newton's method from no normals at all, which is given up where it does not come much nearer at each step.
         """
-        step, found = np.array(y), np.zeros(len(q), dtype=bool)
-        left, before = np.arange(len(q)), np.full(len(q), np.inf)
+        step = np.array(y)
+        found = np.zeros(len(q), dtype=bool)
+        left = np.arange(len(q))
+        before = np.full(len(q), np.inf)
         for k in range(NEWTON):
             r, J = self.equations(self.move(q[left], step[left]))
             size = np.linalg.norm(r, axis=1)
@@ -117,7 +128,8 @@ class Manifold:
             go_on = ~met & (size < NEARER * before if k else size < LONGEST)
             if not go_on.any():
                 break
-            left, before = left[go_on], size[go_on]
+            left = left[go_on]
+            before = size[go_on]
             N = normal[left]
             a = solved(J[go_on] @ N, -r[go_on])
             step[left] += np.einsum("kij,kj->ki", N, a)

@@ -49,7 +49,8 @@ class Polygon:
     @property
     def count(self) -> int:
         """Number of components, by the theorem: 0 where the loop cannot be closed, 1, or 2."""
-        x, total = np.sort(self.lengths)[::-1], float(self.lengths.sum())
+        x = np.sort(self.lengths)[::-1]
+        total = float(self.lengths.sum())
         if x[0] > total - x[0] + EQUAL * total:
             return 0
         return 2 if x[1] + x[2] > 0.5 * total * (1.0 + 2.0 * EQUAL) else 1
@@ -58,7 +59,8 @@ class Polygon:
     def reason(self) -> str:
         """The theorem, with the lengths that decide."""
         order: list[int] = np.argsort(-self.lengths, kind="stable").tolist()
-        total, longest = float(self.lengths.sum()), self.lengths[order]
+        total = float(self.lengths.sum())
+        longest = self.lengths[order]
         if self.count == 0:
             return f"{self.bodies[order[0]]!r}, {longest[0]:.6g} m, is longer than all others together"
         names = ", ".join(repr(self.bodies[k]) for k in order[:3])
@@ -80,7 +82,8 @@ class Polygon:
 
     def aligned(self) -> Array:
         """Configurations (k, nq) with all bars on one line: the singular points of the configuration space."""
-        n, lengths = len(self.bodies), self.lengths
+        n = len(self.bodies)
+        lengths = self.lengths
         if n > MOST_BARS:
             return np.empty((0, self.system.nq))
         signs = np.array([s for s in product((1.0, -1.0), repeat=n) if s[0] > 0.0])
@@ -89,12 +92,14 @@ class Polygon:
 
     def _at(self, directions: Array) -> Array:
         """The configuration (nq,) with bars in these directions (n,) from that of the one at rest."""
-        m, q = self.system.mechanism, self.system.neutral.copy()
+        m = self.system.mechanism
+        q = self.system.neutral.copy()
         turn = directions - np.arctan2(self.vectors[:, 1], self.vectors[:, 0])
         turn = dict(zip(self.bodies, turn - turn[0], strict=True))
         for name in self.joints:
             joint = m.joints[name]
-            F, M = joint.X_PF.evaluate(m.parameters), joint.X_CM.evaluate(m.parameters)
+            F = joint.X_PF.evaluate(m.parameters)
+            M = joint.X_CM.evaluate(m.parameters)
             angle = turn[joint.child] - turn[joint.parent] + _angle(M) - _angle(F)
             q[self.system.coordinate_names.index(name)] = np.arctan2(np.sin(angle), np.cos(angle))
         return q

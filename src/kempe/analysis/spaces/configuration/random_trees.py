@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 FEWEST = 0.1
 """Part of a step that must be left of the distance to the aim, and of the step itself, to go on."""
-ROUNDS, SHORTCUTS = 4, 30
+ROUNDS = 4
+SHORTCUTS = 30
 """Rounds of shortcuts, and how many are tried in each, at most."""
 MET = 1e-9
 """Length up to which an aim counts as reached."""
@@ -33,7 +34,9 @@ class Tree:
     """Configurations `q` (n, nq), each reached from that of its `parent`."""
 
     def __init__(self, manifold: Manifold, root: Array):
-        self.manifold, self.q, self.parent = manifold, root[None], [-1]
+        self.manifold = manifold
+        self.q = root[None]
+        self.parent = [-1]
 
     def nearest(self, q: Array) -> int:
         """The number of the configuration nearest to q (nq,)."""
@@ -67,24 +70,32 @@ def stepped(
     It ends where more than `most` steps would be needed, even straight.
     """
     out: list[list[Array]] = [[] for _ in q]
-    at, left, most = np.array(q), manifold.apart(q, aims), np.broadcast_to(most, len(q)) + 1e-9
+    at = np.array(q)
+    left = manifold.apart(q, aims)
+    most = np.broadcast_to(most, len(q)) + 1e-9
     on = np.flatnonzero((left > MET) & (left / step <= most))
     while len(on):
         time.check()
-        before, aim, far = at[on], aims[on], left[on] > step
+        before = at[on]
+        aim = aims[on]
+        far = left[on] > step
         way = manifold.between(before, aim)
         if manifold.dim < manifold.system.nv and far.any():
             T = manifold.frames(before[far]).tangent
             way[far] = np.einsum("kip,kp->ki", T, np.einsum("kip,ki->kp", T, way[far]))
         size = np.linalg.norm(way, axis=1)
         x, ok = manifold.closed(manifold.move(before, way * np.minimum(1.0, step / np.maximum(size, 1e-300))[:, None]))
-        gone, rest = manifold.apart(before, x), manifold.apart(x, aim)
+        gone = manifold.apart(before, x)
+        rest = manifold.apart(x, aim)
         ok &= manifold.inside(x) & (gone <= BENT * step) & (rest <= left[on] - FEWEST * np.minimum(step, left[on]))
         ok &= ~far | (size >= FEWEST * step)
-        on, x, rest = on[ok], x[ok], rest[ok]
+        on = on[ok]
+        x = x[ok]
+        rest = rest[ok]
         for k, i in enumerate(map(int, on)):
             out[i].append(x[k])
-        at[on], left[on] = x, rest
+        at[on] = x
+        left[on] = rest
         taken = np.array([len(out[i]) for i in map(int, on)], dtype=int)
         on = on[(rest > MET) & (taken + rest / step <= most[on])]
     return out
@@ -98,7 +109,8 @@ def joined(
     trees = [Tree(manifold, a), Tree(manifold, b)]
     for k in range(most):
         time.check()
-        one, other = trees[k % 2], trees[1 - k % 2]
+        one = trees[k % 2]
+        other = trees[1 - k % 2]
         aim = other.q[0] if k < 2 else random(manifold.system, rng)
         here = one.grow(aim, coarse, time)
         there = other.grow(one.q[here], coarse, time)
@@ -124,7 +136,9 @@ def _shortened(
             break
         ends = np.unique(np.sort(rng.integers(len(way), size=(SHORTCUTS, 2)), axis=1), axis=0)
         ends = ends[ends[:, 1] - ends[:, 0] > 1]
-        points, i, j = np.array(way), ends[:, 0], ends[:, 1]
+        points = np.array(way)
+        i = ends[:, 0]
+        j = ends[:, 1]
         cuts = stepped(manifold, points[i], points[j], step, time, j - i - 1)
         pairs: list[tuple[int, int]] = ends.tolist()
         better = [(len(cut) - (b - a), a, b, cut) for (a, b), cut in zip(pairs, cuts, strict=True)

@@ -26,16 +26,20 @@ WANTED = 0.45
 """Share of steps that shall be taken: the length of steps is fitted to it before anything is kept."""
 BACK = 1e-6
 """How far the step back may miss where it came from."""
-LEAST, LARGEST = 1e-3, 2.0
+LEAST = 1e-3
+LARGEST = 2.0
 
 
 class Walkers:
     """Walkers on a manifold at q (k, nq), each by itself, with steps of standard deviation `sigma`."""
 
     def __init__(self, manifold: Manifold, q: Array, rng: np.random.Generator):
-        self.manifold, self.rng, self.sigma = manifold, rng, FIRST
+        self.manifold = manifold
+        self.rng = rng
+        self.sigma = FIRST
         frames = manifold.frames(q)
-        self.q, self.frames = q[frames.regular], Frames(*(x[frames.regular] for x in frames))
+        self.q = q[frames.regular]
+        self.frames = Frames(*(x[frames.regular] for x in frames))
         self.steps = self.moves = 0
 
     @property
@@ -57,7 +61,10 @@ class Walkers:
             self._step()
 
     def _step(self) -> float:
-        m, q, f, k = self.manifold, self.q, self.frames, len(self.q)
+        m = self.manifold
+        q = self.q
+        f = self.frames
+        k = len(self.q)
         v = self.sigma * self.rng.normal(size=(k, m.dim))
         chance = np.log(np.maximum(self.rng.random(k), 1e-300))
         step, ok = m.lifted(q, _along(f.tangent, v), f.normal)
@@ -73,7 +80,8 @@ class Walkers:
         found &= np.linalg.norm(returned + step[who], axis=1) < BACK
         who = who[found]
         self.q[who], f.tangent[who], f.normal[who] = _some(found, y, tangent, normal)
-        self.steps, self.moves = self.steps + k, self.moves + len(who)
+        self.steps = self.steps + k
+        self.moves = self.moves + len(who)
         return len(who) / max(1, k)
 
 

@@ -32,9 +32,13 @@ MOST = 10**7
 """Configurations at most."""
 CHUNK = 1 << 16
 """Configurations that are drawn, and judged by one-sided constraints, at once."""
-WALKERS, FEW, STARTS = 1000, 100, 4
+WALKERS = 1000
+FEW = 100
+STARTS = 4
 """Walkers at most, those that the length of steps is fitted with, and starts that are assembled for each."""
-FITTED, FIRST, EACH = 60, 140, 40
+FITTED = 60
+FIRST = 140
+EACH = 40
 """Steps whose length is fitted, steps before the first configuration is kept, and between two of one walker."""
 FAR = 1e3
 """Characteristic lengths at which a slide that can be there counts as one that runs away."""
@@ -99,7 +103,9 @@ def sample(
     """
     if not (is_real(n) and 1 <= n <= MOST and n == int(n)):
         raise InputError(f"n is {shown(n)}; it must be a whole number of configurations, from 1 to {MOST}")
-    rng, spend, n = generator(rng), USUAL.of(budget), int(n)
+    rng = generator(rng)
+    spend = USUAL.of(budget)
+    n = int(n)
     time = time_of(USUAL, budget)
 
     def check(done: int) -> None:
@@ -125,7 +131,9 @@ def _of_tree(system: System, n: int, rng: np.random.Generator, check: Callable[[
     v = system.structure.layout.vector_v
     bounded = (np.isfinite(system.lower) & np.isfinite(system.upper)) | circles(system)
     _refuse([system.structure.velocity_names[int(i)] for i in v if not bounded[i]])
-    rows, drawn, why = one_sided_rows(system), 0, None
+    rows = one_sided_rows(system)
+    drawn = 0
+    why = None
     found: list[Array] = []
     try:
         while sum(map(len, found)) < n:
@@ -177,7 +185,8 @@ def _by_walk(
     why = None
     kept: list[Array] = []
     starts = _starts(manifold, min(n, WALKERS), home, rng)
-    few, walkers = Walkers(manifold, starts[:FEW].copy(), rng), Walkers(manifold, starts, rng)
+    few = Walkers(manifold, starts[:FEW].copy(), rng)
+    walkers = Walkers(manifold, starts, rng)
     if not len(walkers.q):
         raise UnsupportedError(f"{system.name}: no regular configuration was found from which to walk")
     try:
@@ -210,7 +219,8 @@ def _starts(manifold: Manifold, count: int, home: Array, rng: np.random.Generato
 
 def _run_away(system: System) -> list[str]:
     """Names of slides that close the loops at a thousand characteristic lengths: nothing bounds them."""
-    names, turning = system.structure.velocity_names, system.structure.coordinates.turning
+    names = system.structure.velocity_names
+    turning = system.structure.coordinates.turning
     manifold = Manifold(system, 1)
     out: list[str] = []
     layout = system.structure.layout

@@ -79,7 +79,9 @@ class TaskSpace(Report):
     @property
     def status(self) -> str:
         """How m, n and the rank compare, and what follows for solutions."""
-        k, m, n = self.generic_rank, self.m, self.n
+        k = self.generic_rank
+        m = self.m
+        n = self.n
         counts = f"m = n = {n}" if m == n else f"m = {m} {'<' if m < n else '>'} n = {n}"
         if m > n:
             lucky = f"unless the {counted(m, 'constraint')} {verb(m, 'is', 'are')} dependent"
@@ -135,9 +137,12 @@ def task_space(
     rng = generator(spend.rng)
     drawn = _drawn(system, start_count(spend.starts, DRAWN), rng)
     at = drawn[0] if q is None else one_finite(system, q)
-    every, m = np.concatenate([at[None], drawn]), sum(count(system, t) for t in wanted)
+    every = np.concatenate([at[None], drawn])
+    m = sum(count(system, t) for t in wanted)
     metres = np.array([unit == "m" for t in wanted for unit in units(system, t)])
-    time, ranks, n = time_of(USUAL), list[int](), system.nv
+    time = time_of(USUAL)
+    ranks = list[int]()
+    n = system.nv
     time.put_in_order()
     try:
         for k in range(0, len(every), SOME):
@@ -151,8 +156,10 @@ def task_space(
         if not ranks or not time.spent:
             raise
         drawn = drawn[: len(ranks) - 1]
-    rank, generic = int(ranks[0]), int(max(ranks))
-    image, p = dict[str, tuple[float, float]](), np.empty((0, 3))
+    rank = int(ranks[0])
+    generic = int(max(ranks))
+    image = dict[str, tuple[float, float]]()
+    p = np.empty((0, 3))
     if frame is not None:
         seen = drawn if has_loops(system) else np.concatenate([drawn, random(system, rng, SEEN)])
         seen = seen[Manifold(system, 1).inside(seen)]

@@ -45,13 +45,15 @@ MOST_SIGNS = 6
 """Branch signs of a closed form, at most: 64 configurations at each place."""
 INSIDE = 1e-9
 """How far, in radians and metres, a configuration may be beyond a limit to be inside."""
-STARTS, LOOKED = 1024, 64
+STARTS = 1024
+LOOKED = 64
 """Random configurations from which others are found, and those at which pairs of coordinates are looked at."""
 SEEDS = 4000
 """Configurations, at most, from which those that reach a place are found."""
 BLOCK = 4096
 """Places of which those reached in several ways are counted at once."""
-SETS, FLAT = 0.2, 1e-6
+SETS = 0.2
+FLAT = 1e-6
 """Area that rates of two coordinates span at half of all configurations, as a part of the largest, for these to be
 taken, and that of two that do not place the others."""
 NEEDED = "both spaces are drawn of systems with two freedoms"
@@ -74,7 +76,11 @@ class TwoFreedoms:
     """Called with how many nodes of a lattice have configurations, and how many it has."""
 
     def __init__(self, system: System, frame: str, task: FlatTask, names: tuple[str, ...], clock: TimeLimit):
-        self.system, self.frame, self.task, self.names, self.clock = system, frame, task, names, clock
+        self.system = system
+        self.frame = frame
+        self.task = task
+        self.names = names
+        self.clock = clock
         velocity = system.structure.velocity_names
         self.at = [velocity.index(n) for n in names]
         self.columns = [system.coordinate_names.index(n) for n in names]
@@ -84,7 +90,8 @@ class TwoFreedoms:
                 raise InputError(f"{name!r} has no limits on both sides, and a picture has an end: "
                                  f"with_limits({{{name!r}: (low, high)}}) gives it one")  # fmt: skip
         self.low, self.high = (x[self.at] for x in sampling_box(system))
-        self.manifold, self.rows = Manifold(system, 2), one_sided_rows(system)
+        self.manifold = Manifold(system, 2)
+        self.rows = one_sided_rows(system)
         self.solver = NodeSolver(self.manifold)
         self.broken: Status | None = None
         self._over: tuple[int, Array, np.ndarray] | None = None
@@ -130,7 +137,8 @@ class TwoFreedoms:
 
     def _off_values(self, values: Array) -> Missing:
         """What coordinates miss of values (k, 2)."""
-        scale, turning = self.manifold.scale[self.at], self.system.structure.coordinates.turning[self.at]
+        scale = self.manifold.scale[self.at]
+        turning = self.system.structure.coordinates.turning[self.at]
         rates = np.eye(self.system.nv)[self.at]
 
         def missing(q: Array, node: np.ndarray) -> tuple[Array, Array]:
@@ -164,12 +172,14 @@ class TwoFreedoms:
         assert self._reaching is not None
         x, y, found, mask = self._reaching
         flat = q.reshape(-1, q.shape[-1])
-        p, count = self.task.of(fk(self.system, flat, self.frame)), mask.sum(axis=1)
+        p = self.task.of(fk(self.system, flat, self.frame))
+        count = mask.sum(axis=1)
         around = nodes_around(x, y, p)
         out = count[around[:, 0]]
         mixed = np.flatnonzero((count[around] != out[:, None]).any(axis=1))
         for at in np.array_split(mixed, 1 + len(mixed) // BLOCK):
-            near, k = around[at], len(at)
+            near = around[at]
+            k = len(at)
             starts = np.concatenate([flat[at, None], found[near].reshape(k, -1, q.shape[-1])], axis=1)
             there = np.insert(mask[near].reshape(k, -1), 0, True, axis=1)
             out[at] = self._again(self._off_places(p[at]), starts, there)[1].sum(axis=1)
@@ -208,10 +218,12 @@ class TwoFreedoms:
     def _again(self, missing: Missing, q: Array, mask: np.ndarray) -> tuple[Array, np.ndarray]:
         """Configurations (n, k, nq) of n problems from those of others, and which (n, k) there are, each once."""
         n, k = mask.shape
-        x, ok = q.reshape(n * k, -1).copy(), mask.ravel().copy()
+        x = q.reshape(n * k, -1).copy()
+        ok = mask.ravel().copy()
         at = np.flatnonzero(ok)
         x[at], ok[at] = self.solver.solved(missing, x[at], at // k)
-        x, ok = x.reshape(n, k, -1), ok.reshape(n, k)
+        x = x.reshape(n, k, -1)
+        ok = ok.reshape(n, k)
         for j in range(1, k):
             for i in range(j):
                 ok[:, j] &= ~(ok[:, i] & self.solver.same(x[:, j], x[:, i]))
@@ -219,7 +231,8 @@ class TwoFreedoms:
 
     def _inside(self, q: Array, mask: np.ndarray) -> tuple[Array, np.ndarray]:
         """Configurations (..., nq), angles inside limits where they can be, and which (...) are there and inside."""
-        flat, ok = np.array(q.reshape(-1, self.system.nq)), np.array(mask.ravel())
+        flat = np.array(q.reshape(-1, self.system.nq))
+        ok = np.array(mask.ravel())
         flat[ok] = self.manifold.metric.representatives(flat[ok], None)
         ok[ok] = (self.rows.beyond(flat[ok]) <= INSIDE).all(axis=-1)
         return flat.reshape(q.shape), ok.reshape(mask.shape)
@@ -233,7 +246,8 @@ class TwoFreedoms:
 class OpenChain(TwoFreedoms):
     """An open system with two coordinates."""
 
-    modes, complete = False, True
+    modes = False
+    complete = True
 
     def over_grid(self, n: int) -> tuple[Array, np.ndarray]:
         """Configurations (n, n, 1, nq) at the values of `grid`, which are all there."""
@@ -282,7 +296,8 @@ class Dyads(TwoFreedoms):
 
     def __init__(self, system: System, frame: str, task: FlatTask, plan: Plan, clock: TimeLimit):
         super().__init__(system, frame, task, plan.known, clock)
-        self.plan, self.placed = plan, _placed(system, frame)
+        self.plan = plan
+        self.placed = _placed(system, frame)
 
     def over_grid(self, n: int) -> tuple[Array, np.ndarray]:
         """Configurations (n, n, k, nq) on all branches, and which (n, n, k) close inside the limits."""
@@ -321,7 +336,8 @@ class Dyads(TwoFreedoms):
 
 def two_freedoms(system: System, frame: str, task: FlatTask, clock: TimeLimit | None = None) -> TwoFreedoms:
     """The system over two of its coordinates. Errors: `UnsupportedError`, `InputError`; see `TwoFreedoms`."""
-    loops, clock = has_loops(system), clock or TimeLimit(None)
+    loops = has_loops(system)
+    clock = clock or TimeLimit(None)
     found = mobility(system, local=False) if loops else None
     freedoms = system.nv if found is None else found.rank_dof
     if freedoms is None:
@@ -372,7 +388,8 @@ def _pair(system: System) -> tuple[str, ...]:
     if not len(q):
         raise UnsupportedError(f"{system.name}: no closed configuration was found: there is nothing to draw")
     N = [tangent_space(system, x)[0] for x in q]
-    names, pairs = system.structure.velocity_names, list(_pairs(system))
+    names = system.structure.velocity_names
+    pairs = list(_pairs(system))
     at = [[names.index(n) for n in pair] for pair in pairs]
     # the area that rates of two coordinates span: what spins idly adds nothing
     areas = [float(np.median([np.prod(svd(x[i], compute_uv=False)[:2]) for x in N])) for i in at]
@@ -387,7 +404,8 @@ def _pair(system: System) -> tuple[str, ...]:
 
 def _placed(system: System, frame: str) -> Plan | None:
     """The closed form with the place of a frame known: that of the mechanism with slides in x and y pinned to it."""
-    m, free = system.mechanism.copy(), "place"
+    m = system.mechanism.copy()
+    free = "place"
     while any(name.startswith(free) for name in (*m.bodies, *m.joints, *m.frames, *m.couplings, *m.constraints)):
         free += "'"
     m.prismatic(f"{free} x", m.ground, m.body(f"{free} 1"), axis=(1, 0))

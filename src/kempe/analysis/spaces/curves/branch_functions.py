@@ -15,7 +15,8 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-LIMIT, SOUND = -1, -2
+LIMIT = -1
+SOUND = -2
 """Kinds of functions beside the numbers of the signs that flip where they are zero: a limit, and what is never zero."""
 Function = tuple[Enclosure, int]
 """A function that is positive where a branch exists, and its kind."""
@@ -51,7 +52,8 @@ def within_turn(angle: tuple[Enclosure, Enclosure], low: float, high: float) -> 
     """What is positive where an angle is between two limits less than a turn apart."""
     if not (math.isfinite(low) or math.isfinite(high)):
         return []
-    mid, half = 0.5 * (low + high), 0.5 * (high - low)
+    mid = 0.5 * (low + high)
+    half = 0.5 * (high - low)
     edge = constant(np.array([math.cos(half)]), len(angle[0].mid) - 1, UNIT)
     return [(angle[0] * math.cos(mid) + angle[1] * math.sin(mid) - edge, LIMIT)]
 

@@ -24,7 +24,8 @@ FIRST = 48
 """Intervals at the beginning."""
 SPLIT = 0.4871
 """Where intervals are cut: not in the middle, so that roots at round numbers do not fall on their ends."""
-COARSE, FINE = 1e-6, 1e-13
+COARSE = 1e-6
+FINE = 1e-13
 """Widths, as parts of the whole, at which functions that touch zero are looked for, and at which it is given up."""
 MOST = 16_000
 """Intervals, times branches, at most."""
@@ -64,7 +65,9 @@ class Decider:
 
     def __init__(self, branches: BranchFunctions, time: TimeLimit):
         m = branches.signs
-        self.branches, self.time, self.left = branches, time, MOST // 2**m
+        self.branches = branches
+        self.time = time
+        self.left = MOST // 2**m
         self.signs = np.array(list(product((1.0, -1.0), repeat=m))).reshape(2**m, m)
         self.size = np.zeros(0)
 
@@ -77,7 +80,8 @@ class Decider:
 
     def _values(self, low: Array, high: Array, order: int) -> tuple[Array, Array, np.ndarray]:
         """Middles and radii (order + 1, f, n, k) of Taylor coefficients of all functions on intervals; kinds (f,)."""
-        n, k = len(low), len(self.signs)
+        n = len(low)
+        k = len(self.signs)
         x = interval(np.repeat(low, k), np.repeat(high, k), order)
         found = self.branches.functions(x, np.tile(self.signs, (n, 1)))
         mid, rad = (np.stack([np.broadcast_to(a, (order + 1, n * k)) for a in each], axis=1)
@@ -100,9 +104,11 @@ class Decider:
             self.left -= len(low)
             end = ~(state == OPEN).any(axis=1) | (high - low <= least) | (self.left < 0)
             done.append(Cells(low, high, state, kind, np.full(state.shape, np.nan)).only(end))
-            low, high = low[~end], high[~end]
+            low = low[~end]
+            high = high[~end]
             cut = low + SPLIT * (high - low)
-            low, high = np.concatenate([low, cut]), np.concatenate([cut, high])
+            low = np.concatenate([low, cut])
+            high = np.concatenate([cut, high])
         return _ordered(done)
 
     def _decided(self, low: Array, high: Array) -> tuple[np.ndarray, np.ndarray]:
@@ -133,7 +139,8 @@ class Decider:
     def _touch(self, low: Array, high: Array) -> Cells:
         """One interval, on which functions may touch zero."""
         mid, rad, kinds = self._values(low, high, 2)
-        (a, a_high), (b, b_high) = self._at(low), self._at(high)
+        (a, a_high) = self._at(low)
+        (b, b_high) = self._at(high)
         state, kind, single = _known(mid[0] - rad[0] > 0.0, kinds)
         place = np.full(state.shape, np.nan)
         for k in np.flatnonzero(single[0] & (kind[0] >= 0)):
@@ -144,7 +151,8 @@ class Decider:
             if max(-least, most) < TOUCHING * self.size[j]:
                 up = mid[2, j, 0, k] > rad[2, j, 0, k] and a[j, 0, k] > 0.0 and b[j, 0, k] > 0.0
                 down = mid[2, j, 0, k] < -rad[2, j, 0, k] and a_high[j, 0, k] < 0.0 and b_high[j, 0, k] < 0.0
-                state[0, k], place[0, k] = (TOUCH if up else POINT if down else OPEN), float(x[0])
+                state[0, k] = TOUCH if up else POINT if down else OPEN
+                place[0, k] = float(x[0])
         state[(mid[0] + rad[0] < 0.0).any(axis=0)] = DEAD
         return Cells(low, high, state, kind, place)
 

@@ -47,7 +47,8 @@ def dyad_branches(system: System) -> tuple[BranchFunctions, ...] | str:
     slots = [link.slot for link in parts.links if link.slot != NOWHERE]
     if Decomposition(system, parts, []).freedom() - len(slots) + len({*slots}) != 1 + len(aside):
         return "by counting, its loops have not one freedom"
-    turns, layout = circles(system), system.structure.layout
+    turns = circles(system)
+    layout = system.structure.layout
     out: list[tuple[bool, BranchFunctions]] = []
     places = zip(map(int, layout.vector_q), map(int, layout.vector_v), strict=True)
     for iq, iv in places:
@@ -100,7 +101,8 @@ class Walk:
     def __init__(self, system: System, plan: Plan):
         ints: list[int] = plan.program[0].tolist()
         given, self.ops = operations(plan.program)
-        self.registers, self.first = ints[K.N_REGISTERS], ints[K.COORDINATES]
+        self.registers = ints[K.N_REGISTERS]
+        self.first = ints[K.COORDINATES]
         self.signs = ints[K.SIGNS]
         self.known, *aside = (self.first + slot for slot in given)
         middle = mid(system)
@@ -208,15 +210,23 @@ def _brought(a: Vector, turn: Vector, b: Vector) -> Any:
 
 def _circles(poses: Any, i: list[int], f: list[float], number: int, sign: Any) -> list[Function]:
     a, c, a1, b1, b2, end = (_pin(poses[i[k + 1]], f[2 * k :]) for k in range(6))
-    way, w1, w2 = _to(a, c), _to(a1, b1), _to(end, b2)
-    d, r1, r2 = _square(way), _square(w1), _square(w2)
-    total, less = r1.root() + r2.root(), r1.root() - r2.root()
-    far, near = total * total - d, d - less * less
-    along, high = (d + (r1 - r2)) / (d * 2.0), far.root() * near.root() / (d * 2.0) * sign
+    way = _to(a, c)
+    w1 = _to(a1, b1)
+    w2 = _to(end, b2)
+    d = _square(way)
+    r1 = _square(w1)
+    r2 = _square(w2)
+    total = r1.root() + r2.root()
+    less = r1.root() - r2.root()
+    far = total * total - d
+    near = d - less * less
+    along = (d + (r1 - r2)) / (d * 2.0)
+    high = far.root() * near.root() / (d * 2.0) * sign
     to = way[0] * along - way[1] * high, way[1] * along + way[0] * high
     c1, s1 = (x / r1 for x in _turned(to, w1))
     c2, s2 = (x / r2 for x in _turned(_to(way, to), w2))
-    poses[i[8]], poses[i[9]] = _brought(a, (c1, s1), a1), _brought(c, (c2, s2), end)
+    poses[i[8]] = _brought(a, (c1, s1), a1)
+    poses[i[9]] = _brought(c, (c2, s2), end)
     return [(r1, SOUND), (r2, SOUND), (d, SOUND), (far, number), (near, number)]
 
 
@@ -227,7 +237,8 @@ def _line_circle(poses: Any, i: list[int], f: list[float], number: int, sign: An
     turn = _turned((dx, dy), (ex, ey))
     w = b1[0] - qx, b1[1] - qy
     g = px + (turn[0] * w[0] - turn[1] * w[1]) - a[0], py + (turn[1] * w[0] + turn[0] * w[1]) - a[1]
-    along, h = g[0] * dx + g[1] * dy, dx * g[1] - dy * g[0]
+    along = g[0] * dx + g[1] * dy
+    h = dx * g[1] - dy * g[0]
     arm = _to(a2, b2)
     square = _square(arm)
     r = square.root()
@@ -244,13 +255,17 @@ def _lines(poses: Any, i: list[int], f: list[float], number: int, sign: Any) -> 
     q1x, q1y, e1x, e1y = _rail(poses[i[2]], f[4:])
     p2x, p2y, d2x, d2y = _rail(poses[i[3]], f[8:])
     q2x, q2y, e2x, e2y = _rail(poses[i[4]], f[12:])
-    b1, b2 = _pin(poses[i[5]], f[16:]), _pin(poses[i[6]], f[18:])
-    one, two = _turned((d1x, d1y), (e1x, e1y)), _turned((d2x, d2y), (e2x, e2y))
-    u, w = (b1[0] - q1x, b1[1] - q1y), (b2[0] - q2x, b2[1] - q2y)
+    b1 = _pin(poses[i[5]], f[16:])
+    b2 = _pin(poses[i[6]], f[18:])
+    one = _turned((d1x, d1y), (e1x, e1y))
+    two = _turned((d2x, d2y), (e2x, e2y))
+    u = (b1[0] - q1x, b1[1] - q1y)
+    w = (b2[0] - q2x, b2[1] - q2y)
     gx = p2x + (two[0] * w[0] - two[1] * w[1]) - p1x - (one[0] * u[0] - one[1] * u[1])
     gy = p2y + (two[1] * w[0] + two[0] * w[1]) - p1y - (one[1] * u[0] + one[0] * u[1])
     det = d1x * d2y - d1y * d2x
-    t1, t2 = (gx * d2y - gy * d2x) / det, (gx * d1y - gy * d1x) / det
+    t1 = (gx * d2y - gy * d2x) / det
+    t2 = (gx * d1y - gy * d1x) / det
     poses[i[7]] = _brought((p1x + t1 * d1x, p1y + t1 * d1y), one, (q1x, q1y))
     poses[i[8]] = _brought((p2x + t2 * d2x, p2y + t2 * d2y), two, (q2x, q2y))
     return [(det * det, SOUND)]
@@ -261,10 +276,13 @@ def _lines(poses: Any, i: list[int], f: list[float], number: int, sign: Any) -> 
 
 def _read_turn(poses: Any, i: list[int], f: list[float]) -> Vector:
     """Cosine and sine of a coordinate that turns."""
-    a, b = poses[i[1]], poses[i[2]]
-    c, s = a[0] * b[0] + a[1] * b[1], a[0] * b[1] - a[1] * b[0]
+    a = poses[i[1]]
+    b = poses[i[2]]
+    c = a[0] * b[0] + a[1] * b[1]
+    s = a[0] * b[1] - a[1] * b[0]
     c, s = _scaled((c * f[0] - s * f[1], s * f[0] + c * f[1]), f[2])
-    co, so = math.cos(f[3]), math.sin(f[3])
+    co = math.cos(f[3])
+    so = math.sin(f[3])
     return c * co - s * so, s * co + c * so
 
 

@@ -21,7 +21,8 @@ def loop_of(system: System) -> tuple[tuple[str, ...], tuple[str, ...]] | str:
         return "it has more than one loop" if s.closures else "it has no loop"
     if s.relations or s.couplings or system.mechanism.constraints:
         return "coordinates are tied by more than its loop"
-    joints, parent = s.joints, dict(zip(system.body_names[1:], system.parent, strict=True))
+    joints = s.joints
+    parent = dict(zip(system.body_names[1:], system.parent, strict=True))
     up = dict(zip(system.body_names[1:], s.parent_joints, strict=True))
 
     def root(body: str) -> list[str]:
@@ -31,9 +32,11 @@ def loop_of(system: System) -> tuple[tuple[str, ...], tuple[str, ...]] | str:
         return out
 
     last = joints[s.closures[0]]
-    a, b = root(last.parent), root(last.child)
+    a = root(last.parent)
+    b = root(last.child)
     top = next(body for body in a if body in b)
-    left, right = a[: a.index(top)], b[: b.index(top)]
+    left = a[: a.index(top)]
+    right = b[: b.index(top)]
     bodies = [top, *reversed(left), *right]
     names = [*(up[x] for x in reversed(left)), last.name, *(up[x] for x in right)]
     return tuple(bodies), tuple(names)

@@ -67,7 +67,8 @@ def _over(system: System, ring: list[str], joints: list[Joint]) -> list[BranchFu
     """The branches over the first of four joints, with the last one as the other: none where they do not fit."""
     first, ball, other, last = joints
     base, crank, rod, rocker = ring
-    turns, limits = dict(zip(system.structure.velocity_names, circles(system), strict=True)), _limits(system)
+    turns = dict(zip(system.structure.velocity_names, circles(system), strict=True))
+    limits = _limits(system)
     given = first.name in limits and (turns[first.name] or math.isfinite(np.ptp(limits[first.name])))
     if not given or any(n != first.name and n != last.name and _limited(system, n) for n in (ball.name, other.name)):
         return []
@@ -119,30 +120,36 @@ def _rod(system: System, ring: tuple[str, ...], joints: list[Joint]) -> Rod | No
     ends = pin(system, ball, crank)[0], pin(system, other, rocker)[0]
     if kinds[1:3] == [[Q], [Q]]:
         length = float(np.linalg.norm(pin(system, ball, rod)[0] - pin(system, other, rod)[0]))
-        p, r = _curve(system, first, base, crank, ends[0], 1.0), _curve(system, last, base, rocker, ends[1], 1.0)
+        p = _curve(system, first, base, crank, ends[0], 1.0)
+        r = _curve(system, last, base, rocker, ends[1], 1.0)
         return Rod(p, r, length, kinds[3] == [P])
     if kinds[1:] != [[R], [R], [R]]:
         return None
     axes = {(joints[k].name, b): _axis(system, joints[k], b) for k in range(4) for b in (ring[k], ring[(k + 1) % 4])}
     pairs = [[axes[joints[k - 1].name, b], axes[joints[k].name, b]] for k, b in enumerate(ring)]
-    (_, u), (_, v) = axes[ball.name, crank], axes[other.name, rocker]
+    (_, u) = axes[ball.name, crank]
+    (_, v) = axes[other.name, rocker]
     if _concurrent(pairs):
         length = float(np.linalg.norm(axes[ball.name, rod][1] - axes[other.name, rod][1]))
-        p, r = _curve(system, first, base, crank, u, 0.0), _curve(system, last, base, rocker, v, 0.0)
+        p = _curve(system, first, base, crank, u, 0.0)
+        r = _curve(system, last, base, rocker, v, 0.0)
         return Rod(p, r, length, False) if SAME < 0.25 * length**2 < 1.0 - SAME else None
     if not _parallel(pairs):
         return None
     n = axes[first.name, base][1]
-    (x, _), (y, m) = axes[ball.name, rod], axes[other.name, rod]
+    (x, _) = axes[ball.name, rod]
+    (y, m) = axes[other.name, rod]
     length = float(np.linalg.norm((y - x) - m * (m @ (y - x))))
-    p, r = _curve(system, first, base, crank, ends[0], 1.0), _curve(system, last, base, rocker, ends[1], 1.0)
+    p = _curve(system, first, base, crank, ends[0], 1.0)
+    r = _curve(system, last, base, rocker, ends[1], 1.0)
     return Rod(p - (p @ n)[:, None] * n, r - (r @ n)[:, None] * n, length, False)
 
 
 def _curve(system: System, joint: Joint, base: str, crank: str, point: Array, weight: float) -> Array:
     """Coefficients of 1, cos and sin, or of 1 and the slide, of a point (or, of weight 0, a direction) on a crank, seen
     from the base."""  # fmt: skip
-    F, M = joint.X_PF.evaluate(system.mechanism.parameters), joint.X_CM.evaluate(system.mechanism.parameters)
+    F = joint.X_PF.evaluate(system.mechanism.parameters)
+    M = joint.X_CM.evaluate(system.mechanism.parameters)
     turns = primitives_of(system, joint)[0].kind == R
     at = 2.0 * np.pi / 3.0 * np.arange(3.0) if turns else np.array([0.0, 1.0])
     X = F @ motion(primitives_of(system, joint), at[:, None]) @ inverse(M)
@@ -164,11 +171,13 @@ def _concurrent(pairs: list[list[Axis]]) -> bool:
     """Whether the axes of each body (of joint k - 1 and k, by body) meet, and each is met at one place from both."""
     places: list[tuple[float, float]] = []
     for (x, u), (y, v) in pairs:
-        c, w = float(u @ v), y - x
+        c = float(u @ v)
+        w = y - x
         det = 1.0 - c * c
         if det < SAME:
             return False
-        s, t = float(w @ (u - c * v)) / det, float(w @ (c * u - v)) / det
+        s = float(w @ (u - c * v)) / det
+        t = float(w @ (c * u - v)) / det
         if np.linalg.norm(x + s * u - y - t * v) > SAME * (1.0 + np.linalg.norm(w)):
             return False
         places.append((s, t))
@@ -178,11 +187,15 @@ def _concurrent(pairs: list[list[Axis]]) -> bool:
 
 def _parallel(pairs: list[list[Axis]]) -> bool:
     """Whether the axes of each body are parallel, and the steps along them add up to nothing."""
-    step, sense, size = 0.0, 1.0, 1.0
+    step = 0.0
+    sense = 1.0
+    size = 1.0
     for (x, u), (y, v) in pairs:
         if np.linalg.norm(np.cross(u, v)) > SAME:
             return False
-        step, sense, size = step + sense * float(u @ (y - x)), sense * float(u @ v), size + float(np.linalg.norm(y - x))
+        step = step + sense * float(u @ (y - x))
+        sense = sense * float(u @ v)
+        size = size + float(np.linalg.norm(y - x))
     return abs(step) < SAME * size and sense > 0.0
 
 
@@ -190,7 +203,10 @@ class RodWalk:
     """The functions of a rod between two cranks, or a crank and a slide from `low` to `high`."""
 
     def __init__(self, rod: Rod, low: float, high: float, size: float):
-        self.rod, self.low, self.high, self.size = rod, low, high, size
+        self.rod = rod
+        self.low = low
+        self.high = high
+        self.size = size
 
     def __call__(self, x: Enclosure, signs: Array) -> list[Function]:
         """What is positive where the branches with these signs (n, 1) exist, on intervals of the crank's angle."""

@@ -38,7 +38,8 @@ if TYPE_CHECKING:
 
 TRIES = 4
 """Coordinates over which is swept at most."""
-AT_LEFT, AT_RIGHT = (ALIVE, LEFT, TOUCH, OPEN), (ALIVE, RIGHT, TOUCH, OPEN)
+AT_LEFT = (ALIVE, LEFT, TOUCH, OPEN)
+AT_RIGHT = (ALIVE, RIGHT, TOUCH, OPEN)
 """States with which a branch is there, or may be, at the left and right ends of an interval."""
 
 
@@ -65,7 +66,8 @@ class CurveSweep:
     @property
     def reason(self) -> str:
         """What was proven, and how."""
-        k, name = len(self.signs), self.branches.name
+        k = len(self.signs)
+        name = self.branches.name
         over = f"{k} branch{'es' * (k > 1)} over {name!r}, bounded on {counted(len(self.label), 'interval')}"
         touching = counted(len(self.crossings), "place") if len(self.crossings) else ""
         over += f"; they touch in {touching}, to rounding" if touching else ""
@@ -76,7 +78,8 @@ class CurveSweep:
         """A configuration (count, nq) on each component, in the middle of its widest interval."""
         wide = np.where(self.cells.state == ALIVE, (self.cells.high - self.cells.low)[:, None], 0.0)
         middle = 0.5 * (self.cells.low + self.cells.high)
-        x, which = np.empty(self.count), np.empty(self.count, dtype=int)
+        x = np.empty(self.count)
+        which = np.empty(self.count, dtype=int)
         for c in range(self.count):
             i, which[c] = np.unravel_index(int(np.argmax(np.where(self.label == c, 1.0 + wide, 0.0))), wide.shape)
             place = self.cells.place[i, which[c]]
@@ -92,7 +95,8 @@ class CurveSweep:
 
     def labels(self, q: Array) -> np.ndarray:
         """The components (n,) of configurations (n, nq); -1 where it is not certain."""
-        b, out = self.branches, np.full(len(q), -1)
+        b = self.branches
+        out = np.full(len(q), -1)
         for i, row in enumerate(q):
             x = float(row[b.place])
             x -= 2.0 * np.pi * np.floor((x - b.low) / (2.0 * np.pi)) if b.closes else 0.0
@@ -122,7 +126,8 @@ def _joined(branches: BranchFunctions, signs: Array, cells: Cells) -> np.ndarray
     """The numbers (n, k) of what is joined, of each branch on each interval."""
     from scipy.sparse import coo_matrix, csgraph
 
-    (n, k), node = cells.state.shape, np.arange(cells.state.size).reshape(cells.state.shape)
+    (n, k) = cells.state.shape
+    node = np.arange(cells.state.size).reshape(cells.state.shape)
     last = n if branches.closes else n - 1
     goes_on = np.isin(cells.state, AT_RIGHT) & np.roll(np.isin(cells.state, AT_LEFT), -1, axis=0)
     pairs = [(node[:last][goes_on[:last]], np.roll(node, -1, axis=0)[:last][goes_on[:last]])]

@@ -21,7 +21,8 @@ def legs_of(system: System, frame: str) -> tuple[System, ...]:
     Bodies that hang on others only are left out. Constraints and couplings may tie legs: with these there are none.
     """
     m = system.mechanism
-    ground, body = system.body_names[0], m.frames[frame].body if frame in m.frames else frame
+    ground = system.body_names[0]
+    body = m.frames[frame].body if frame in m.frames else frame
     if m.constraints or m.couplings or system.structure.relations or body == ground:
         return ()
     out: list[System] = []
@@ -38,11 +39,13 @@ def legs_of(system: System, frame: str) -> tuple[System, ...]:
 
 def _between(m: Mechanism, ground: str, body: str) -> list[list[str]]:
     """Names of the joints of each part that lies between two bodies, without what hangs on it."""
-    ends, free = {ground, body}, dict(m.joints)
+    ends = {ground, body}
+    free = dict(m.joints)
     parts: list[list[str]] = []
     while free:
         first = next(iter(free.values()))
-        inside, names = {first.parent, first.child} - ends, [first.name]
+        inside = {first.parent, first.child} - ends
+        names = [first.name]
         del free[first.name]
         while more := [j for j in free.values() if {j.parent, j.child} & inside]:
             for j in more:

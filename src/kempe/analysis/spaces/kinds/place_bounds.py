@@ -33,7 +33,8 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-ROUNDING, MISSED = 1e-9, 1e-6
+ROUNDING = 1e-9
+MISSED = 1e-6
 """Slack for rounding, as a part of the box; and by how much [m] the inverse model may miss a place that it reaches."""
 
 
@@ -68,7 +69,9 @@ def _bounds(system: System, frame: str) -> PlaceBounds:
     ints, floats = table.pack([frame])
     limits = system.structure.limits[v_index].T
     shells = tuple(b for b in reach_bounds(ints, floats, limits) if not b.point.any())
-    rows, numbers, placements = rows_of(ints), numbers_of(ints, floats), placements_of(ints, floats)
+    rows = rows_of(ints)
+    numbers = numbers_of(ints, floats)
+    placements = placements_of(ints, floats)
     box = np.tile(placements[-1][:, 3], (2, 1))
     for row, own, X in zip(rows[::-1], numbers[::-1], placements[-2::-1], strict=True):
         if row[KIND] == TURN:
@@ -96,10 +99,13 @@ def _turned(box: Array, low: float, high: float) -> Array:
     if not np.isfinite(box[:, :2]).all():
         out[:, :2] = [[-np.inf], [np.inf]]
         return out
-    x, y = (np.repeat(box[:, 0], 2), np.tile(box[:, 1], 2))
-    r, angle = np.hypot(x, y), np.arctan2(y, x)
+    x = np.repeat(box[:, 0], 2)
+    y = np.tile(box[:, 1], 2)
+    r = np.hypot(x, y)
+    angle = np.arctan2(y, x)
     if not high - low < 2.0 * math.pi:
-        low, high = 0.0, 2.0 * math.pi
+        low = 0.0
+        high = 2.0 * math.pi
     for axis, quarter in ((0, 0.0), (1, 0.5 * math.pi)):  # the largest value is at `quarter`, the least opposite
         at = np.stack([r * np.cos(angle + low - quarter), r * np.cos(angle + high - quarter)])
         for k, side in ((1, 0.0), (0, math.pi)):

@@ -29,7 +29,10 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-REACHABLE, CONSTANT, DEXTEROUS, ORIENTATION = "reachable", "constant-orientation", "dexterous", "orientation"
+REACHABLE = "reachable"
+CONSTANT = "constant-orientation"
+DEXTEROUS = "dexterous"
+ORIENTATION = "orientation"
 KINDS = (REACHABLE, CONSTANT, DEXTEROUS, ORIENTATION)
 TURNS = {2: 180, 3: 256}
 """Orientations that stand for all of them, in the plane and in space."""
@@ -57,7 +60,8 @@ class WorkspaceKind:
     @classmethod
     def said(cls, made: dict[str, Any]) -> WorkspaceKind:
         """The kind of a stored map."""
-        at, turns = tuple(made["at"]), tuple(tuple(r) for r in made["turns"])
+        at = tuple(made["at"])
+        turns = tuple(tuple(r) for r in made["turns"])
         return cls(made["kind"], turns, at, made["tried"])
 
     @cached_property
@@ -134,7 +138,10 @@ def rotations_at(points: Array, dim: int) -> Array:
     if dim == 2:
         return spatial.exp_so3(np.column_stack([0.0 * a, 0.0 * a, a]))
     s = np.sqrt(np.maximum(1.0 - c * c, 0.0))
-    ca, sa, cb, sb = np.cos(a), np.sin(a), np.cos(b), np.sin(b)
+    ca = np.cos(a)
+    sa = np.sin(a)
+    cb = np.cos(b)
+    sb = np.sin(b)
     rows = [[ca * c * cb - sa * sb, -ca * c * sb - sa * cb, ca * s],
             [sa * c * cb + ca * sb, -sa * c * sb + ca * cb, sa * s], [-s * cb, s * sb, c]]  # fmt: skip
     return np.moveaxis(np.array(rows), -1, 0)
@@ -162,8 +169,10 @@ def spread_rotations(n: int, dim: int) -> Array:
     if dim == 2:
         return rotations_at(np.pad(2.0 * np.pi * np.arange(n)[:, None] / n, ((0, 0), (0, 2))), 2)
     s = np.arange(n) + 0.5
-    a, b = 2.0 * np.pi * s / np.sqrt(2.0), 2.0 * np.pi * s / 1.533751168755204288118041
-    near, far = np.sqrt(s / n), np.sqrt(1.0 - s / n)
+    a = 2.0 * np.pi * s / np.sqrt(2.0)
+    b = 2.0 * np.pi * s / 1.533751168755204288118041
+    near = np.sqrt(s / n)
+    far = np.sqrt(1.0 - s / n)
     quat_wxyz = np.column_stack([near * np.sin(a), near * np.cos(a), far * np.sin(b), far * np.cos(b)])
     return spatial.quat_wxyz_to_matrix(quat_wxyz)
 

@@ -38,7 +38,8 @@ CONVERGED = 1e-13
 """Step of a parameter below which a nearest point is found."""
 GROUP = 16
 """Successive chords whose boxes are compared as one."""
-AT_END, FLAT_ANGLE = 1e-3, 1e-2
+AT_END = 1e-3
+FLAT_ANGLE = 1e-2
 """Difference of parameters, and angle, within which curves that meet at an end touch there."""
 ITSELF = 0.01
 """Difference of parameters below which a curve meets itself because it goes on."""
@@ -48,7 +49,8 @@ def cosine_intervals(middle: float, low: float, high: float) -> list[tuple[float
     """Intervals of angles within one turn in which low <= cos(angle - middle) <= high."""
     if high < -1.0 or low > 1.0 or high < low:
         return []
-    near, far = float(np.arccos(min(high, 1.0))), float(np.arccos(max(low, -1.0)))
+    near = float(np.arccos(min(high, 1.0)))
+    far = float(np.arccos(max(low, -1.0)))
     whole = [(middle - far, middle - near), (middle + near, middle + far)]
     if near > 0.0:
         return whole if far < np.pi else [(middle + near, middle + TURN - near)]
@@ -84,7 +86,9 @@ class FourBar:
 
     def _chord(self, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The middle (...) and the direction of the chord in which a's circle meets b's curve, and its square."""
-        one, two, ud = self.first, self.second, turns * (self.b - self.a)
+        one = self.first
+        two = self.second
+        ud = turns * (self.b - self.a)
         if two.is_arc:
             to = two.centre - ud - one.centre
             far = np.maximum(np.abs(to), 1e-300)
@@ -102,11 +106,13 @@ class FourBar:
     def _of_first(self, s: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Where the point a is (...); u (...) are the turns there."""
         if not self.first.is_arc:  # both are segments, which are not parallel
-            one, two = self.first, self.second
+            one = self.first
+            two = self.second
             gap = two.centre - u * (self.b - self.a) - one.centre
             return one.centre + one.way * np.imag(gap * np.conj(two.way)) / np.imag(one.way * np.conj(two.way))
         foot, way, square = self._chord(u)
-        s, half = np.asarray(s), np.asarray(np.sqrt(np.maximum(square, 0.0)))
+        s = np.asarray(s)
+        half = np.asarray(np.sqrt(np.maximum(square, 0.0)))
         # beside a dead centre the chord grows with sin(pi s): there its square is lost in rounding
         low, high = np.where(self._dead, (BESIDE, 1.0 - BESIDE), (-1.0, 2.0))
         beside = (s < low) | (s > high)
@@ -152,8 +158,10 @@ def _intervals(one: PlanePiece, two: PlanePiece, d: complex) -> list[tuple[float
         middle = 0.5 * np.pi - float(np.angle(d * w.conjugate()))
         return cosine_intervals(middle, (-one.radius - off) / abs(d), (one.radius - off) / abs(d))
     base = two.centre - one.centre
-    scale, total = 2.0 * abs(base) * abs(d), abs(base) ** 2 + abs(d) ** 2
-    least, most = (one.radius - two.radius) ** 2, (one.radius + two.radius) ** 2
+    scale = 2.0 * abs(base) * abs(d)
+    total = abs(base) ** 2 + abs(d) ** 2
+    least = (one.radius - two.radius) ** 2
+    most = (one.radius + two.radius) ** 2
     if scale <= ROUNDING * total:
         return [(0.0, TURN)] if least <= total <= most else []
     middle = float(np.angle(base / d))
@@ -183,7 +191,8 @@ def _overlapping(one: np.ndarray, two: np.ndarray) -> tuple[np.ndarray, np.ndarr
     inside = np.arange(GROUP)
     i, j = (x[:, None] * GROUP + inside for x in np.nonzero(_overlap(groups[0][..., None], groups[1][:, :, None])))
     i, j = np.broadcast_arrays(i[:, :, None], j[:, None, :])
-    i, j = i.ravel(), j.ravel()
+    i = i.ravel()
+    j = j.ravel()
     both = _overlap(one[..., i], two[..., j])
     return i[both], j[both]
 
@@ -257,7 +266,8 @@ class CouplerCurve(PlaneCurve):
     @cached_property
     def moment(self) -> float:
         """Half of the integral of x dy - y dx along it: its part of the area that a closed curve has to its left."""
-        value, rounding = np.inf, ROUNDING * self.length * (self.length + float(np.abs(self._fine[1]).max()))
+        value = np.inf
+        rounding = ROUNDING * self.length * (self.length + float(np.abs(self._fine[1]).max()))
         for n in NODES:
             before = value
             x, w = _gauss(n)
@@ -277,13 +287,16 @@ class CouplerCurve(PlaneCurve):
         t, fine = self._fine
         far = np.abs(p[:, None] - fine)
         best = np.argmin(far, axis=1)
-        x, least = t[best], far[np.arange(len(p)), best]
+        x = t[best]
+        least = far[np.arange(len(p)), best]
         for _ in range(5):  # towards the foot of the perpendicular
             v = self.velocity(x)
             foot = x + np.real(np.conj(v) * (p - self.at(x))) / np.maximum(np.abs(v) ** 2, 1e-300)
             foot = np.clip(foot, 0.0, 1.0)
-            off, still = np.abs(p - self.at(foot)), np.abs(foot - x).max(initial=0.0)
-            x, least = np.where(off <= least, foot, x), np.minimum(off, least)
+            off = np.abs(p - self.at(foot))
+            still = np.abs(foot - x).max(initial=0.0)
+            x = np.where(off <= least, foot, x)
+            least = np.minimum(off, least)
             if still < CONVERGED:
                 break
         return x, least
@@ -304,7 +317,8 @@ class CouplerCurve(PlaneCurve):
         """Least and largest x and y (2, 2, n) of boxes about chords between samples, wide enough for the curve."""
         z = self._fine[1]
         corners = np.stack([z[:-1], z[1:]])
-        xy, wide = np.stack([np.real(corners), np.imag(corners)]), MARGIN * np.abs(np.diff(z))
+        xy = np.stack([np.real(corners), np.imag(corners)])
+        wide = MARGIN * np.abs(np.diff(z))
         return np.stack([xy.min(axis=1) - wide, xy.max(axis=1) + wide])
 
     def roots(self, f: Callable[[np.ndarray], np.ndarray], touch: float = 0.0) -> np.ndarray:
@@ -315,20 +329,26 @@ class CouplerCurve(PlaneCurve):
         middle = middle[(y[middle] * y[middle - 1] > 0.0) & (y[middle] * y[middle + 1] > 0.0)]
         falls = np.maximum(np.abs(y[middle - 1] - y[middle]), np.abs(y[middle + 1] - y[middle]))
         middle = middle[np.abs(y[middle]) <= falls + touch]  # else it does not come to 0 between two samples
-        low, high = t[middle - 1], t[middle + 1]
+        low = t[middle - 1]
+        high = t[middle + 1]
         for _ in range(HALVINGS if len(middle) else 0):  # the least of |f|, by thirds
-            a, b = low + (high - low) / 3.0, high - (high - low) / 3.0
+            a = low + (high - low) / 3.0
+            b = high - (high - low) / 3.0
             left = f(a) * np.sign(y[middle]) < f(b) * np.sign(y[middle])
-            low, high = np.where(left, low, a), np.where(left, b, high)
+            low = np.where(left, low, a)
+            high = np.where(left, b, high)
         nearest = 0.5 * (low + high)
         t = np.sort(np.concatenate([t, nearest]))
         y = f(t)
         k = np.flatnonzero(y[:-1] * y[1:] < 0.0)
-        low, high, sign = t[k], t[k + 1], np.sign(y[k])
+        low = t[k]
+        high = t[k + 1]
+        sign = np.sign(y[k])
         for _ in range(HALVINGS if len(k) else 0):
             x = 0.5 * (low + high)
             same = f(x) * sign > 0.0
-            low, high = np.where(same, x, low), np.where(same, high, x)
+            low = np.where(same, x, low)
+            high = np.where(same, high, x)
         close = nearest[np.abs(f(nearest)) <= touch] if len(nearest) else nearest
         return np.concatenate([0.5 * (low + high), t[y == 0.0], close])
 
@@ -362,19 +382,24 @@ class CouplerCurve(PlaneCurve):
             one, two = ((b[0].min(axis=1), b[1].max(axis=1)) for b in (self._boxes, other._boxes))
             return bool((one[0] > two[1]).any() or (two[0] > one[1]).any())
         assert isinstance(other, PlanePiece)
-        off, chord = np.abs(other.off(self._fine[1])), np.abs(np.diff(self._fine[1])).max()
+        off = np.abs(other.off(self._fine[1]))
+        chord = np.abs(np.diff(self._fine[1])).max()
         return bool(off.min() > chord)
 
     def _crossed(self, other: CouplerCurve, near: float) -> np.ndarray:
         """Parameters (k,) where it comes as near as that to another one: Newton's method from where boxes overlap."""
-        t, s = self._fine[0], other._fine[0]
+        t = self._fine[0]
+        s = other._fine[0]
         i, j = _overlapping(self._boxes, other._boxes)
         if not len(i):
             return np.zeros(0)
-        x, y = 0.5 * (t[i] + t[i + 1]), 0.5 * (s[j] + s[j + 1])
+        x = 0.5 * (t[i] + t[i + 1])
+        y = 0.5 * (s[j] + s[j + 1])
         step = 1.0 / (SAMPLES - 1)
         for _ in range(12):
-            gap, v, w = other.at(y) - self.at(x), self.velocity(x), other.velocity(y)
+            gap = other.at(y) - self.at(x)
+            v = self.velocity(x)
+            w = other.velocity(y)
             across = np.imag(np.conj(v) * w)
             across = np.where(np.abs(across) < 1e-300, 1e-300, across)
             x = np.clip(x + np.clip(np.imag(np.conj(gap) * w) / across, -step, step), 0.0, 1.0)

@@ -50,11 +50,13 @@ class PlanarJoint:
     def curve(self, p: complex, back: bool = False) -> PlanePiece:
         """The piece along which it leads a point; `back`: that of the points which it leads to p."""
         sense = -1.0 if back else 1.0
-        low, high = self.low, self.high
+        low = self.low
+        high = self.high
         if self.axis is None:
             return PlanePiece(p + sense * self.way * low, 0.0, way=sense * self.way * (high - low))
         if not self.limits:
-            low, high = 0.0, TURN / abs(self.rate)
+            low = 0.0
+            high = TURN / abs(self.rate)
         d = p - self.axis
         return PlanePiece(
             self.axis, abs(d), float(np.angle(d)) + sense * self.rate * low, sense * self.rate * (high - low)
@@ -158,7 +160,8 @@ class PlanarChain(RegionOfArcs):
 
     def _fixed(self, choice: tuple[float | None, ...], i: int, k: int) -> tuple[complex, complex]:
         """The motion of joints i to k, which are at limits."""
-        a, b = 1.0 + 0j, 0j
+        a = 1.0 + 0j
+        b = 0j
         for joint, x in zip(self.joints[i:k], choice[i:k], strict=True):
             assert x is not None
             c, d = joint.motion(x)
@@ -175,7 +178,8 @@ class PlanarChain(RegionOfArcs):
 
     def _before(self, i: int, k: int, a: complex, b: complex, t: complex, u: complex) -> list[tuple[complex, complex]]:
         """What of a state (t, u) of joint k becomes one of joint i, with k where all are on a line again."""
-        first, joint = self.joints[i], self.joints[k]
+        first = self.joints[i]
+        joint = self.joints[k]
         if joint.axis is None and first.axis is None:
             return []  # parallel slides: what they reach together they reach with one of them at a limit
         if joint.axis is None:
@@ -232,5 +236,6 @@ def _carried(motion: tuple[complex, complex], z: complex) -> complex:
 
 
 def _moved(piece: PlanePiece, motion: tuple[complex, complex]) -> PlanePiece:
-    a, centre = motion[0], _carried(motion, piece.centre)
+    a = motion[0]
+    centre = _carried(motion, piece.centre)
     return PlanePiece(centre, piece.radius, piece.start + float(np.angle(a)), piece.sweep, a * piece.way)

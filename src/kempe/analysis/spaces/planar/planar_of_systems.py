@@ -59,7 +59,8 @@ def planar_region(system: System, frame: str, question: WorkspaceKind) -> Planar
 
 def at_zero(system: System) -> Array:
     """The configuration (nq,) with all coordinates at zero, but for those that their limits hold."""
-    q, held = system.neutral.copy(), system.lower == system.upper
+    q = system.neutral.copy()
+    held = system.lower == system.upper
     q[held] = system.lower[held]  # planar coordinates and velocities have the same places
     return q
 
@@ -147,7 +148,9 @@ def planar_chain(system: System, frame: str) -> PlanarChain:
         )
     if len(names) > MOST:
         raise UnsupportedError(f"the chain of {frame!r} has {len(names)} joints; it may have {MOST}")
-    q, low, high = at_zero(system), system.lower[v_index], system.upper[v_index]
+    q = at_zero(system)
+    low = system.lower[v_index]
+    high = system.upper[v_index]
     tip = complex(*fk(system, q, frame)[:2, 3])
     J = jacobian(system, q, frame)[:, v_index]
     joints: list[PlanarJoint] = []

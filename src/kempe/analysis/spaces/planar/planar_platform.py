@@ -147,7 +147,8 @@ class RegionOfPlatform(PlanarRegion):
         t = np.unique(np.concatenate([[0.0, 1.0], *cuts]).clip(0.0, 1.0))
         for a, b in itertools.pairwise(t[np.concatenate([[True], np.diff(t) > NOTHING])]):
             x = 0.5 * (a + b)
-            p, u = complex(path.at(x)), motion.turns(x)
+            p = complex(path.at(x))
+            u = motion.turns(x)
             if not all(bool(leg.region.holds(p + u * leg.b)) for leg in self.legs if leg not in held):
                 continue
             same_side = len(rates) == 2 and self.curve is None and float(rates[0](x) * rates[1](x)) > 0.0
@@ -189,7 +190,8 @@ class RegionOfPlatform(PlanarRegion):
         for leg in self.legs:
             if leg is not self.curve:
                 some = leg.region.holds(p[i] + np.exp(1j * angles[i, j]) * leg.b)
-                i, j = i[some], j[some]
+                i = i[some]
+                j = j[some]
         return np.isin(np.arange(len(p)), i)
 
 
@@ -200,7 +202,8 @@ def _angles(p: np.ndarray, b: complex, end: PlanePiece) -> np.ndarray:
         to = end.centre - p
         far = np.where(to == 0.0, np.nan, np.abs(to))
         along = (far**2 + r**2 - end.radius**2) / (2.0 * far)
-        foot, across = p + along * to / far, 1j * to / far
+        foot = p + along * to / far
+        across = 1j * to / far
     else:
         across = np.full(p.shape, end.way / abs(end.way))
         foot = p + 1j * across * -end.off(p)
@@ -224,7 +227,8 @@ def _rate(motion: CouplerCurve, leg: PlatformLeg, t: np.ndarray | float) -> np.n
 
 def _beside(leg: PlatformLeg) -> Iterator[Motion]:
     """Motions with a leg's point where a circle about the place touches a boundary from outside, or at its corners."""
-    r, curve = abs(leg.b), leg.region.is_curve
+    r = abs(leg.b)
+    curve = leg.region.is_curve
     for end in leg.ends:
         closed = end.is_arc and abs(end.sweep) > TURN - APART
         for corner in () if closed else (0.0, 1.0):
@@ -234,7 +238,8 @@ def _beside(leg: PlatformLeg) -> Iterator[Motion]:
                 yield TranslationAlong(end, leg.b, side * 1j * end.way / abs(end.way) * r / leg.b)
             continue
         # the place is on the line of the centre and the point, outside the circle or on the other side of the centre
-        outwards, inwards = r, -r
+        outwards = r
+        inwards = -r
         sides = (outwards, inwards) if curve else (outwards, inwards) if r > end.radius else (outwards,)
         if not curve and end.sweep < 0.0:
             sides = (inwards,) if r < end.radius else ()
@@ -263,7 +268,8 @@ def _four_bars(first: PlanePiece, second: PlanePiece, a: complex, b: complex) ->
 
 def _between_parallels(first: PlanePiece, second: PlanePiece, a: complex, b: complex) -> Iterator[Motion]:
     """Motions along two parallel segments."""
-    w, d = first.way / abs(first.way), b - a
+    w = first.way / abs(first.way)
+    d = b - a
     height = float(first.off(np.array(second.centre))) / abs(d)
     if abs(height) < 1.0 - APART:
         x = math.sqrt(1.0 - height * height)

@@ -87,7 +87,8 @@ class RegionOfArcs(PlanarRegion):
 
 def _turn_about(piece: PlanePiece, p: np.ndarray) -> np.ndarray:
     """The angles by which the way from points (...) to a point turns as this goes along a piece."""
-    a, b = complex(piece.at(0.0)) - p, complex(piece.at(1.0)) - p
+    a = complex(piece.at(0.0)) - p
+    b = complex(piece.at(1.0)) - p
     if not piece.is_arc:
         return np.angle(b * a.conj())
     # along the arc the angle is that of the chord, and a full turn more where p lies between the two
@@ -96,7 +97,8 @@ def _turn_about(piece: PlanePiece, p: np.ndarray) -> np.ndarray:
     for k in range(parts):
         small = piece.part(k / parts, (k + 1) / parts)
         ends = complex(small.at(0.0)), complex(small.at(1.0))
-        inside, side = np.abs(p - small.centre) < small.radius, np.sign(small.sweep)
+        inside = np.abs(p - small.centre) < small.radius
+        side = np.sign(small.sweep)
         beyond = np.imag((p - ends[0]) * np.conj(ends[1] - ends[0])) * side < 0.0
         total += np.angle((ends[1] - p) * (ends[0] - p).conj()) + TURN * side * (inside & beyond)
     return total

@@ -151,8 +151,10 @@ class PlanarWorkspace(Report):
         given = numbers(points, "points")
         self._points(given)
         xy = given[..., :2]
-        finite, far = np.asarray(np.isfinite(xy).all(axis=-1)), np.hypot(xy[..., 0], xy[..., 1])
-        near, best = self._points(np.where(finite[..., None], xy, 0.0)), np.full(finite.shape, np.inf)
+        finite = np.asarray(np.isfinite(xy).all(axis=-1))
+        far = np.hypot(xy[..., 0], xy[..., 1])
+        near = self._points(np.where(finite[..., None], xy, 0.0))
+        best = np.full(finite.shape, np.inf)
         for piece in self.boundary:
             best = np.minimum(best, piece.distance(near))
         best = np.where(finite, best, far)
@@ -165,7 +167,8 @@ class PlanarWorkspace(Report):
             raise InputError(f"points has shape {p.shape}; it must be (..., 2)")
         off = p.shape[-1] == 3 and p[..., 2] != 0.0
         out = np.empty(p.shape[:-1], dtype=complex)
-        out.real, out.imag = np.where(off, np.nan, p[..., 0]), p[..., 1]
+        out.real = np.where(off, np.nan, p[..., 0])
+        out.imag = p[..., 1]
         return out
 
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -222,7 +225,8 @@ def _loops(pieces: list[PlaneCurve], same: float) -> tuple[tuple[PlaneCurve, ...
             loop.append(pieces[k])
             far = np.where(used, np.inf, np.abs(starts - complex(pieces[k].at(1.0))))
             far[first] = abs(starts[first] - complex(pieces[k].at(1.0)))
-            along, near = pieces[k].tangent(1.0), np.flatnonzero(far <= same)
+            along = pieces[k].tangent(1.0)
+            near = np.flatnonzero(far <= same)
             turns = [float(np.angle(pieces[j].tangent(0.0) / along)) for j in near]
             if not len(near) or (k := int(near[np.argmax(turns)])) == first:
                 break

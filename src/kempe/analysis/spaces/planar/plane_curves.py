@@ -125,7 +125,8 @@ class PlanePiece(PlaneCurve):
         if not self.is_arc:
             t = np.real((p - self.centre) * np.conj(self.way)) / abs(self.way) ** 2
             return t, (t > -slack) & (t < 1.0 + slack)
-        sense, size = np.sign(self.sweep), abs(self.sweep)
+        sense = np.sign(self.sweep)
+        size = abs(self.sweep)
         turn: np.ndarray = np.mod(sense * (np.angle(p - self.centre) - self.start), TURN)
         turn = np.where(turn > size + 0.5 * (TURN - size), turn - TURN, turn)
         t = turn / max(size, 1e-300)  # an arc may have shrunk to a point
@@ -174,7 +175,8 @@ class PlanePiece(PlaneCurve):
         """Half of the integral of x dy - y dx along it: its part of the area that a closed curve has to its left."""
         if not self.is_arc:
             return 0.5 * float((self.centre.conjugate() * self.way).imag)
-        a, b = self.at(0.0), self.at(1.0)
+        a = self.at(0.0)
+        b = self.at(1.0)
         return 0.5 * float((self.centre.conjugate() * (b - a)).imag) + 0.5 * self.radius**2 * self.sweep
 
 
@@ -194,7 +196,8 @@ def circle_points(a: PlanePiece, b: PlanePiece) -> np.ndarray:
         if far < 1e-12 * (a.radius + b.radius):
             return np.zeros(0, dtype=complex)
         along = (far**2 + a.radius**2 - b.radius**2) / (2.0 * far)
-        foot, unit = a.centre + along * d / far, 1j * d / far
+        foot = a.centre + along * d / far
+        unit = 1j * d / far
     else:
         unit = b.way / abs(b.way)
         foot = b.centre + unit * np.real((a.centre - b.centre) * np.conj(unit))

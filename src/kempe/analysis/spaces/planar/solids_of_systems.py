@@ -79,7 +79,8 @@ def _space_joints(system: System, frame: str) -> list[SpaceJoint] | None:
     J = jacobian(system, q, frame)[:, v_index]
     out: list[SpaceJoint] = []
     for column, low, high in zip(J.T, system.lower[v_index].tolist(), system.upper[v_index].tolist(), strict=True):
-        v, w = column[:3], column[3:]
+        v = column[:3]
+        w = column[3:]
         rate = float(w @ w)
         if low == high:
             continue
@@ -116,8 +117,10 @@ def _revolved(joints: list[SpaceJoint], tip: Array) -> Iterator[SweptSolid]:
     first = joints[0] if joints else None
     if first is None or not first.turns:
         return
-    a, rate = first.direction, float(np.linalg.norm(first.turn))
-    low, high = rate * first.low, rate * first.high
+    a = first.direction
+    rate = float(np.linalg.norm(first.turn))
+    low = rate * first.low
+    high = rate * first.high
     origin = first.point + a * ((tip - first.point) @ a)
     for normal in [j.direction for j in joints[1:] if j.turns][:1] or [_basis(a)[0], _basis(a)[1]]:
         if abs(normal @ a) > PARALLEL:

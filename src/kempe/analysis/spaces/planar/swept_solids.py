@@ -145,7 +145,8 @@ class Prism(SweptSolid):
 
     def _far(self, x: Array, y: Array, h: Array) -> Array:
         z = x + 1j * y
-        beside, inside = _nearest(self.section.ends, z), self.section.holds(z)
+        beside = _nearest(self.section.ends, z)
+        inside = self.section.holds(z)
         above = np.maximum(self.low - h, h - self.high)  # negative between the ends
         outside = np.hypot(np.where(inside, 0.0, beside), np.maximum(above, 0.0))
         return np.where(inside & (above < 0.0), np.minimum(beside, -above), outside)
@@ -166,7 +167,8 @@ class Revolved(SweptSolid):
     def extent(self) -> Array:
         """The least and the largest x, y and z (2, 3) in metres, of a box about it."""
         x, y = self._rim
-        radius, axis = float(np.hypot(np.abs(x).max(), self.beside)), self.axes[1]
+        radius = float(np.hypot(np.abs(x).max(), self.beside))
+        axis = self.axes[1]
         ends = np.outer((y.min(), y.max()), axis) + self.origin
         wide = radius * np.sqrt(np.maximum(1.0 - axis**2, 0.0))
         return np.stack([ends.min(axis=0) - wide, ends.max(axis=0) + wide])
@@ -215,7 +217,8 @@ class Turned(SweptSolid):
 
         Of the section these are all, less those that the points across the axis reach, too, counted once.
         """
-        wide, d = self.high - self.low, abs(self.beside)
+        wide = self.high - self.low
+        d = abs(self.beside)
         bent = [s * x for x in (d * np.tan(0.5 * wide), d * np.tan(np.pi - 0.5 * wide)) if x > 0.0 for s in (-1.0, 1.0)]
 
         def twice(x: Array) -> Array:
@@ -229,18 +232,22 @@ class Turned(SweptSolid):
     def extent(self) -> Array:
         """The least and the largest x, y and z (2, 3) in metres, of a box about it, wider by some 1e-5 of its size."""
         z = np.concatenate([cast(PlanePiece, piece).points(FINE) for piece in self.section.ends])
-        turns, least, most = np.linspace(self.low, self.high, TURNS), np.full(3, np.inf), np.full(3, -np.inf)
+        turns = np.linspace(self.low, self.high, TURNS)
+        least = np.full(3, np.inf)
+        most = np.full(3, -np.inf)
         for turn in turns:
             u = (np.real(z) - 1j * self.beside) * np.exp(1j * turn)
             local: list[Array] = [np.real(u), np.imag(z), -np.imag(u)]
             p = np.stack(local, axis=-1) @ self.axes + self.origin
-            least, most = np.minimum(least, p.min(axis=0)), np.maximum(most, p.max(axis=0))
+            least = np.minimum(least, p.min(axis=0))
+            most = np.maximum(most, p.max(axis=0))
         step = max(float(turns[1] - turns[0]), FINE)  # between two the way is a chord of an arc
         room = 0.125 * step**2 * float(np.hypot(np.abs(z), self.beside).max())
         return np.stack([least - room, most + room])
 
     def _holds(self, x: Array, y: Array, h: Array) -> np.ndarray:
-        r, out = np.hypot(x, h), np.zeros(x.shape, dtype=bool)
+        r = np.hypot(x, h)
+        out = np.zeros(x.shape, dtype=bool)
         along = np.sqrt(np.maximum(r * r - self.beside**2, 0.0))
         for side in (along, -along):
             turn = np.mod(np.angle((x - 1j * h) * np.conj(side - 1j * self.beside)) - self.low, 2.0 * np.pi)

@@ -99,9 +99,11 @@ class BasePlacement(Report):
     @property
     def status(self) -> str:
         """How many poses are reached from the best place, and where that is."""
-        of, n = f"{self.system.name}, {self.frame}", round(float(np.nan_to_num(self.fraction).max()) * self.poses)
+        of = f"{self.system.name}, {self.frame}"
+        n = round(float(np.nan_to_num(self.fraction).max()) * self.poses)
         where = ", ".join(f"{k} = {v:.4g}" for k, v in self.place().items() if k in self.axes)
-        full, tried = int((self.fraction == 1.0).sum()), counted(int(np.isfinite(self.fraction).sum()), "place")
+        full = int((self.fraction == 1.0).sum())
+        tried = counted(int(np.isfinite(self.fraction).sum()), "place")
         tail = partial(self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME)
         if not n:
             return f"{of}: none of {counted(self.poses, 'pose')} reached from any of {tried}{tail}"
@@ -134,7 +136,8 @@ def place_base(
     After the time limit the map has what was done, after Ctrl-C the `answer` of the
     `Interrupted`. Errors: `InputError`, `UnknownNameError`.
     """
-    spend, name = USUAL.of(budget), system.structure.frame_name(frame)
+    spend = USUAL.of(budget)
+    name = system.structure.frame_name(frame)
     X = numbers(targets, "targets")
     if X.ndim != 3 or X.shape[1:] != (4, 4) or not len(X):
         raise InputError(f"targets have shape {X.shape}; they must be poses (n, 4, 4), at least one")

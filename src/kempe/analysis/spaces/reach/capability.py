@@ -74,11 +74,10 @@ class CapabilityMap(Report):
     @property
     def status(self) -> str:
         """How many cells are reached at all, and in all directions."""
-        some, whole = int((self.fraction > 0.0).sum()), int((self.fraction == 1.0).sum())
-        cells, directions = (
-            counted(int(np.isfinite(self.fraction).sum()), "cell"),
-            counted(len(self.directions), "direction"),
-        )
+        some = int((self.fraction > 0.0).sum())
+        whole = int((self.fraction == 1.0).sum())
+        cells = counted(int(np.isfinite(self.fraction).sum()), "cell")
+        directions = counted(len(self.directions), "direction")
         tail = partial(self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME)
         said = f"{self.system.name}, {self.frame}: {some} of {cells} reached, {whole} in all {directions}{tail}"
         return said if some or not self._too_few else f"{said}; {self._too_few}"
@@ -86,7 +85,9 @@ class CapabilityMap(Report):
     @cached_property
     def _too_few(self) -> str:
         """Why directions that are drawn are not reached anywhere, where the frame has too few freedoms for them."""
-        system, name, free = self.system, self.frame, self.rolls is None and self.system.dim == 3
+        system = self.system
+        name = self.frame
+        free = self.rolls is None and self.system.dim == 3
         task = "position_axis" if free else "pose"
         try:
             found = task_space(system, of_target(name, task, Z_AXIS, np.eye(4)))
@@ -113,7 +114,8 @@ def spread_directions(n: int) -> Array:
     Source: Gonzalez, Mathematical Geosciences 42 (2010).
     """
     i = np.arange(n) + 0.5
-    z, turn = 1.0 - 2.0 * i / n, np.pi * (1.0 + 5.0**0.5) * i
+    z = 1.0 - 2.0 * i / n
+    turn = np.pi * (1.0 + 5.0**0.5) * i
     r = np.sqrt(1.0 - z * z)
     return np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
 
@@ -132,8 +134,11 @@ def capability_map(
     are read: starts (32), rng (0), threads, progress, time_limit (600 s); after that the map has what was done, after
     Ctrl-C the `answer` of the `Interrupted`. Errors: `InputError`, `UnknownNameError`.
     """
-    spend, name, dim = USUAL.of(budget), system.structure.frame_name(frame), system.dim
-    axes, d = _cells(box, cells, dim), _directions(directions, dim)
+    spend = USUAL.of(budget)
+    name = system.structure.frame_name(frame)
+    dim = system.dim
+    axes = _cells(box, cells, dim)
+    d = _directions(directions, dim)
     if rolls is not None and (dim == 2 or not is_whole(rolls) or not 1 <= int(rolls) <= 360):
         raise InputError(f"rolls is {rolls!r}; it must be a whole number from 1 to 360, in space, or None")
     shape = tuple(len(a) for a in axes)
@@ -148,7 +153,9 @@ def capability_map(
     def work(first: int, last: int, each: Budget) -> list[Array]:
         p = centres[first:last]
         X = np.zeros((len(p), len(R), 4, 4))
-        X[..., :3, :3], X[..., :dim, 3], X[..., 3, 3] = R, p[:, None], 1.0
+        X[..., :3, :3] = R
+        X[..., :dim, 3] = p[:, None]
+        X[..., 3, 3] = 1.0
         found = reached(system, X.reshape(-1, 4, 4), name, task, each)
         own = (found.reached, found.solutions, found.manipulability, found.margin)
         return [x.reshape(len(p), len(R)) for x in own]
@@ -197,12 +204,14 @@ def _directions(directions: Any, dim: int) -> Array:
 def _rotations(d: Array, angles: Array | None, dim: int) -> Array:
     """Rotations (k, 3, 3) of the tool, those of all angles about one direction after each other."""
     if dim == 2:
-        zero, one = np.zeros(len(d)), np.ones(len(d))
+        zero = np.zeros(len(d))
+        one = np.ones(len(d))
         return np.stack([d, np.column_stack([-d[:, 1], d[:, 0], zero]), np.column_stack([zero, zero, one])], axis=-1)
     R = frame_of(d)
     if angles is None:
         return R
-    c, s = np.cos(angles), np.sin(angles)
+    c = np.cos(angles)
+    s = np.sin(angles)
     about = np.zeros((len(angles), 3, 3))
     about[:, 0, 0], about[:, 0, 1], about[:, 1, 0], about[:, 1, 1], about[:, 2, 2] = c, -s, s, c, 1.0
     return (R[:, None] @ about).reshape(-1, 3, 3)

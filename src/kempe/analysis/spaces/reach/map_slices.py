@@ -16,7 +16,8 @@ from kempe.status import Status
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-SLICE, LOOP_SLICE = 2048, 128
+SLICE = 2048
+LOOP_SLICE = 128
 """Poses that are tried at once, of a system with closed loops, where each takes longer: less than a second's work."""
 LONG = 16
 """Velocity coordinates, twice which make these poses fewer, for the work grows with their square."""
@@ -35,8 +36,10 @@ def sliced(
     `work` gets the first place, the one after the last and what it may spend, and gives arrays with a row, of one of
     the `shapes`, for each place. Rows that were not done before the time limit or an interrupt are NaN.
     """
-    clock, each = TimeLimit(spend.time_limit), Budget(starts=spend.starts, rng=spend.rng, threads=spend.threads)
-    share, broken = max(1, system.nv // LONG) ** 2, None
+    clock = TimeLimit(spend.time_limit)
+    each = Budget(starts=spend.starts, rng=spend.rng, threads=spend.threads)
+    share = max(1, system.nv // LONG) ** 2
+    broken = None
     at_once = max(1, (LOOP_SLICE if has_loops(system) else SLICE) // (poses * share))
     rows: list[list[Array]] = []
     try:

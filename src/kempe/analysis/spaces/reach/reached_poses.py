@@ -81,12 +81,16 @@ def manipulability(system: System, frame: str, q: Array, task: str) -> Array:
 
 def margin(system: System, q: Array) -> Array:
     """How far (...) q (..., nq) is from the nearest limit, of half the range: 0 at it, 1 in the middle; inf without."""
-    at_q, at_v = system.structure.layout.vector_q, system.structure.layout.vector_v
-    low, high = system.lower[at_v], system.upper[at_v]
+    at_q = system.structure.layout.vector_q
+    at_v = system.structure.layout.vector_v
+    low = system.lower[at_v]
+    high = system.upper[at_v]
     limited = np.isfinite(low) & np.isfinite(high) & (high > low)
     if not limited.any():
         return np.full(q.shape[:-1], np.inf)
-    x, low, high = q[..., at_q[limited]], low[limited], high[limited]
+    x = q[..., at_q[limited]]
+    low = low[limited]
+    high = high[limited]
     return (np.minimum(x - low, high - x) / (0.5 * (high - low))).min(axis=-1)
 
 
@@ -96,13 +100,16 @@ def reached(system: System, targets: Array, frame: str, task: Any, budget: Budge
     said, axis = task_and_axis(task)
     particle = bool(system.structure.table.at[frame][2])
     name = task_of(said, targets.shape[-2:] not in ((4, 4), (3, 3)), particle)
-    q, mask = single.q[:, None], np.array(single.success)[:, None]
+    q = single.q[:, None]
+    mask = np.array(single.success)[:, None]
     solutions = np.where(mask[:, 0], UNKNOWN, np.where(np.isin(single.code, PROVEN), 0, UNKNOWN))
     if not isinstance(plan_of(system, frame, name, axis_for(axis, said)), str):
         every: Any = ik_all(system, targets, frame, task=task, limits=True)
         solutions = np.where(every.complete, every.mask.sum(axis=-1), UNKNOWN)
-        q, mask = np.concatenate([q, every.q], axis=1), np.concatenate([mask, every.mask], axis=1)
-    w, far = np.full(mask.shape, np.nan), np.full(mask.shape, np.nan)
+        q = np.concatenate([q, every.q], axis=1)
+        mask = np.concatenate([mask, every.mask], axis=1)
+    w = np.full(mask.shape, np.nan)
+    far = np.full(mask.shape, np.nan)
     if mask.any():
         w[mask], far[mask] = manipulability(system, frame, q[mask], name), margin(system, q[mask])
     any_ = np.asarray(mask.any(axis=1))
@@ -155,7 +162,8 @@ class ReachStudy(Report):
     @property
     def status(self) -> str:
         """How many are reached."""
-        n, of = int(self.reached.sum()), f"{self.system.name}, {self.frame}"
+        n = int(self.reached.sum())
+        of = f"{self.system.name}, {self.frame}"
         tail = partial(self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME)
         tried = int(self.tried.sum())
         return f"{of}: {n} of {counted(tried, 'pose')} reached{tail}"
@@ -218,7 +226,8 @@ def reach_poses(
     `answer` of the `Interrupted`.
     Errors: `InputError`, `UnknownNameError`.
     """
-    spend, name = USUAL.of(budget), system.structure.frame_name(frame)
+    spend = USUAL.of(budget)
+    name = system.structure.frame_name(frame)
     X = numbers(targets, "targets")
     if X.ndim < 2 or (X.ndim == 2 and X.shape == (4, 4)):
         X = X[None]
@@ -233,8 +242,10 @@ def reach_poses(
     (hit, solutions, w, far, q, codes), broken = sliced(
         system, work, [(), (), (), (), (system.nq,), ()], len(X), 1, spend
     )
-    left, each = np.isnan(codes), replace(spend, time_limit=None, progress=None)
+    left = np.isnan(codes)
+    each = replace(spend, time_limit=None, progress=None)
     if broken is not None:
-        codes[left], solutions[left] = int(broken), UNKNOWN
+        codes[left] = int(broken)
+        solutions[left] = UNKNOWN
     return ReachStudy(system, name, hit == 1.0, solutions.astype(np.int64), w, far, q, codes.astype(np.int64), X, task,
                       each, broken)  # fmt: skip

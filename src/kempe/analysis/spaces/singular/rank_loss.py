@@ -32,7 +32,8 @@ ZERO = 1e-7
 """Singular values below this fraction of the largest count as zero."""
 FLAT = 1e-5
 """The same for the derivatives, which are differences."""
-STEPS, LONGEST = 60, 0.5
+STEPS = 60
+LONGEST = 0.5
 PULL = 1e-3
 """Weight of the distance to a configuration, beside equations that hold."""
 
@@ -106,7 +107,8 @@ class RankLoss:
 
     def _products(self, q: Array, V: Array, steps: Array) -> Array:
         """The matrices at steps (nv, nv) from q (k, nq), times V (k, n, d): (k, nv, m, d)."""
-        n, k = self.system.nv, len(q)
+        n = self.system.nv
+        k = len(q)
         A = self._transposed(self.matrices(self.move(np.repeat(q, n, axis=0), np.tile(steps, (k, 1)))))
         return A.reshape(k, n, *A.shape[1:]) @ V[:, None]
 
@@ -115,13 +117,17 @@ class RankLoss:
 
         With `sharp` derivatives are central differences, else of one side, which Newton's method is content with.
         """
-        k, nv = len(q), self.system.nv
+        k = len(q)
+        nv = self.system.nv
         C, dC = self.closure(q)
-        A, steps = self._transposed(self.matrices(q)), STEP * np.eye(nv)
+        A = self._transposed(self.matrices(q))
+        steps = STEP * np.eye(nv)
         above = self._products(q, V, steps)
         below = self._products(q, V, -steps) if sharp else (A @ V)[:, None]
         dA = (above - below) / (STEP + STEP * sharp)
-        m, n, d = A.shape[1], A.shape[2], V.shape[2]
+        m = A.shape[1]
+        n = A.shape[2]
+        d = V.shape[2]
         fixed = np.swapaxes(frame, 1, 2) @ V - np.eye(d)
         F = np.concatenate([C, (A @ V).reshape(k, m * d), fixed.reshape(k, d * d)], axis=1)
         J = np.zeros((k, F.shape[1], nv + n * d))
@@ -149,7 +155,8 @@ class RankLoss:
         return q
 
     def _steps(self, q: Array, home: Array | None) -> Array:
-        nq, nv = self.system.nq, self.system.nv
+        nq = self.system.nq
+        nv = self.system.nv
         frame = self.null_vectors(q)
         shape = frame.shape[1:]
 

@@ -38,9 +38,14 @@ RANKED = 1000
 """Starts of which generic ranks are read, and between which sets are looked for, at most."""
 GENERIC = 256
 """Random configurations of which some have the rank of almost all."""
-PARTS, HALVED, NEARLY = 8, 8, 24
+PARTS = 8
+HALVED = 8
+NEARLY = 24
 """Steps of a way between two starts, how often one is halved, and places on all ways from which sets are looked for."""
-SERIAL, TYPE_1, TYPE_2, CONSTRAINT = "serial", "type 1", "type 2", "constraint"
+SERIAL = "serial"
+TYPE_1 = "type 1"
+TYPE_2 = "type 2"
+CONSTRAINT = "constraint"
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,10 +69,13 @@ class RankQuestions:
         self, system: System, frame: str | None, task: str, inputs: list[int] | None, rng: np.random.Generator,
         starts: int, limits: bool = False,
     ):  # fmt: skip
-        self.system, self.frame, self.inputs = system, frame, inputs
+        self.system = system
+        self.frame = frame
+        self.inputs = inputs
         self.length = float(closure_rows.characteristic_length(system))
         equations = Closure(system)
-        self.unit, self.loops = equations.unit, bool(len(equations.weight))
+        self.unit = equations.unit
+        self.loops = bool(len(equations.weight))
         self.starts = random(system, rng, starts)
         if self.loops:
             found = [close(equations, q) for q in self.starts]
@@ -83,7 +91,8 @@ class RankQuestions:
         kept = PLANES[task][:2] if task in PLANES else range(6)
         self.rows = [r for r in twist_rows(words, system.dim) if r in kept]
         self.twists = np.eye(len(self.rows))
-        few, moving = self.starts[:RANKED], np.zeros(system.nv, dtype=bool)
+        few = self.starts[:RANKED]
+        moving = np.zeros(system.nv, dtype=bool)
         if frame is not None:
             seen = self.task_jacobians(few).swapaxes(1, 2).reshape(-1, len(self.rows))
             _, s, Vt = svd(seen, full_matrices=False)
@@ -101,7 +110,8 @@ class RankQuestions:
         that have none, as they are not square, the least singular values are taken. Sets that are met from afar seldom,
         where limits are narrow, are so from there.
         """
-        own, t = self.starts[inside_limits(self.system, self.starts)][:RANKED], np.arange(PARTS + 1) / PARTS
+        own = self.starts[inside_limits(self.system, self.starts)][:RANKED]
+        t = np.arange(PARTS + 1) / PARTS
         if not len(own):
             return dict.fromkeys(problems, own)
         q, ok = self._between(np.repeat(own, len(t), axis=0), np.repeat(np.roll(own, 1, axis=0), len(t), axis=0),
@@ -128,9 +138,12 @@ class RankQuestions:
         """Configurations (k, nq) beside those between a and b (k, nq) at which the determinant changes its sign."""
         for _ in range(HALVED if len(a) else 0):
             middle, ok = self._between(a, b, np.full(len(a), 0.5))
-            a, b, middle = a[ok], b[ok], middle[ok]
+            a = a[ok]
+            b = b[ok]
+            middle = middle[ok]
             first = (problem.sign(a) * problem.sign(middle) < 0.0)[:, None]
-            a, b = np.where(first, a, middle), np.where(first, middle, b)
+            a = np.where(first, a, middle)
+            b = np.where(first, middle, b)
         return a
 
     def task_jacobians(self, q: Array) -> Array:
@@ -189,7 +202,8 @@ class RankQuestions:
         full[:, :3] *= self.length
         turn: Array
         slide: Array
-        turn, slide = np.linalg.norm(full[:, 3:], axis=1), np.linalg.norm(full[:, :3], axis=1)
+        turn = np.linalg.norm(full[:, 3:], axis=1)
+        slide = np.linalg.norm(full[:, :3], axis=1)
         size = np.where(turn > ZERO, turn, np.maximum(slide, 1e-300))
         return full / size[:, None] + 0.0
 
@@ -200,7 +214,10 @@ class RankQuestions:
         if self.loops:
             N = null_space(self.closures(q[None])[0], ZERO)
         none = np.zeros((0, 6))
-        lost, gained, still, rank = none, none, np.zeros((0, self.system.nv)), N.shape[1]
+        lost = none
+        gained = none
+        still = np.zeros((0, self.system.nv))
+        rank = N.shape[1]
         J = N[:0]
         if self.frame is not None:
             J = self.task_jacobians(q[None])[0]

@@ -40,7 +40,8 @@ if TYPE_CHECKING:
 USUAL = Usual("curves", step=0.05, time_limit=TIME_LIMIT, progress=None)
 MOST = 1500
 """Nodes of one curve, at most, to each side."""
-COARSE, BEND = 0.2, 0.2
+COARSE = 0.2
+BEND = 0.2
 """How far apart nodes are at most, and by which angle the tangent turns between them, if they are not too few."""
 FEW = 3
 """Points that a curve has at least: less is an isolated configuration that was found several times."""
@@ -140,8 +141,11 @@ def singular_curves(
     budget: Budget | None, clock: TimeLimit,
 ) -> SingularCurves:  # fmt: skip
     """The curves of `problems` through `starts`, in the time of the `clock`; see `Singularities.curves`."""
-    spend, system = USUAL.of(budget), found.system
-    curves, sizes, broken = list[SingularCurve](), set[int](), None
+    spend = USUAL.of(budget)
+    system = found.system
+    curves = list[SingularCurve]()
+    sizes = set[int]()
+    broken = None
     try:
         with clock:
             for k, (kinds, name, q) in enumerate(starts):
@@ -173,12 +177,14 @@ def held_equations(
     found: Singularities, hold: Mapping[str, float] | None, orientation: Any
 ) -> tuple[Equations | None, tuple[str, ...]]:
     """The equations of coordinates and of an orientation that are held, and their names. Errors: `InputError`."""
-    system, unit = found.system, found.questions.unit
+    system = found.system
+    unit = found.questions.unit
     given: Mapping[str, float] = {} if hold is None else hold
     if not isinstance(given, Mapping):
         raise InputError(f"hold is {type(given).__name__}; it must be a dict of values by coordinate name")
     values = source_values(system, {str(k): x for k, x in given.items()})
-    names, layout = system.structure.velocity_names, system.structure.layout
+    names = system.structure.velocity_names
+    layout = system.structure.layout
     places = dict(zip(layout.vector_v.tolist(), layout.vector_q.tolist(), strict=True))
     at: list[tuple[int, int, float]] = []
     for name, x in values.items():
@@ -218,8 +224,11 @@ class _SingularCurveEquations(Curve):
     """The equations of `RankLoss` as those of a curve: its points are configurations with null vectors of length 1."""
 
     def __init__(self, problem: RankLoss, shape: tuple[int, int], clock: TimeLimit):
-        self.problem, self.shape, self.clock = problem, shape, clock
-        self.nq, self.nv = problem.system.nq, problem.system.nv
+        self.problem = problem
+        self.shape = shape
+        self.clock = clock
+        self.nq = problem.system.nq
+        self.nv = problem.system.nv
         self.idle = np.setdiff1d(np.arange(self.nv), problem.columns)
         self.n = self.nv + shape[0] * shape[1]
 
@@ -229,8 +238,10 @@ class _SingularCurveEquations(Curve):
         F, J = self.problem.equations(x[None, : self.nq], V, V)
         F[:, -(self.shape[1] ** 2) :] *= 0.5  # V^T V - 1 changes twice as fast as V^T dV
         rows = max(F.shape[1] + len(self.idle), self.n)
-        r, A = np.zeros(rows), np.zeros((rows, self.n))
-        r[: F.shape[1]], A[: F.shape[1]] = F[0], J[0]
+        r = np.zeros(rows)
+        A = np.zeros((rows, self.n))
+        r[: F.shape[1]] = F[0]
+        A[: F.shape[1]] = J[0]
         A[F.shape[1] + np.arange(len(self.idle)), self.idle] = 1.0
         return r, A
 
@@ -247,7 +258,10 @@ class _CurveTracer:
     """Follows the curves of one problem."""
 
     def __init__(self, problem: RankLoss, clock: TimeLimit, longest: float, limits: bool):
-        self.problem, self.clock, self.longest, self.limits = problem, clock, longest, limits
+        self.problem = problem
+        self.clock = clock
+        self.longest = longest
+        self.limits = limits
         system = problem.system
         self.circle = circles(system) if limits else system.structure.coordinates.turning
         self.idle = system.nv - len(problem.columns)
@@ -281,13 +295,15 @@ class _CurveTracer:
         rows = self._finer(equations, way)
         if closed and self.problem.spins:  # what spins idly came back otherwise, and was in the way of the last point
             layout = self.problem.system.structure.layout
-            at, rows[-1] = layout.vector_q[self.circle[layout.vector_v]], q
+            at = layout.vector_q[self.circle[layout.vector_v]]
+            rows[-1] = q
             rows[-1, at] += 2.0 * np.pi * np.round((way[-1].x[at] - q[at]) / (2.0 * np.pi))
         return rows, closed
 
     def _walked(self, equations: _SingularCurveEquations, start: Node) -> tuple[list[Node], bool]:
         """The nodes from one on, and whether they lead back to it."""
-        nq, way = equations.nq, [start]
+        nq = equations.nq
+        way = [start]
 
         def taken(a: Node, h: float) -> list[Node] | None:
             b = step(equations, a, h)
@@ -312,10 +328,13 @@ class _CurveTracer:
 
     def _finer(self, equations: _SingularCurveEquations, way: list[Node]) -> Array:
         """Configurations (n, nq) along nodes, at most `longest` apart: cubic pieces, led onto the curve."""
-        nq, nv, rows = equations.nq, equations.nv, [way[0].x[None, : equations.nq]]
+        nq = equations.nq
+        nv = equations.nv
+        rows = [way[0].x[None, : equations.nq]]
         for a, b in zip(way[:-1], way[1:], strict=True):
             y = equations.between(a.x, b.x)
-            h, y = float(np.linalg.norm(y)), y[:nv]
+            h = float(np.linalg.norm(y))
+            y = y[:nv]
             t = np.linspace(0.0, 1.0, max(int(np.ceil(np.linalg.norm(y) / self.longest)), 1) + 1)[1:-1, None]
             bent = (3.0 - 2.0 * t) * t**2 * y + h * t * (1.0 - t) * ((1.0 - t) * a.t[:nv] - t * b.t[:nv])
             rows += [self.problem.move(np.repeat(a.x[None, :nq], len(t), axis=0), bent), b.x[None, :nq]]
@@ -336,14 +355,17 @@ class _CurveTracer:
 
     def _end(self, equations: _SingularCurveEquations, a: Node, b: Node) -> list[Node]:
         """The last point inside the limits between two nodes, the second outside."""
-        low, high, best = 0.0, float(a.t @ equations.between(a.x, b.x)), list[Node]()
+        low = 0.0
+        high = float(a.t @ equations.between(a.x, b.x))
+        best = list[Node]()
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
             there = node_between(equations, a, b, middle)
             if there is None:
                 break
             if inside_limits(equations.problem.system, there.x[None, : equations.nq])[0]:
-                low, best = middle, [there]
+                low = middle
+                best = [there]
             else:
                 high = middle
         return best

@@ -44,7 +44,10 @@ FARTHER = 20.0 * BESIDE
 """Singular value, as a part of the largest, above which none is looked for so near."""
 NEAR = 6
 """Configurations of each set from which the nearest is searched for."""
-SEED, ROUNDS, AROUND, CLOSER = 1888, 6, 16, 0.5
+SEED = 1888
+ROUNDS = 6
+AROUND = 16
+CLOSER = 0.5
 """Rounds in which so many configurations around the nearest one so far, nearer each time, are led to the set."""
 FULL_TURN = 2.0 * np.pi
 
@@ -108,7 +111,8 @@ class Singularities(Report):
             distances[str(s)] = min(d, distances.get(str(s), np.inf))
         i = int(np.argmin([d for _, d in found]))
         there, distance = found[i]
-        local, s = self.questions.local(there, self.problems), self.sets[i]
+        local = self.questions.local(there, self.problems)
+        s = self.sets[i]
         return NearestSingular(there, distance, local.kinds or s.kinds, s.name, local.lost, local.gained,
                                local.self_motion, distances)  # fmt: skip
 
@@ -155,7 +159,8 @@ class Singularities(Report):
         problem = self.problems[s.kinds[-1]]
         starts = s.q[np.argsort(self._apart(s.q, q))[:NEAR]]
         best, far = self._best(s, q, starts, problem.led(np.concatenate([[q], starts]), home=q))
-        rng, nv = np.random.default_rng(SEED), self.system.nv
+        rng = np.random.default_rng(SEED)
+        nv = self.system.nv
         sizes = [far, 0.5 * far, *(far * CLOSER**k for k in range(1, ROUNDS))]
         for k, size in enumerate(sizes):  # limits cut the set off, and there may be several nearest points
             centre, many = (q, 5 * AROUND) if k < 2 else (best, AROUND)
@@ -170,7 +175,8 @@ class Singularities(Report):
         """Configurations (k, nq) brought to their limits, where these count."""
         if self.limits:
             layout = self.system.structure.layout
-            at, v = layout.vector_q, layout.vector_v
+            at = layout.vector_q
+            v = layout.vector_v
             x[:, at] = np.clip(x[:, at], self.system.lower[v], self.system.upper[v])
         return x
 
@@ -179,7 +185,8 @@ class Singularities(Report):
         problem = self.problems[s.kinds[-1]]
         led = led[np.isfinite(led).all(axis=1)]
         if s.coordinates:  # a start near another set may have been led there
-            names, columns = self.system.structure.velocity_names, self.questions.columns
+            names = self.system.structure.velocity_names
+            columns = self.questions.columns
             own = [tuple(names[i] for i in _deciding(problem, x, columns)) == s.coordinates for x in led]
             led = led[np.array(own, dtype=bool)]
             led = led[[name == s.name for name in names_of(self.system, self.frame, led)]] if s.name else led
@@ -224,7 +231,8 @@ def singularities(
     starts (64, at most a million), rng (0), time_limit (120 s), and progress(starts done, all).
     Errors: `InputError`, `UnknownNameError`.
     """
-    spend, limits = USUAL.of(budget), flag(limits, "limits")
+    spend = USUAL.of(budget)
+    limits = flag(limits, "limits")
     name = None if frame is None else system.structure.frame_name(frame)
     loops = has_loops(system)
     if name is None and not loops:
@@ -232,7 +240,9 @@ def singularities(
     driving = driven(system, inputs)
     if loops and name is None and not driving:
         raise InputError(f"{system.name} has no actuated joint: name inputs, or a frame")
-    clock, done, broken = TimeLimit(spend.time_limit), 0, None
+    clock = TimeLimit(spend.time_limit)
+    done = 0
+    broken = None
     with begun_within(USUAL, clock):
         task, questions = _questions_of(system, name, task, driving if loops else None, spend, limits)
         problems = questions.problems()
@@ -266,7 +276,9 @@ def _led(
     questions: RankQuestions, problems: dict[str, RankLoss], starts: dict[str, Array], task: str, limits: bool
 ) -> list[tuple[Key, Row]]:  # fmt: skip
     """Singular configurations to which starts (k, nq) of each question are led, with the keys of their sets."""
-    system, name, rows = questions.system, questions.frame, list[tuple[Key, Row]]()
+    system = questions.system
+    name = questions.frame
+    rows = list[tuple[Key, Row]]()
     for kind, problem in problems.items():
         q = problem.led(starts[kind])
         if CONSTRAINT in problems and kind != CONSTRAINT:
@@ -288,7 +300,8 @@ def _questions_of(
 
     Its pose has three equations, and so lacks a direction everywhere.
     """
-    loops, starts = has_loops(system), start_count(spend.starts, DRAWN)
+    loops = has_loops(system)
+    starts = start_count(spend.starts, DRAWN)
     word = _task(system, frame, task, loops)
     questions = RankQuestions(system, frame, word, driving, generator(spend.rng), starts, limits)
     if task is None and loops and system.dim == 2 and questions.frame_rank == 2:
@@ -334,7 +347,9 @@ def _sharpened(problem: RankLoss, q: Array) -> Array:
 
 def _set(system: System, key: Key, rows: list[Row], problems: list[RankLoss]) -> SingularSet:
     kinds, name, deciding = key
-    q, names, columns = np.array([row[0] for row in rows]), system.structure.velocity_names, problems[0].columns
+    q = np.array([row[0] for row in rows])
+    names = system.structure.velocity_names
+    columns = problems[0].columns
     dimension = min(p.tangents(q[0]).shape[1] for p in problems) - (system.nv - len(columns))
     place = np.full(system.nv, -1, dtype=np.int64)
     place[system.structure.layout.vector_v] = system.structure.layout.vector_q
@@ -344,7 +359,8 @@ def _set(system: System, key: Key, rows: list[Row], problems: list[RankLoss]) ->
         values = _distinct(system, q[:, at], deciding)
     if dimension == 0:
         keep = _distinct_rows(q)
-        rows, q = [rows[i] for i in keep], q[keep]
+        rows = [rows[i] for i in keep]
+        q = q[keep]
     return SingularSet(kinds, name, tuple(names[int(i)] for i in deciding), values, dimension, q,
                        tuple(local for _, local in rows), tuple(at.tolist()))  # fmt: skip
 
@@ -375,8 +391,10 @@ def _turned(system: System, q: Array) -> Array:
     """
     if system.structure.relations:
         return q
-    layout, turning = system.structure.layout, system.structure.coordinates.turning[system.structure.layout.vector_v]
-    at_q, at_v = layout.vector_q[turning], layout.vector_v[turning]
+    layout = system.structure.layout
+    turning = system.structure.coordinates.turning[system.structure.layout.vector_v]
+    at_q = layout.vector_q[turning]
+    at_v = layout.vector_v[turning]
     x = q[:, at_q]
     x = x - FULL_TURN * np.ceil((x - np.pi) / FULL_TURN - 1e-12)
     for shift in (FULL_TURN, -FULL_TURN):

@@ -161,10 +161,13 @@ def grid_of(extent: Array, cells: Any, box: Any, length: float, dim: int, usual:
     """
     names = AXES[:dim]
     moves = [k for k in range(dim) if extent[1, k] - extent[0, k] > 1e-9 * length]
-    low, high = extent[0] - 0.5 * length, extent[1] + 0.5 * length  # where nothing moves: one cell about it
+    # where nothing moves: one cell about it
+    low = extent[0] - 0.5 * length
+    high = extent[1] + 0.5 * length
     margin = 0.05 * (extent[1] - extent[0])
     for k in moves:
-        low[k], high[k] = extent[0, k] - margin[k], extent[1, k] + margin[k]
+        low[k] = extent[0, k] - margin[k]
+        high[k] = extent[1, k] + margin[k]
     if box is not None:
         ends = reals(box, "box", "pairs (lower, upper) of metres, one an axis")
         if ends.shape != (dim, 2):
@@ -174,7 +177,8 @@ def grid_of(extent: Array, cells: Any, box: Any, length: float, dim: int, usual:
                 raise InputError(f"box: {name} is from {a:g} to {b:g}; the first must be less, both in metres")
         for k, (a, b) in enumerate(ends.tolist()):
             if k in moves or not a <= extent[0, k] <= b:  # else the one cell stays about the place
-                low[k], high[k] = a, b
+                low[k] = a
+                high[k] = b
     axes = tuple(AXES[k] for k in moves)
     numbers = [1, 1, 1]
     for k, count in zip(moves, cell_counts(cells, (high - low)[moves], axes, usual), strict=True):

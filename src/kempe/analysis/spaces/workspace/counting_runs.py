@@ -25,7 +25,8 @@ class Threads:
     """
 
     def __init__(self, recipe: Recipe, threads: int | None):
-        self.recipe, self.n = recipe, thread_count(threads)
+        self.recipe = recipe
+        self.n = thread_count(threads)
         own = max(1, min(self.n, SHARED_BYTES // (4 * recipe.entries)))
         self.counts = [np.zeros(recipe.entries, dtype=np.uint32) for _ in range(own)]
         self.changed = Condition()
@@ -41,8 +42,12 @@ class Threads:
         """
         for counts in self.counts:
             counts[:] = 0
-        piece, done, broken = self.recipe.piece, first, None
-        self.begun, self.last, self.free = first, last, list(range(self.n))
+        piece = self.recipe.piece
+        done = first
+        broken = None
+        self.begun = first
+        self.last = last
+        self.free = list(range(self.n))
         with ThreadWorkers(self.n) as workers:
 
             def begin(_: int, attempt: int) -> Any:
@@ -68,7 +73,8 @@ class Threads:
             start = self.begun
             if start == self.last:
                 return
-            self.begun, slot = min(start + self.recipe.piece, self.last), self.free.pop()
+            self.begun = min(start + self.recipe.piece, self.last)
+            slot = self.free.pop()
             stop = self.begun
         try:
             self.recipe.count(start, stop, self.counts[slot % len(self.counts)])

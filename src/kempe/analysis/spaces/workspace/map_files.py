@@ -44,7 +44,8 @@ def write_map(path: Path, stored: Stored) -> None:
         shutil.rmtree(beside, ignore_errors=True)
         group = zarr.open_group(str(beside), mode="w", zarr_format=3)
         group.attrs.update(_attributes(stored))
-        axes, counts = stored.map.axes, stored.map.counts
+        axes = stored.map.axes
+        counts = stored.map.counts
         chunks = tuple(min(CHUNK, k) for k in counts.shape)
         kind = np.uint32 if counts.max(initial=0) < 2**32 else np.uint64
         array = add_array(group, "counts", counts.shape, kind, chunks, tuple(axes), long_name="samples in the cell",

@@ -22,7 +22,8 @@ SIGMAS = 2.0
 """Standard errors that the error of a measure is."""
 UNDECIDED, REACHED, UNREACHED = range(3)
 """What is known of a cell without samples."""
-FIRST, AT_ONCE = 4, 256
+FIRST = 4
+AT_ONCE = 256
 """Empty cells of which the nearest that is not reached is looked for first; points that are looked at together."""
 
 
@@ -35,14 +36,18 @@ def measured(
     prove nothing (stratified sampling: Cochran 1977, chapter 5; variances after Agresti and Coull 1998). Cells that are
     not `possible` are proven not to be reached, and left out.
     """
-    rng, cell = np.random.default_rng([seed, 1]), math.prod(cells.cell)
-    value, variance = 0.0, 0.0
+    rng = np.random.default_rng([seed, 1])
+    cell = math.prod(cells.cell)
+    value = 0.0
+    variance = 0.0
     for name, mask in cells.layers.items():
         chosen = np.flatnonzero(mask & possible)
         if len(chosen):
             points = _within(cells, rng.choice(chosen, POINTS[name]), rng)
-            hits, n = int(question.reached(system, frame, points, seed).sum()), POINTS[name]
-            whole, part = len(chosen) * cell, (hits + 2.0) / (n + 4.0)
+            hits = int(question.reached(system, frame, points, seed).sum())
+            n = POINTS[name]
+            whole = len(chosen) * cell
+            part = (hits + 2.0) / (n + 4.0)
             value += whole * hits / n
             variance += whole**2 * part * (1.0 - part) / (n + 4.0)
     return value, SIGMAS * math.sqrt(variance)
@@ -53,7 +58,8 @@ def counted(cells: CellMap, samples: int, hits: int) -> tuple[float, float]:
 
     Cells of which each has its share make the error smaller than this one, which is that of places anywhere.
     """
-    whole, part = math.prod(cells.cell) * cells.counts.size, (hits + 2.0) / (samples + 4.0)
+    whole = math.prod(cells.cell) * cells.counts.size
+    part = (hits + 2.0) / (samples + 4.0)
     error = SIGMAS * math.sqrt(part * (1.0 - part) / (samples + 4.0))
     return whole * hits / max(samples, 1), whole * error
 
@@ -63,7 +69,8 @@ def together(found: list[tuple[float, float]]) -> tuple[float, float]:
     proven = [x for x in found if x[1] == 0.0]
     if proven:
         return proven[0]
-    values, weights = np.array([v for v, _ in found]), np.array([e**-2.0 for _, e in found])
+    values = np.array([v for v, _ in found])
+    weights = np.array([e**-2.0 for _, e in found])
     return float(values @ weights / weights.sum()), float(weights.sum() ** -0.5)
 
 
@@ -98,7 +105,8 @@ def to_boundary(
     """
     at = points[:, cells.grid.kept]
     finite = np.isfinite(at).all(axis=1)
-    out, edge = np.where(np.isnan(at).any(axis=1), np.nan, -np.inf), cast(Any, cells.edge)
+    out = np.where(np.isnan(at).any(axis=1), np.nan, -np.inf)
+    edge = cast(Any, cells.edge)
     far = finite & ~inside
     out[far] = -edge.query(at[far])[0]
     near = np.flatnonzero(finite & inside)
@@ -122,8 +130,11 @@ def _to_unreached(
     `known` says of each empty cell what is known of it, and is filled in. That of the nearest middle is at most a
     diagonal too large, where the boundary is flat, and never too small.
     """
-    tree, half = cast(Any, cells.empty[0]), 0.5 * math.hypot(*cells.cell)
-    out, left, many = np.zeros(len(points)), np.arange(len(points)), FIRST
+    tree = cast(Any, cells.empty[0])
+    half = 0.5 * math.hypot(*cells.cell)
+    out = np.zeros(len(points))
+    left = np.arange(len(points))
+    many = FIRST
     while len(left):
         far, cell = (x.reshape(len(left), -1) for x in tree.query(points[left], k=min(many, tree.n)))
         before = np.cumsum(known[cell] == UNREACHED, axis=1) == 0
@@ -132,7 +143,8 @@ def _to_unreached(
         gone = known[cell] == UNREACHED
         done = gone.any(axis=1)
         out[left[done]] = far[done, gone[done].argmax(axis=1)]
-        left, many = left[~done], many * FIRST
+        left = left[~done]
+        many = many * FIRST
     return np.maximum(out - half, 0.0)
 
 
@@ -141,7 +153,8 @@ def boundary_of(cells: CellMap) -> Any:
 
     Errors: `MissingExtraError` without scikit-image.
     """
-    grid, filled = cells.grid, np.pad(cells.occupied, 1).astype(float)
+    grid = cells.grid
+    filled = np.pad(cells.occupied, 1).astype(float)
     origin = np.array(grid.low)[grid.kept] - 0.5 * grid.size
     if filled.ndim == 1:
         ends = np.flatnonzero(np.diff(filled))

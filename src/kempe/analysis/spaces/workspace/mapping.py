@@ -78,14 +78,16 @@ def workspace(
     where no box is given, and what belongs to another map; `KernelsError` for a map of other kernels; `DiskError`;
     `UnknownNameError`; `MissingExtraError` without the extra [scale], for `client` and `path`.
     """
-    name, spend = system.structure.frame_name(frame), USUAL.of(budget)
+    name = system.structure.frame_name(frame)
+    spend = USUAL.of(budget)
     clock = TimeLimit(spend.time_limit)
     if n is not None and not (is_real(n) and 1 <= n <= MOST and n == int(n)):
         raise InputError(f"n is {shown(n)}; it must be a whole number of samples, from 1 to {MOST:.2g}")
     with begun_within(USUAL, clock):
         question = question_of(system, name, kind, orientation, at)
     if client is not None:
-        own, client = isinstance(client, str), connected(client)
+        own = isinstance(client, str)
+        client = connected(client)
     else:
         own = False
     try:
@@ -105,8 +107,10 @@ def _answer(
     if store.found is not None and store.found.samples >= count:
         return of_stored(recipe.system, store.found, store.found.samples)
     store.begin()
-    before, pace = store.samples(count), Pace(spend.progress, count)
-    each, broken = recipe.part, None
+    before = store.samples(count)
+    pace = Pace(spend.progress, count)
+    each = recipe.part
+    broken = None
     try:
         if client is None:
             ranges = store.missing(count, min(max(each, count // 64), LARGEST_PART))
@@ -148,10 +152,12 @@ def _local(
 class _Memory:
     """Counts that are held in memory only."""
 
-    redone, found = 0, None
+    redone = 0
+    found = None
 
     def __init__(self, recipe: Recipe):
-        self.recipe, self.done = recipe, 0
+        self.recipe = recipe
+        self.done = 0
         self.counts = np.zeros(recipe.entries, dtype=np.uint64)
 
     def begin(self) -> None:
@@ -184,7 +190,9 @@ class _Disk:
     def __init__(self, recipe: Recipe, path: Path):
         zarr_library()
         refuse_place(path, FORMAT)
-        self.recipe, self.path, self.redone = recipe, path, 0
+        self.recipe = recipe
+        self.path = path
+        self.redone = 0
         self.found: Stored | None = None
         self.parts = SampleParts(path, recipe.said(), recipe.entries)
         if path.exists():

@@ -31,15 +31,21 @@ from kempe.words import joined
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-PIECE, SLOW_PIECE, TRIED_PIECE = 2**20, 1024, 64
+PIECE = 2**20
+SLOW_PIECE = 1024
+TRIED_PIECE = 64
 """Samples that one thread counts before it looks up: by the kernel, with what closes loops or obeys constraints, and of
 places that the inverse model decides."""
-PART, SLOW_PART, TRIED_PART = 10**8, 10**5, 10**4
+PART = 10**8
+SLOW_PART = 10**5
+TRIED_PART = 10**4
 """Samples of a task, a few seconds; of systems with loops or constraints; and of places."""
 GOLDEN = 0.6180339887498949
-PILOT, SLOW_PILOT = 2**17, 2**11
+PILOT = 2**17
+SLOW_PILOT = 2**11
 """Samples whose positions say where the box is."""
-NARROW_PILOT, ENOUGH = (2**18, 2**14), 64
+NARROW_PILOT = (2**18, 2**14)
+ENOUGH = 64
 """Samples at most, of trees and with loops, that are drawn for that until there are enough within constraints."""
 FEW_SAMPLES = 10**5, 10**7
 """Samples where none are requested: with loops or constraints, and without."""
@@ -131,7 +137,8 @@ class Recipe:
 
     def _tried(self, piece: int) -> Array:
         """Points (TRIED_PIECE, 3) of one piece, in the cells in a scattered order; NaN where they are not reached."""
-        grid, rng = self.grid, np.random.Generator(np.random.Philox(key=[self.seed, piece]))
+        grid = self.grid
+        rng = np.random.Generator(np.random.Philox(key=[self.seed, piece]))
         number = (np.arange(piece * TRIED_PIECE, (piece + 1) * TRIED_PIECE) * self._stride) % grid.count
         at = np.stack(np.unravel_index(number, grid.shape), axis=-1)
         points = grid.whole(np.array(grid.low)[grid.kept] + (at + rng.random(at.shape)) * grid.size)
@@ -185,7 +192,8 @@ def _mix(state: int, counter: int) -> int:
 def bounds_of(system: System) -> Array:
     """Lower end and range (nq, 2) of what is drawn of each coordinate; quaternions have none."""
     low, high = sampling_box(system)
-    layout, out = system.structure.layout, np.zeros((system.nq, 2))
+    layout = system.structure.layout
+    out = np.zeros((system.nq, 2))
     out[layout.vector_q, 0] = low[layout.vector_v]
     out[layout.vector_q, 1] = (high - low)[layout.vector_v]
     return out
@@ -208,7 +216,8 @@ def closed_configurations(system: System, seed: int, piece: int, count: int = SL
     good = np.ones(len(q), dtype=bool)
     if has_loops(system):
         answer = assemble(system, None, q)
-        q, good = answer.q, np.asarray(answer.success, dtype=bool)
+        q = answer.q
+        good = np.asarray(answer.success, dtype=bool)
     rows = one_sided_rows(system)
     good &= (rows.beyond(np.where(good[:, None], q, mid(system))) == 0.0).all(axis=1)
     return q, good
@@ -249,7 +258,8 @@ def pilot_positions(system: System, frame: str, seed: int) -> Array:
         table = chain_table(system, frame)
         lane_positions.random_positions(*table, keys_of(seed, system.nq), bounds_of(system), 0, points)
         return points
-    found, most = list[Array](), NARROW_PILOT[has_loops(system)]
+    found = list[Array]()
+    most = NARROW_PILOT[has_loops(system)]
     for k in range(most // SLOW_PIECE):
         if k >= SLOW_PILOT // SLOW_PIECE and sum(map(len, found)) >= ENOUGH:
             break
@@ -268,7 +278,8 @@ def _of_orientations(cells: Any, box: Any, dim: int) -> Grid:
     """The grid of all orientations. Errors: `InputError`."""
     if box is not None:
         raise InputError("box is for places: of orientations all are tried")
-    names, ranges = TURNED[dim], RANGES[dim]
+    names = TURNED[dim]
+    ranges = RANGES[dim]
     low, high = (tuple(x) for x in zip(*ranges, strict=True))
     counts = cell_counts(cells, np.array(high) - low, names, FEW_CELLS)
     rest = 3 - len(names)
@@ -277,7 +288,8 @@ def _of_orientations(cells: Any, box: Any, dim: int) -> Grid:
 
 def unlimited(system: System, frame: str) -> list[str]:
     """Names of coordinates that move a frame without end."""
-    layout, circle = system.structure.layout, circles(system)
+    layout = system.structure.layout
+    circle = circles(system)
     if not has_loops(system):
         used = set(rows_of(chain_table(system, frame)[0])[:, Q_INDEX].tolist())
     else:  # what is not driven may be held by loops

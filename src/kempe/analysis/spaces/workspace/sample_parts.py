@@ -19,7 +19,8 @@ MANY = 24
 
 def checksum_of(counts: np.ndarray) -> str:
     """A checksum of counts, by their values."""
-    digest, flat = hashlib.sha256(), counts.reshape(-1)
+    digest = hashlib.sha256()
+    flat = counts.reshape(-1)
     for k in range(0, flat.size, BLOCK):
         digest.update(flat[k : k + BLOCK].astype("<u8").data)
     return digest.hexdigest()

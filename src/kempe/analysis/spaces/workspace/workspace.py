@@ -115,7 +115,9 @@ class Workspace(Report):
         joint turns. It is not looked for where more than four joints of a chain have limits, which takes long,
         nor used where it is not inside the box.
         """
-        found, grid, dim = self._exact_anywhere(), self.map.grid, self.system.dim
+        found = self._exact_anywhere()
+        grid = self.map.grid
+        dim = self.system.dim
         if found is None or found.limited > MOST_LIMITED or len(grid.axes) != dim:
             return None
         low, high = found.extent
@@ -208,7 +210,8 @@ class Workspace(Report):
     def _measured(self, dimension: int) -> tuple[float, float]:
         axes = self.map.grid.axes
         if len(axes) != dimension:
-            has, what = MEASURES[len(axes)][0], "turns by" if self.kind == ORIENTATION else "moves along"
+            has = MEASURES[len(axes)][0]
+            what = "turns by" if self.kind == ORIENTATION else "moves along"
             raise InputError(f"{self.frame!r} {what} {', '.join(axes)}: the measure is its {has}")
         return self.measure
 
@@ -261,7 +264,8 @@ class Workspace(Report):
         flat, lead = self._points(points)
         if self.exact is not None and not isinstance(self.exact, Turned):
             return (self.exact.distance(flat) * np.where(self.exact.contains(flat), 1.0, -1.0)).reshape(lead)
-        question, inside = self.question, np.asarray(self.contains(points)).reshape(-1)
+        question = self.question
+        inside = np.asarray(self.contains(points)).reshape(-1)
         far = map_measures.to_boundary(self.system, self.frame, self.map, flat, inside, self.seed, question)
         return far.reshape(lead)
 
@@ -274,7 +278,8 @@ class Workspace(Report):
         if self.kind == ORIENTATION:
             R = read_rotations(points, self.system.dim, "points")
             return coordinates_of(R, self.system.dim).reshape(-1, 3), R.shape[:-2]
-        x, dim = reals(points, "points"), self.system.dim
+        x = reals(points, "points")
+        dim = self.system.dim
         if x.ndim == 0 or x.shape[-1] != dim:
             raise InputError(f"points have shape {x.shape}; they must be (..., {dim})")
         flat = np.zeros((math.prod(x.shape[:-1]), 3))
@@ -308,7 +313,9 @@ class Workspace(Report):
     @property
     def status(self) -> str:
         """How much was drawn, and how many cells it fell into."""
-        found, of, wanted = int(self.map.occupied.sum()), self.map.counts.size, self.question
+        found = int(self.map.occupied.sum())
+        of = self.map.counts.size
+        wanted = self.question
         left = f" ({self.requested:.6g} were requested)" if self.samples < self.requested else ""
         part, unit = (1.0, "m") if max(self.map.cell) >= LARGE else (1e3, "mm")
         edges = " x ".join(f"{part * x:.4g}" for x in self.map.cell)
@@ -325,7 +332,9 @@ class Workspace(Report):
 
     def _cells(self) -> Cells:
         grid = self.map.grid
-        (name, unit), (value, error), (low, high) = MEASURES[len(grid.axes)], self.measure, self.bounds
+        (name, unit) = MEASURES[len(grid.axes)]
+        (value, error) = self.measure
+        (low, high) = self.bounds
         unit = unit.replace("m", self.map.unit)
         box = ", ".join(f"{a} {grid.low[k]:.6g} to {grid.high[k]:.6g}{'' if a == 'height' else f' {self.map.unit}'}"
                         for a, k in zip(grid.axes, grid.kept, strict=True))  # fmt: skip
@@ -336,10 +345,8 @@ class Workspace(Report):
         elif not high:
             said = [(name, f"0 {unit}, proven by lengths and limits")]
         else:
-            least, most = (
-                f"at least {low:.6g} {unit} but for chance",
-                f"at most {high:.6g} {unit} by lengths and limits",
-            )
+            least = f"at least {low:.6g} {unit} but for chance"
+            most = f"at most {high:.6g} {unit} by lengths and limits"
             said = [(name, f"{value:.6g} +- {error:.2g} {unit}, estimated with the inverse model"),
                     ("bounds", f"{least}, {most}")]  # fmt: skip
         rows = [("box", box), *said]
@@ -350,7 +357,8 @@ class Workspace(Report):
         return (), rows
 
     def _data(self) -> dict[str, Any]:
-        grid, (name, _) = self.map.grid, MEASURES[len(self.map.grid.axes)]
+        grid = self.map.grid
+        (name, _) = MEASURES[len(self.map.grid.axes)]
         value, error = self.measure
         box = {a: [grid.low[k], grid.high[k]] for a, k in zip(grid.axes, grid.kept, strict=True)}
         numbers = {k: getattr(self, k) for k in ("samples", "requested", "outside", "left_out", "seed", "redone")}

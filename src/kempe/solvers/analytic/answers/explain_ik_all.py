@@ -42,7 +42,8 @@ REACHED = 2e-6
 CONSTANT = 1e-9
 """Factor of an unknown below which an equation does not depend on it."""
 
-CONDITION, PERTURBED = 1e-6, 0.1
+CONDITION = 1e-6
+PERTURBED = 0.1
 """A joint that rests is a condition of a family if moving it by PERTURBED makes this singular value of the joints that
 move larger."""
 
@@ -72,13 +73,16 @@ def status(solutions: Solutions, index: int) -> str:
     if size >= LARGEST:
         return f"no solution: the target has an entry of {size:.3g}; allowed are numbers below {LARGEST:g}"
     _, position, angle = nearest(solutions, index)
-    question, plan = solutions.question, solutions.plan
-    spare, miss = spare_joints(plan), math.hypot(position, angle)
+    question = solutions.question
+    plan = solutions.plan
+    spare = spare_joints(plan)
+    miss = math.hypot(position, angle)
     why: list[Any]
     why, proven = _reasons(solutions, index)
     if spare and not proven:
         tried = int(np.ravel(solutions.tried)[index])
-        head, why = "", [evidence("tried", held=_held(solutions, index, spare), values=tried, starts=MOST)]
+        head = ""
+        why = [evidence("tried", held=_held(solutions, index, spare), values=tried, starts=MOST)]
     else:
         head = "no solution"
     if miss <= REACHED:
@@ -87,7 +91,8 @@ def status(solutions: Solutions, index: int) -> str:
     if why[0].__class__ is Evidence and why[0].kind == "joints":
         why.append(rounded(position, angle, chain_of(solutions.system, question.frame).span.largest, one=True))
     limits = " inside the limits" if np.isfinite(plan.lines.limits).any() else ""
-    place, turn = None if question.task in TURNS else position, None if question.task == "position" else angle
+    place = None if question.task in TURNS else position
+    turn = None if question.task == "position" else angle
     off = wording.errors(place, turn)
     return wording.failed(head, *why, f"the closest configuration found{limits} misses it by {off}")
 
@@ -101,7 +106,8 @@ def held_sentence(solutions: Solutions) -> str:
         values = np.ravel(solutions.held[name])[solutions._used.any(axis=1)]
         if len(values):
             place, count = np.unique(values, return_counts=True)
-            usual, times = float(place[np.argmax(count)]), int(count.max())
+            usual = float(place[np.argmax(count)])
+            times = int(count.max())
             parts.append(wording.held_among(name, usual, times, len(values), place[0], place[-1]))
     return wording.to_spare(len(solutions.spare), f", held: {', '.join(parts)}" if parts else "")
 
@@ -119,7 +125,8 @@ def _reached(solutions: Solutions, index: int) -> str:
     families, member = unknown if spare and not deficient else solutions._families[index]
     alone = solutions._used[index] & (member < 0)
     code = solutions._code[index, alone]
-    inside, times = int((code % 2).sum()), code // int(A.MULTIPLICITY_UNIT)
+    inside = int((code % 2).sum())
+    times = code // int(A.MULTIPLICITY_UNIT)
     text = wording.solutions(
         len(code), inside, plan.method, not solutions._counts[index, 1], bool(spare), times[times > 1].tolist(),
         _beyond(solutions, index, alone) if len(code) and not inside and not families else "",
@@ -127,7 +134,9 @@ def _reached(solutions: Solutions, index: int) -> str:
     )  # fmt: skip
     if not spare or deficient and not len(code):
         return text
-    now, first, tried = _held(solutions, index, spare), solutions._first, int(np.ravel(solutions.tried)[index])
+    now = _held(solutions, index, spare)
+    first = solutions._first
+    tried = int(np.ravel(solutions.tried)[index])
     if first is None:
         tried = 1
     before = np.zeros(0) if first is None else first[index if len(first) > 1 else 0][spare]
@@ -148,7 +157,8 @@ def more_than_enough(plan: ChainPlan) -> bool:
 
 def _held(solutions: Solutions, index: int, joints: list[int]) -> list[tuple[str, float]]:
     """The joints with the values at which they are held for target number `index`."""
-    q, names = held_coordinates(solutions, index), solutions.plan.lines.names
+    q = held_coordinates(solutions, index)
+    names = solutions.plan.lines.names
     return [(names[i], float(q[i])) for i in joints]
 
 
@@ -178,8 +188,11 @@ def _beyond(solutions: Solutions, index: int, alone: np.ndarray) -> str:
 
 def _reasons(solutions: Solutions, index: int) -> tuple[list[Any], bool]:
     """What is to be said of a target without solutions, and whether it holds wherever spare joints are held."""
-    question, plan, system = solutions.question, solutions.plan, solutions.system
-    target, tolerance = question.targets[index : index + 1], question.tolerance
+    question = solutions.question
+    plan = solutions.plan
+    system = solutions.system
+    target = question.targets[index : index + 1]
+    tolerance = question.tolerance
     far = None
     if question.task not in TURNS:
         off = abs(float(target[0, 2, 3])) if system.dim == 2 else 0.0
@@ -200,11 +213,13 @@ def _reasons(solutions: Solutions, index: int) -> tuple[list[Any], bool]:
 
 def _overdetermined(solutions: Solutions) -> Evidence | None:
     """Whether the task asks for more than the chain can do anywhere."""
-    plan, planar = solutions.plan, solutions.system.dim == 2
+    plan = solutions.plan
+    planar = solutions.system.dim == 2
     unknown = [i for i in range(len(plan.lines)) if i not in fixed_joints(plan)]
     free = free_lines(plan.lines, plan.task, planar)
     full = 3 if planar else 6
-    rank, others = rank_of(plan.lines, free, unknown), len(free.kinds)
+    rank = rank_of(plan.lines, free, unknown)
+    others = len(free.kinds)
     if rank >= full:
         return None
     held = bool(fixed_joints(plan))
@@ -213,7 +228,8 @@ def _overdetermined(solutions: Solutions) -> Evidence | None:
 
 def _without_root(solutions: Solutions, index: int) -> Evidence | None:
     """The equation of a closed form that has no root; None where there is none of one unknown."""
-    plan, way = solutions.plan, solutions.plan.way
+    plan = solutions.plan
+    way = solutions.plan.way
     if way is None or way.mode in (AT_REST, COUPLED):
         return None
     terms = _terms(solutions, index, way)
@@ -222,7 +238,8 @@ def _without_root(solutions: Solutions, index: int) -> Evidence | None:
     joint = [way.order[(way.inner + 3) % 6], way.order[(way.inner + 5) % 6]]
     measures = way.measure, 1 - way.measure
     # the other joint does not appear in the first measure: its constant is what is wanted
-    t, wanted = terms[first, measures[0]], terms[second, measures[0], 0]
+    t = terms[first, measures[0]]
+    wanted = terms[second, measures[0], 0]
     roots = _roots(t, wanted, bool(slides[joint[first]]))
     if not len(roots):
         return _named(solutions, way, joint[first], measures[0], t, wanted)
@@ -242,7 +259,8 @@ def _terms(solutions: Solutions, index: int, way: Strategy) -> Array:
     """Constant and factors (2, 2, 3) of joints x and z in both measures, see `kempe.kernels.closed_form.arm_part`."""
     from kempe.kernels.compiled import candidates
 
-    plan, aim = solutions.plan, aim_of(solutions, index)
+    plan = solutions.plan
+    aim = aim_of(solutions, index)
     theta = plan.lines.theta(held_coordinates(solutions, index))
     axes, shift = carried_lines(plan.lines, plan.locked, plan.extra, theta)
     order = list(way.order)
@@ -275,21 +293,24 @@ def _roots(t: Array, wanted: float, slides: bool) -> list[tuple[float, float]]:
         return []
     if size <= CONSTANT:
         return [(math.nan, math.nan)]
-    middle, half = math.atan2(t[2], t[1]), math.acos(min(1.0, max(-1.0, k / size)))
+    middle = math.atan2(t[2], t[1])
+    half = math.acos(min(1.0, max(-1.0, k / size)))
     return [(math.cos(middle + s * half), math.sin(middle + s * half)) for s in (1.0, -1.0)]
 
 
 def _named(solutions: Solutions, way: Strategy, joint: int, measure: int, t: Array, wanted: float) -> Evidence | None:
     """That a joint cannot bring what the inner joints keep to where the target wants it; None for joints of nobody."""
     plan = solutions.plan
-    n, length = len(plan.lines), plan.lines.length
+    n = len(plan.lines)
+    length = plan.lines.length
     if joint >= n or plan.lines.kinds[joint] == SLIDE:
         return None
     _, low, high = _range(t, wanted)
     inner = sorted(i for i in way.order[way.inner : way.inner + 3] if i < n)
     middle = way.order[(way.inner + 4) % 6]
     turning = middle >= n and plan.extra.kinds[middle - n] != SLIDE or middle < n and plan.lines.kinds[middle] != SLIDE
-    what, off = "plane", 0.0
+    what = "plane"
+    off = 0.0
     edge = low if wanted < low else high
     if way.what == PLANE:
         if measure == 0 and turning:
@@ -299,7 +320,8 @@ def _named(solutions: Solutions, way: Strategy, joint: int, measure: int, t: Arr
         what = "far" if wanted > high else "near"
         off = abs(math.sqrt(max(wanted, 0.0)) - math.sqrt(max(edge, 0.0))) * length
     else:
-        what, off = "height", max(low - wanted, wanted - high) * length
+        what = "height"
+        off = max(low - wanted, wanted - high) * length
     return evidence("no root", joint=plan.lines.names[joint], axes=inner, what=what, off=off)
 
 
@@ -332,8 +354,10 @@ def _moving(family: Family) -> str:
 
 def _conditions(family: Family) -> list[tuple[str, float]]:
     """Joints at rest that must be where they are, with their values."""
-    motion, lines = family._motion, family._motion.aim.lines
-    theta, names = family._theta[0], lines.names
+    motion = family._motion
+    lines = family._motion.aim.lines
+    theta = family._theta[0]
+    names = lines.names
     at = [names.index(n) for n in family.joints]
     out: list[tuple[str, float]] = []
     for i in motion.aim.moves.tolist():
@@ -352,7 +376,8 @@ def choice(solutions: Solutions) -> Choice:
     """Which solver finds all answers to such problems."""
     from kempe.solvers.analytic.ik_all import chosen
 
-    question, plan = solutions.question, solutions.plan
+    question = solutions.question
+    plan = solutions.plan
     fixed = tuple(plan.lines.names[i] for i in plan.fixed)
     return chosen(question.system, question.frame, (question.task, question.axis), fixed)[1]
 

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 ON = 1e-5
 """Distance (radians, lengths of the chain) below which a solution counts as one of a family."""
 
-MOST, ROOM = 64, 48
+MOST = 64
+ROOM = 48
 """Families of one target at most; rows in which their samples are looked for, where an answer has no room for all."""
 
 STRAIGHT = 1e-6
@@ -141,7 +142,8 @@ class Family(InWords):
         out: list[dict[str, float]] = []
         slope = way / lines.multiplier[at]
         for k in range(1, len(at)):
-            a, b = -slope[k], slope[0]
+            a = -slope[k]
+            b = slope[0]
             size = min(abs(a), abs(b)) * math.copysign(1.0, a)
             a, b = (round(float(c / size), 9) + 0.0 for c in (a, b))
             q = self.q[0, lines.q_index]
@@ -208,7 +210,8 @@ def families_of(solutions: Solutions, index: int) -> tuple[list[Family], np.ndar
     row_family = np.full(len(numbers), -1, dtype=np.int64)
     if not used.any():
         return [], row_family
-    aim, rows = aim_of(solutions, index, spare=True), np.flatnonzero(used)
+    aim = aim_of(solutions, index, spare=True)
+    rows = np.flatnonzero(used)
     theta = plan.lines.theta(numbers[rows, : len(plan.lines)])
     motion = TolerantMotion(aim, solutions.question.tolerance)
     J = aim.at(theta)[1]
@@ -217,7 +220,8 @@ def families_of(solutions: Solutions, index: int) -> tuple[list[Family], np.ndar
     J = motion.shift @ J if len(motion.shift) else J
     if J.shape[1] >= J.shape[2]:
         weak = svd(J, compute_uv=False)[:, -1] < SINGULAR
-        rows, theta = rows[weak], theta[weak]
+        rows = rows[weak]
+        theta = theta[weak]
     base = solutions._base[index if len(solutions._base) > 1 else 0]
     families: list[Family] = []
     for row, x in zip(rows, theta, strict=True):
@@ -236,14 +240,18 @@ def families_of(solutions: Solutions, index: int) -> tuple[list[Family], np.ndar
 
 def _left_out(solutions: Solutions, index: int, aim: Aim) -> Array:
     """Variables (k, n) of samples of families for which the answer had no room, others among them."""
-    plan, n = solutions.plan, len(solutions.plan.lines)
+    plan = solutions.plan
+    n = len(solutions.plan.lines)
     sampled = solutions._used[index] & (solutions._code[index] < A.MULTIPLICITY_UNIT)
     if plan.method == "search" or not (sampled.any() and solutions._used[index].all()):
         return np.zeros((0, n))
-    target, near = aim.target[None].copy(), solutions._base[index if len(solutions._base) > 1 else 0]
+    target = aim.target[None].copy()
+    near = solutions._base[index if len(solutions._base) > 1 else 0]
     target[0, :3, 3] = target[0, :3, 3] * plan.lines.length + plan.lines.origin
-    out, counts = np.empty((1, ROOM, n + A.INFO)), np.zeros((1, 2), dtype=np.int64)
-    tolerance, locked = solutions.question.tolerance, held_coordinates(solutions, index)[None]
+    out = np.empty((1, ROOM, n + A.INFO))
+    counts = np.zeros((1, 2), dtype=np.int64)
+    tolerance = solutions.question.tolerance
+    locked = held_coordinates(solutions, index)[None]
     kernel_of(plan)(plan.ints, plan.floats, target, np.ascontiguousarray(near[plan.lines.q_index])[None], locked,
                     tolerance, tolerance, 0, np.arange(1), out, counts)  # fmt: skip
     code = out[0, :, n + A.CODE]
@@ -268,7 +276,9 @@ def _collect(families: list[Family], motion: TolerantMotion, theta: Array, base:
 def in_turn(motion: TolerantMotion, theta: Array, base: Array) -> Array:
     """Coordinates (..., n) of variables, of each angle the turn that is inside the limits and near `base` (nq,)."""
     lines = motion.aim.lines
-    q, near, (low, high) = (theta - lines.offset) / lines.multiplier, base[lines.q_index], lines.limits
+    q = (theta - lines.offset) / lines.multiplier
+    near = base[lines.q_index]
+    (low, high) = lines.limits
     turn = np.where(motion.aim.slides, 0.0, 2.0 * math.pi / np.abs(lines.multiplier))
     unit = np.where(turn > 0.0, turn, 1.0)
     x = q + turn * np.round((near - q) / unit)
@@ -293,7 +303,8 @@ def _on(family: Family, motion: TolerantMotion, theta: Array) -> bool:
 
 def _family(motion: TolerantMotion, curve: Any, base: Array) -> Family:
     """A family with names and units."""
-    lines, theta = motion.aim.lines, curve.theta
+    lines = motion.aim.lines
+    theta = curve.theta
     first = lines.theta(in_turn(motion, theta[0], base))
     turns = 2.0 * math.pi * ((first - theta[0]) / (2.0 * math.pi)).round()
     theta = theta + np.where(motion.aim.slides, 0.0, turns)

@@ -15,13 +15,15 @@ from kempe.solvers.analytic.answers.family_points import CORRECTIONS, DIRECTIONS
 from kempe.solvers.common.tracing import NONE, Curve, Node, step, walk
 from kempe.spatial import Array
 
-REACH, NEAR = 0.05, 3e-3
+REACH = 0.05
+NEAR = 3e-3
 """The first step off a solution; another one, for those that are undetermined (radians, lengths of the chain)."""
 
 LONGEST = 0.12
 """The longest step along a curve (radians, lengths of the chain)."""
 
-MOST, FAR = 6000, 50.0
+MOST = 6000
+FAR = 50.0
 """Samples of a curve at most; how many lengths a slide is followed."""
 
 CLOSE = 0.3
@@ -56,16 +58,20 @@ class TolerantMotion(Points, Curve):
 
     def through(self, theta: Array, known: Callable[[Array], bool]) -> list[Samples]:
         """The families on which a solution (n,) lies, none where it is isolated; those through `known` are left out."""
-        free, found = self.null_space(self.linear(theta)[1], least=0), list[Samples]()
+        free = self.null_space(self.linear(theta)[1], least=0)
+        found = list[Samples]()
         if not len(free):
             return []
-        far, near = REACH, self._neighbours(theta, free, REACH)
+        far = REACH
+        near = self._neighbours(theta, free, REACH)
         if not near and self.spectrum(self.linear(theta)[1])[0] < self.undetermined:
-            far, near = NEAR, self._neighbours(theta, free, NEAR)
+            far = NEAR
+            near = self._neighbours(theta, free, NEAR)
         for start in near:
             if known(start) or any(self._passes(curve, start) for curve in found):
                 continue
-            way, wide = (start - theta) / np.linalg.norm(start - theta), self.spanned(start, far)
+            way = (start - theta) / np.linalg.norm(start - theta)
+            wide = self.spanned(start, far)
             if len(wide) > 1:
                 return [self._surface(theta, start, wide)]
             curve = self.follow(theta, way) if len(free) == 1 else self.follow(start, way)
@@ -104,7 +110,8 @@ class TolerantMotion(Points, Curve):
         if end != "closed":
             back, other = self._trace(first.reversed())
             nodes = [*(a.reversed() for a in back[:0:-1]), *nodes]
-        x, t = np.array([a.x for a in nodes]), np.array([a.t for a in nodes])
+        x = np.array([a.x for a in nodes])
+        t = np.array([a.t for a in nodes])
         worst = max(map(self.missed, self.linear_each(x)[0]))
         if "off" in (end, other) and worst > 1e-3 * self.tolerance and self.spectrum(J)[0] > self.undetermined:
             return None
@@ -117,12 +124,14 @@ class TolerantMotion(Points, Curve):
 
     def node(self, x: Array, toward: Array, J: Array) -> Node:
         """The node at a configuration (n,); its `sigma` is the second smallest singular value."""
-        moves, t = self.aim.moves, np.zeros(len(x))
+        moves = self.aim.moves
+        t = np.zeros(len(x))
         _, s, Vt = svd(J[:, moves])
         s = np.append(s, np.zeros(len(moves) - len(s)))
         free = Vt[len(moves) - max(1, int((s <= SINGULAR).sum())) :]
         t[moves] = (free @ toward[moves]) @ free
-        size, whole = math.sqrt(t @ t), math.sqrt(toward @ toward)
+        size = math.sqrt(t @ t)
+        whole = math.sqrt(toward @ toward)
         t = t / size if size > 0.1 * whole else toward / whole
         return Node(x, t, float(s[-2]) if len(s) > 1 else math.inf, 1, NONE, NONE)
 
@@ -130,7 +139,9 @@ class TolerantMotion(Points, Curve):
         """Points (n,) of a curve in which others may cross it: its Jacobian loses one more rank."""
         from scipy import optimize  # only here: most targets have no families
 
-        before, size, after = np.roll(curve.second, 1), curve.second, np.roll(curve.second, -1)
+        before = np.roll(curve.second, 1)
+        size = curve.second
+        after = np.roll(curve.second, -1)
         steep = size <= np.maximum(before, after) - size  # a zero nearby leaves such a kink
         for k in np.flatnonzero((size <= before) & (size <= after) & (size < CLOSE) & steep):
             t = curve.tangents[k : k + 1]
@@ -162,7 +173,8 @@ class TolerantMotion(Points, Curve):
 
     def _returns(self, a: Node, b: Node, first: Node) -> bool:
         """Whether the step from a to b passes the first node."""
-        rest, h = self.gap(first.x, a.x), float((b.x - a.x) @ a.t)
+        rest = self.gap(first.x, a.x)
+        h = float((b.x - a.x) @ a.t)
         along = float(rest @ a.t)
         if not -0.01 * h < along <= 1.01 * h or a.t @ first.t < 0.8 or np.linalg.norm(rest - along * a.t) > 0.3 * h:
             return False
@@ -176,7 +188,8 @@ class TolerantMotion(Points, Curve):
         """
         found: list[tuple[int, float]] = []
         for i in self.aim.moves.tolist():
-            speed, x = curve.tangents[:, i], curve.theta[:, i]
+            speed = curve.tangents[:, i]
+            x = curve.theta[:, i]
             if np.any(speed > 0.0) and np.any(speed < 0.0):
                 continue
             once = abs(x[-1] - x[0]) < 2.0 * math.pi + (0.0 if curve.closed else 1e-9)
@@ -192,7 +205,8 @@ class TolerantMotion(Points, Curve):
         k = int(np.argmin((self.gap(samples, theta) ** 2).sum(axis=1)))
         if len(samples) == 1:
             return samples[0]
-        x, way = samples[k], self.gap(samples[k - 1], samples[k]) if k else self.gap(samples[0], samples[1])
+        x = samples[k]
+        way = self.gap(samples[k - 1], samples[k]) if k else self.gap(samples[0], samples[1])
         for _ in range(20):
             way = self.node(x, way, self.linear(x)[1]).t
             step = float(self.gap(theta, x) @ way)
@@ -225,14 +239,17 @@ class TolerantMotion(Points, Curve):
 
     def _with_extremes(self, x: Array, i: int) -> Array:
         """The samples with those added at which joint i turns round."""
-        out, before = [x[0]], None
+        out = [x[0]]
+        before = None
         for a, b in zip(x[:-1], x[1:], strict=True):
             way = (b - a) / max(float(np.linalg.norm(b - a)), 1e-300)
             ta = self.node(a, way, self.linear(a)[1]).t[i] if before is None else before
             tb = self.node(b, way, self.linear(b)[1]).t[i]
             before = tb
             if ta * tb < 0.0:
-                low, high, point = 0.0, 1.0, a
+                low = 0.0
+                high = 1.0
+                point = a
                 for _ in range(40):
                     middle = 0.5 * (low + high)
                     point, _, J = self.led(a + middle * (b - a), way[None])
@@ -257,14 +274,20 @@ class TolerantMotion(Points, Curve):
 
     def _surface(self, theta: Array, start: Array, wide: Array) -> Samples:
         """A family with several freedoms, those `wide` (d, n) next to a solution: samples of a random walk on it."""
-        rng, x, out, worst, d = np.random.default_rng(2), start, [theta, start], 0.0, len(wide)
+        rng = np.random.default_rng(2)
+        x = start
+        out = [theta, start]
+        worst = 0.0
+        d = len(wide)
         for _ in range(SAMPLES):
             free = self.null_space(self.linear(x)[1], d)
-            way, far = rng.normal(size=d) @ (free if len(free) == d else wide @ free.T @ free), 0.6 * rng.random()
+            way = rng.normal(size=d) @ (free if len(free) == d else wide @ free.T @ free)
+            far = 0.6 * rng.random()
             ahead = x + far * way / np.linalg.norm(way)
             new = self.led(ahead, free)[0] if len(free) == d else self.at_distance(x, ahead[None], far)[0]
             if np.isfinite(new[0]) and self.on_target(e := self.linear(new)[0]):
-                x, worst = new, max(worst, self.missed(e))
+                x = new
+                worst = max(worst, self.missed(e))
                 out.append(x)
         free = self.null_space(self.linear(theta)[1], d)
         basis = free if len(free) == d else wide

@@ -22,7 +22,9 @@ UNDETERMINED = 5e-9
 """Smallest singular value below which a solution is not determined: rounding of its target moves it by 1e8 times as
 much. Then the part of the curve that is on target within the tolerance counts as a family; the curve may be longer."""
 
-CORRECTIONS, FURTHEST, EXACT = 12, 1.0, 3e-14
+CORRECTIONS = 12
+FURTHEST = 1.0
+EXACT = 3e-14
 """Corrections of a step at most; one that is longer leads elsewhere, and is not taken; an error that is rounding."""
 
 SLACK = 1.01
@@ -31,7 +33,8 @@ SLACK = 1.01
 LONG = 1e3
 """Length of a tool, in lengths of the chain, from which errors are brought to the last axis."""
 
-STRIDE, SPANNED = 0.3, 0.2
+STRIDE = 0.3
+SPANNED = 0.2
 """Where freedoms are counted: the step, in parts of the first one; singular values of the directions found, in parts of
 the largest, that count."""
 
@@ -114,7 +117,8 @@ class Points:
 
     def spectrum(self, J: Array) -> tuple[float, float]:
         """The smallest and the second smallest singular value of the joints that move."""
-        k, s = len(self.aim.moves), svd(J[:, self.aim.moves], compute_uv=False)
+        k = len(self.aim.moves)
+        s = svd(J[:, self.aim.moves], compute_uv=False)
         least, second = sorted([*s, *[0.0] * (k - len(s)), math.inf])[:2]
         return float(least), float(second)
 

@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     from kempe.solvers.analytic.plans.question import Question
     from kempe.solvers.one_frame.solution import Solution
 
-STARTS, STEPS, BEST = 32, 40, 4
+STARTS = 32
+STEPS = 40
+BEST = 4
 """Starts of a descent, steps of each, and how many of the best are followed to their minimum."""
 
 SMALL_SINE = 0.1
@@ -53,40 +55,49 @@ class Aim:
 
         A turn is 1 + sin K + (1 - cos) K^2 (Rodrigues, 1840).
         """
-        lines, turns = self.lines, ~self.slides
+        lines = self.lines
+        turns = ~self.slides
         C = np.zeros((len(lines), 4, 4, 4))
         K = spatial.skew(lines.h) * turns[:, None, None]
-        C[:, 1, :3, :3], C[:, 2, :3, :3] = K, -K @ K
+        C[:, 1, :3, :3] = K
+        C[:, 2, :3, :3] = -K @ K
         C[:, 0, :3, :3] = K @ K
         C[:, :3, :3, 3] = -np.einsum("nkij,nj->nki", C[:, :3, :3, :3], lines.o)
         C[:, 0] += np.eye(4)
         C[~turns, 3, :3, 3] = lines.h[~turns]
         axes = np.zeros((len(lines), 4, 2))
-        axes[:, :3, 0], axes[:, :3, 1], axes[:, 3, 1] = lines.h, lines.o, 1.0
+        axes[:, :3, 0] = lines.h
+        axes[:, :3, 1] = lines.o
+        axes[:, 3, 1] = 1.0
         return C.reshape(len(lines), 4, 16), axes
 
     def sweep(self, theta: Array) -> tuple[Array, Array, Array, Array]:
         """Rotation (N, 3, 3) and position (N, 3) of the tip, directions and points (N, n, 3) of the lines there."""
-        (N, n), (parts, axes) = theta.shape, self._parts
+        (N, n) = theta.shape
+        (parts, axes) = self._parts
         terms = np.ones((N, n, 1, 4))
         terms[..., 0, 1], terms[..., 0, 2], terms[..., 0, 3] = np.sin(theta), np.cos(theta), theta
         E = (terms @ parts).reshape(N, n, 4, 4)
         X = np.empty((N, n + 1, 4, 4))
         X[:, 0] = np.eye(4)
         if N == 1:  # plain products of matrices cost a third of stacked ones
-            before, steps, after = X[0, 0], E[0], X[0]
+            before = X[0, 0]
+            steps = E[0]
+            after = X[0]
             for i in range(n):
                 before = before @ steps[i]
                 after[i + 1] = before
         else:
             for i in range(n):
                 X[:, i + 1] = X[:, i] @ E[:, i]
-        T, there = X[:, n] @ self.lines.tip, X[:, :n] @ axes
+        T = X[:, n] @ self.lines.tip
+        there = X[:, :n] @ axes
         return T[:, :3, :3], T[:, :3, 3], there[..., :3, 0], there[..., :3, 1]
 
     def errors(self, R: Array, p: Array) -> Array:
         """What is missing (N, 6) at poses of the tip; zero in rows that do not count."""
-        back, full = np.swapaxes(R, 1, 2), np.zeros((len(R), 6))
+        back = np.swapaxes(R, 1, 2)
+        full = np.zeros((len(R), 6))
         full[:, :3] = (back @ (self.target[:3, 3] - p)[..., None])[..., 0]
         if self.rows[-1] >= 3:
             D = back @ self.target[:3, :3]
@@ -98,7 +109,9 @@ class Aim:
     def at(self, theta: Array) -> tuple[Array, Array]:
         """Errors (N, m) of the rows that count and the Jacobian (N, m, k) of the moving joints, at theta (N, n)."""
         R, p, h, o = self.sweep(theta)
-        h, o, slides = h[:, self.moves], o[:, self.moves], self.slides[self.moves, None]
+        h = h[:, self.moves]
+        o = o[:, self.moves]
+        slides = self.slides[self.moves, None]
         v = np.where(slides, h, _cross(h, p[:, None] - o))
         w = np.where(slides, 0.0, h)
         J = np.concatenate([np.swapaxes(v @ R, 1, 2), np.swapaxes(w @ R, 1, 2)], axis=1)
@@ -112,7 +125,8 @@ class Aim:
 
 def aim_of(solutions: Solutions, index: int, spare: bool = False) -> Aim:
     """What target number `index` asks; with `spare`, joints that were locked only since they are spare may move."""
-    question, plan = solutions.question, solutions.plan
+    question = solutions.question
+    plan = solutions.plan
     target = np.array(question.targets[index])
     if question.axis != Z_AXIS:
         target[:3, :3] = target[:3, :3] @ frame_of(np.array(question.axis))
@@ -134,7 +148,8 @@ def _cross(a: Array, b: Array) -> Array:
 def _pointing(z: Array) -> Array:
     """Rotation vectors (N, 3) that turn the z axis to the unit vectors z (N, 3)."""
     sine = np.hypot(z[:, 0], z[:, 1])
-    angle, none = np.arctan2(sine, z[:, 2]), sine < 1e-300
+    angle = np.arctan2(sine, z[:, 2])
+    none = sine < 1e-300
     f = angle / np.where(none, 1.0, sine)
     return np.stack([np.where(none, angle, -z[:, 1] * f), z[:, 0] * f, np.zeros(len(z))], axis=1)
 
@@ -160,7 +175,8 @@ def nearest(solutions: Solutions, index: int) -> tuple[Array, float, float]:
     and chains with joints held, to descents from several starts (Levenberg, 1944; Byrd, Lu, Nocedal and Zhu, 1995).
     What is found is a local minimum: seldom, another one is closer. NaN for targets that are no poses.
     """
-    question, plan = solutions.question, solutions.plan
+    question = solutions.question
+    plan = solutions.plan
     base = solutions._base[index if len(solutions._base) > 1 else 0]
     target = question.targets[index]
     if solutions._counts[index, 0] < 0 or np.abs(target).max() >= LARGEST:
@@ -179,7 +195,8 @@ def nearest(solutions: Solutions, index: int) -> tuple[Array, float, float]:
 
 def _by_numbers(question: Question, target: Array, start: Array) -> Solution:
     """The answer of `ik` for a target (4, 4) whose pose or position counts; the search begins at `start` (nq,)."""
-    system, task = question.system, (question.task, Z_AXIS)
+    system = question.system
+    task = (question.task, Z_AXIS)
     goal = target if question.task == "pose" else target[:3, 3]
     targets, lead, _ = targets_of(system, goal, question.task, Z_AXIS)
     solver, _ = chosen(system, question.frame, task, "numeric", False)
@@ -188,8 +205,10 @@ def _by_numbers(question: Question, target: Array, start: Array) -> Solution:
 
 def held_coordinates(solutions: Solutions, index: int) -> Array:
     """Coordinates (n,) of the chain at `near`, joints that are locked at their values."""
-    lines, base = solutions.plan.lines, solutions._base[index if len(solutions._base) > 1 else 0]
-    q, at = base[lines.q_index].copy(), list(solutions.plan.locked)
+    lines = solutions.plan.lines
+    base = solutions._base[index if len(solutions._base) > 1 else 0]
+    q = base[lines.q_index].copy()
+    at = list(solutions.plan.locked)
     if at:
         locked = getattr(solutions, "_locked", None)
         low, high = lines.limits[:, at]
@@ -208,16 +227,19 @@ def _closest(aim: Aim, first: Array) -> Array:
     from scipy import optimize  # only here: most targets are reached
 
     low, high = (x[aim.moves] for x in limits_of(aim.lines))
-    rng, k = np.random.default_rng(0), len(aim.moves)
+    rng = np.random.default_rng(0)
+    k = len(aim.moves)
     wide = np.where(aim.slides[aim.moves], 2.0, math.pi)
-    left, right = np.where(np.isfinite(low), low, -wide), np.where(np.isfinite(high), high, wide)
+    left = np.where(np.isfinite(low), low, -wide)
+    right = np.where(np.isfinite(high), high, wide)
     theta = np.tile(first, (STARTS, 1))
     theta[1:, aim.moves] = rng.uniform(np.minimum(left, right), np.maximum(left, right), (STARTS - 1, k))
     theta[:, aim.moves] = np.clip(theta[:, aim.moves], low, high)
     theta = descend(aim, theta, low, high)
     e, _ = aim.at(theta)
     order = np.argsort((e * e).sum(axis=1))
-    best, least = theta[order[0]], math.inf
+    best = theta[order[0]]
+    least = math.inf
     for start in theta[order[:BEST]]:
 
         def energy(x: Array, start: Array = start) -> tuple[float, Array]:
@@ -230,7 +252,8 @@ def _closest(aim: Aim, first: Array) -> Array:
         found = cast(Any, optimize).minimize(energy, start[aim.moves], jac=True, method="L-BFGS-B", bounds=bounds,
                                              options=options)  # fmt: skip
         if found.fun < least:
-            best, least = start.copy(), float(found.fun)
+            best = start.copy()
+            least = float(found.fun)
             best[aim.moves] = found.x
     return best
 
@@ -240,7 +263,8 @@ def descend(aim: Aim, theta: Array, low: Array, high: Array, first: float = 1e-2
 
     first: damping of the first step.
     """
-    moves, damping = aim.moves, np.full(len(theta), first)
+    moves = aim.moves
+    damping = np.full(len(theta), first)
     e, J = aim.at(theta)
     for _ in range(STEPS):
         slope = np.einsum("Nmk,Nm->Nk", J, e)
@@ -255,6 +279,7 @@ def descend(aim: Aim, theta: Array, low: Array, high: Array, first: float = 1e-2
         new, J_new = aim.at(trial)
         better = (new * new).sum(axis=1) < (e * e).sum(axis=1)
         theta = np.where(better[:, None], trial, theta)
-        e, J = np.where(better[:, None], new, e), np.where(better[:, None, None], J_new, J)
+        e = np.where(better[:, None], new, e)
+        J = np.where(better[:, None, None], J_new, J)
         damping = np.clip(np.where(better, 0.3 * damping, 5.0 * damping), 1e-12, 1e6)
     return theta

@@ -71,9 +71,17 @@ class Solutions(ConfigurationList, Answer):
         counts: np.ndarray, lead: tuple[int, ...] | None, used: int | None = None, locked: Array | None = None,
         first: Array | None = None, tried: np.ndarray | None = None, late: tuple[float, np.ndarray] | None = None,
     ):  # fmt: skip
-        self._question, self.plan = question, plan
-        self._base, self._rows, self._counts, self._lead, self._count = base, rows, counts, lead, used
-        self._locked, self._first, self._tried, self._ended = locked, first, tried, late
+        self._question = question
+        self.plan = plan
+        self._base = base
+        self._rows = rows
+        self._counts = counts
+        self._lead = lead
+        self._count = used
+        self._locked = locked
+        self._first = first
+        self._tried = tried
+        self._ended = late
         self._whole: Solutions | None = None  # the answer before some of it was chosen: what is said is about that
         self._left_out: np.ndarray | None = None  # and what is said besides (N,) of those that were left out
 
@@ -131,7 +139,8 @@ class Solutions(ConfigurationList, Answer):
 
     def _full(self) -> Array:
         """Configurations (N, K, nq) of all rows."""
-        n, index = self.system.nq, self.plan.lines.q_index
+        n = self.system.nq
+        index = self.plan.lines.q_index
         own = self._rows[..., : len(index)]
         if self.plan.plain and len(index) == n:
             return own
@@ -163,7 +172,8 @@ class Solutions(ConfigurationList, Answer):
 
     def table(self) -> tuple[list[str], Array]:
         """Names and columns for a file: a row a solution, of a batch with the number of its target before it."""
-        names, mask = list(self.system.coordinate_names), self.mask
+        names = list(self.system.coordinate_names)
+        mask = self.mask
         if self.single:
             return names, self.q
         mask = mask.reshape(-1, mask.shape[-1])
@@ -217,7 +227,8 @@ class Solutions(ConfigurationList, Answer):
         parallel axes, with a wrist of three axes that meet in a point, or with a fourth axis parallel to the second
         and axes 5 and 6 that meet, Stanford arms, and seven turns with a spherical shoulder and wrist ("elbow +").
         """
-        lines, out = self.plan.lines, np.full(self._used.shape, "", dtype=object)
+        lines = self.plan.lines
+        out = np.full(self._used.shape, "", dtype=object)
         if self._kind is not None and self._used.any():
             theta = lines.theta(self._rows[self._used][:, : len(lines)])
             merged = self._code[self._used] // int(A.MULTIPLICITY_UNIT) != 1
@@ -239,7 +250,8 @@ class Solutions(ConfigurationList, Answer):
 
         Rows that the task does not read and columns of joints that are held are zero; in metres and radians.
         """
-        question, plan = self.question, self.plan
+        question = self.question
+        plan = self.plan
         own = np.where(self._used[..., None], self._rows[..., : len(plan.lines)], 0.0)
         q = np.broadcast_to(self._base[:, None], (*own.shape[:2], self.system.nq)).copy()
         q[..., plan.lines.q_index] = own
@@ -254,7 +266,8 @@ class Solutions(ConfigurationList, Answer):
     @cached_property
     def condition(self) -> Array:
         """Condition numbers (k,) or (..., K) of the Jacobian, lengths measured by the chain's; infinite if singular."""
-        plan, J = self.plan, np.nan_to_num(self.jacobian)
+        plan = self.plan
+        J = np.nan_to_num(self.jacobian)
         scale = np.array([1.0 / plan.lines.length] * 3 + [1.0] * 3)[:, None]
         units = np.where(plan.lines.kinds == SLIDE, plan.lines.length, 1.0)
         moves = [i for i in range(len(plan.lines)) if i not in plan.locked]
@@ -382,7 +395,8 @@ class Solutions(ConfigurationList, Answer):
         """The same answer with other rows; what is said is about the `whole`, and what was left out."""
         out = Solutions(self._question, self.plan, self._base, rows, self._counts, self._lead, None, *self._where,
                         late=self._ended)  # fmt: skip
-        out._whole, out._left_out = whole, left_out
+        out._whole = whole
+        out._left_out = left_out
         return out
 
     def __repr__(self) -> str:
@@ -402,7 +416,8 @@ class Solutions(ConfigurationList, Answer):
         """What is shown of one target: coordinates of the chain, and what is special."""
         if not self.single:
             return (), ()
-        names, at = self.system.coordinate_names, self.plan.lines.q_index
+        names = self.system.coordinate_names
+        at = self.plan.lines.q_index
         rows: list[list[str]] = []
         for q, name, inside, m in zip(self.q, self.names, self.inside, self.multiplicity, strict=True):
             notes = [name] if name else []

@@ -45,7 +45,8 @@ def expanded(rows: Array, lines: Lines) -> Array:
         period = 2.0 * math.pi / abs(lines.multiplier[i])
         if lines.kinds[i] == SLIDE or not high - low < math.inf or high - low < period - 1e-9:
             continue
-        code, q = rows[..., -A.INFO + A.CODE], rows[..., i]
+        code = rows[..., -A.INFO + A.CODE]
+        q = rows[..., i]
         fits = (code >= 0.0) & (code.astype(np.int64) % 2 == 1)
         first = np.where(fits, np.ceil((low - q) / period - 1e-12), 0.0)
         last = np.where(fits, np.floor((high - q) / period + 1e-12), 0.0)
@@ -66,7 +67,8 @@ def followed(rows: Array, lines: Lines, length: int) -> Array:
     """The rows (N, K, n + 2) of trajectories of `length` targets, each in the place of the one that it continues."""
     from scipy import optimize
 
-    out, n = rows.copy(), len(lines)
+    out = rows.copy()
+    n = len(lines)
     unit = np.abs(lines.multiplier)
     period = np.where(lines.kinds == SLIDE, np.inf, 2.0 * math.pi / unit)
     for first in range(0, len(rows), max(length, 1)):

@@ -45,8 +45,11 @@ class ArmPlane:
 
     def turned_to(self, to: list[Any], names: dict[str, Any]) -> list[FormulaStep]:
         """The distance in the plane of the arm, and the first coordinate, which turns that plane to the target."""
-        first, rho, shoulder = self.joints[0], names["rho"], names["shoulder"]
-        x, y = to[0] - first.point[0], to[1] - first.point[1]
+        first = self.joints[0]
+        rho = names["rho"]
+        shoulder = names["shoulder"]
+        x = to[0] - first.point[0]
+        y = to[1] - first.point[1]
         aside = tidy(sympy.Matrix([self.normal.dot(self.end - first.point)]))[0]
         _, zero = polar((self.out[0], self.out[1]))
         squares = sympy.expand(aside**2)
@@ -54,9 +57,11 @@ class ArmPlane:
         says = "distance from axis 1 in the plane of the arm, -1 over the shoulder"
         steps = [FormulaStep(rho, shoulder * sympy.sqrt(x**2 + y**2 - squares), says, far)]
         if squares.is_zero:
-            angle, some = sympy.atan2(shoulder * y, shoulder * x), f"{rho} != 0"
+            angle = sympy.atan2(shoulder * y, shoulder * x)
+            some = f"{rho} != 0"
         else:
-            angle, some = sympy.atan2(y, x) + sympy.atan2(aside, rho), ""
+            angle = sympy.atan2(y, x) + sympy.atan2(aside, rho)
+            some = ""
         turn = first.along[2] * (angle - zero)
         steps.append(FormulaStep(sympy.Symbol(first.coordinate), turn, "turns the plane to the target", some))
         return steps
@@ -83,8 +88,12 @@ class ArmPlane:
         S (3, 3) is how that is turned which `a`, `called` so, turns in; `turn` is the symbol of the turn, and in words.
         """
         five, six = self.joints[-2:]
-        b, c, tip = five.along, six.along, self.tip[:3, :3]
-        m, k, wrist = [names[f"m_{i}"] for i in (1, 2, 3)], [names[f"n_{i}"] for i in (2, 3)], names["wrist"]
+        b = five.along
+        c = six.along
+        tip = self.tip[:3, :3]
+        m = [names[f"m_{i}"] for i in (1, 2, 3)]
+        k = [names[f"n_{i}"] for i in (2, 3)]
+        wrist = names["wrist"]
         own = ((a, f"part of axis 6 along {called}"), (b, "along axis 5 at zero"), (tidy(a.cross(b)), "across both"))
         far = ((b, f"part of {called} along axis 5 at zero, seen by the tip"), (tidy(c.cross(b)), "across both"))
         seen = R * tidy(tip.T * c)
@@ -123,7 +132,8 @@ def normal_of(joints: list[JointLine]) -> Any:
 def turn_about(axis: Any, angle: Any) -> Any:
     """The matrix (3, 3) of a turn about a unit vector (Rodrigues, 1840)."""
     x, y, z = axis
-    along, across = axis * axis.T, sympy.Matrix([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    along = axis * axis.T
+    across = sympy.Matrix([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return along + sympy.cos(angle) * (sympy.eye(3) - along) + sympy.sin(angle) * across
 
 

@@ -109,13 +109,13 @@ def ik_plan(
     said, axis = task_and_axis(task)
     what = task_of(said, False, bool(system.structure.table.at[name][2]))
     direction = axis_for(axis, what)
-    lines, note = chain_lines(system, name, direction), ""
+    lines = chain_lines(system, name, direction)
+    note = ""
     if task is None and what == "pose" and len(lines) <= system.dim:
-        n, count = 3 * (system.dim - 1), counted(len(lines), "joint")
-        what, note = (
-            "position",
-            f"a pose has {n} equations, more than the chain has joints ({count}): the position is planned",
-        )
+        n = 3 * (system.dim - 1)
+        count = counted(len(lines), "joint")
+        what = "position"
+        note = f"a pose has {n} equations, more than the chain has joints ({count}): the position is planned"
     given = held(name, lines.names, dict.fromkeys(listed(fixed, "fixed"), 0.0))
     plan = plan_for(system, name, lines, what, direction, tuple(given))
     kinds = tuple("slides" if kind == SLIDE else "turns" for kind in lines.kinds)

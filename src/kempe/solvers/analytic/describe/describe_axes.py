@@ -24,7 +24,8 @@ def relations(lines: Lines) -> tuple[str, ...]:
     Structures are those that `structure.EXACT` accepts; what misses one by less than `NEAR` is reported with its size.
     """
     axes = Axes(lines.kinds, lines.h, lines.o)
-    n, i = len(lines), 0
+    n = len(lines)
+    i = 0
     out: list[str] = []
     if n == 1:
         return (f"{lines.names[0]} is the only joint",)
@@ -77,10 +78,12 @@ def _run(lines: Lines, axes: Axes, first: int, last: int) -> list[str]:
         return [f"{sliding} {verb} along the axis of {names}"]
     gaps = [apart(axes, i, j) for i, j in zip(turns, turns[1:], strict=False)]
     if max(gaps) <= EXACT:
-        fact, them = f"the axes of {names} are one line", "it"
+        fact = f"the axes of {names} are one line"
+        them = "it"
     else:
         size = f", {_metres(lines, gaps[0])} apart" if len(turns) == 2 else ""
-        fact, them = f"the axes of {names} are parallel{size}", "them"
+        fact = f"the axes of {names} are parallel{size}"
+        them = "them"
     out = [fact + (f", and {sliding} {verb} along {them}" if slides else "")]
     if max(gaps) > EXACT:
         for gap, i, j in zip(gaps, turns, turns[1:], strict=False):
@@ -97,7 +100,8 @@ def _ball(lines: Lines, axes: Axes, first: int, last: int) -> str:
 
 def _pair(lines: Lines, axes: Axes, i: int) -> str:
     """The fact about two neighbours that are not parallel."""
-    a, b = lines.names[i], lines.names[i + 1]
+    a = lines.names[i]
+    b = lines.names[i + 1]
     angle, sine = _angle(axes.h[i], axes.h[i + 1])
     at = "right angles" if abs(float(axes.h[i] @ axes.h[i + 1])) <= EXACT else f"{math.degrees(angle):.4g} degrees"
     sliding = axes.kinds[i] == SLIDE, axes.kinds[i + 1] == SLIDE
@@ -135,13 +139,15 @@ def _missed_ball(lines: Lines, axes: Axes, i: int) -> str:
 
 def _foot(axes: Axes, i: int, j: int) -> Array:
     """The point (3,) of axis i nearest to axis j."""
-    n, d = np.cross(axes.h[i], axes.h[j]), axes.o[j] - axes.o[i]
+    n = np.cross(axes.h[i], axes.h[j])
+    d = axes.o[j] - axes.o[i]
     return axes.o[i] + axes.h[i] * (np.cross(d, axes.h[j]) @ n) / (n @ n)
 
 
 def _angle(g: Array, h: Array) -> tuple[float, float]:
     """The angle between two axes, at most a right angle, and its sine."""
-    sine, cosine = float(np.linalg.norm(np.cross(g, h))), abs(float(g @ h))
+    sine = float(np.linalg.norm(np.cross(g, h)))
+    cosine = abs(float(g @ h))
     return math.atan2(sine, cosine), sine
 
 

@@ -60,7 +60,8 @@ def most(plan: ChainPlan) -> int:
 
 def _held(plan: ChainPlan, given: frozenset[str]) -> list[str]:
     names = [plan.lines.names[i] for i in plan.locked]
-    by_user, chosen = [n for n in names if n in given], [n for n in names if n not in given]
+    by_user = [n for n in names if n in given]
+    chosen = [n for n in names if n not in given]
     out: list[str] = []
     if by_user:
         out.append(f"{joined(by_user)} {_is(by_user)} held at the given value{'s' * (len(by_user) > 1)}")
@@ -82,7 +83,8 @@ def _balance(plan: ChainPlan, planar: bool) -> list[str]:
         out.append(f"the task leaves {in_plane if planar else LEAVES_FREE[plan.task]} free")
     missing = (3 if planar else 6) - freedoms(plan.lines, free, unknown)
     if missing > 0:
-        equations, moving = in_words(missing, "equation"), in_words(len(unknown), "joint")
+        equations = in_words(missing, "equation")
+        moving = in_words(len(unknown), "joint")
         why = _why(plan, planar)
         out.append(f"{equations} of the task cannot be met at will, with {moving} to move: most targets are out of "
                    f"reach{why}")  # fmt: skip
@@ -93,7 +95,8 @@ def _why(plan: ChainPlan, planar: bool) -> str:
     """What the frame can never do, as part of a sentence."""
     if planar:
         return ""
-    lines, rng = plan.lines, np.random.default_rng(2)
+    lines = plan.lines
+    rng = np.random.default_rng(2)
     columns: list[Array] = []
     start: Array = spread(lines, rng, 1)[0]
     for _ in range(4):
@@ -116,7 +119,8 @@ def _twists(lines: Lines, theta: Array, locked: tuple[int, ...]) -> Array:
     X = np.eye(4)
     out: list[Array] = []
     for i in range(len(lines)):
-        w, p = X[:3, :3] @ lines.h[i], X[:3, :3] @ lines.o[i] + X[:3, 3]
+        w = X[:3, :3] @ lines.h[i]
+        p = X[:3, :3] @ lines.o[i] + X[:3, 3]
         if i not in locked:
             out.append(np.concatenate([w, np.zeros(3)] if lines.kinds[i] == SLIDE else [np.cross(p, w), w]))
         X = X @ motion(lines.kinds[i], lines.h[i], lines.o[i], theta[i])
@@ -148,7 +152,8 @@ class _Steps:
     """The three outer and the three inner joints of a way, and what each contributes."""
 
     def __init__(self, plan: ChainPlan, way: Strategy):
-        self.plan, self.way = plan, way
+        self.plan = plan
+        self.way = way
         n = len(plan.lines)
         places = [(way.inner + k) % 6 for k in range(6)]
         self.places = [way.order[k] for k in places]
@@ -167,7 +172,8 @@ class _Steps:
 
     def _degrees(self) -> tuple[int, int]:
         """Largest numbers of values of x and z: two of a turn, one of a slide with a linear equation or at rest."""
-        x, z = 3, 5
+        x = 3
+        z = 5
         if self.way.mode == AT_REST:
             return 1, 1
         if self.way.mode == COUPLED:  # of which one alone has two values
@@ -256,7 +262,8 @@ class _Steps:
 
 def _amplitudes(plan: ChainPlan, way: Strategy) -> Array:
     """Largest size (2, 2, 2) of the factors of x and z (rows) in both measures, over some goals."""
-    rng, lines = np.random.default_rng(13), plan.lines
+    rng = np.random.default_rng(13)
+    lines = plan.lines
     theta: Array = spread(lines, rng, 1)[0]
     axes, shift = carried_lines(lines, plan.locked, plan.extra, theta)
     six = Axes(axes.kinds[list(way.order)], axes.h[list(way.order)], axes.o[list(way.order)])

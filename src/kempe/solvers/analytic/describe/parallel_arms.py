@@ -31,7 +31,8 @@ class ParallelArm(ArmPlane):
         """The arm of six joints; None if it is not of this kind."""
         if len(joints) != 6 or not joints[0].turns or not parallel(joints[0].along, Z):
             return None
-        normal, end = normal_of(joints[1:4]), meeting(*joints[4:])
+        normal = normal_of(joints[1:4])
+        end = meeting(*joints[4:])
         if normal is None or end is None or not upright(joints[4].along, normal):
             return None
         return cls(tuple(joints), normal, end, tip)

@@ -63,16 +63,19 @@ def solved(
     `elbow` says what the sign of two turns is.
     """
     kinds = "".join("RP"[not j.turns] for j in arm)
-    one, two = arm[0], arm[1]
+    one = arm[0]
+    two = arm[1]
     if any(one.turns and two.turns and set(minus(two.at, one.at)) == {0} for one, two in pairwise(arm)):
         raise UnsupportedError("two turns are about one axis, which leaves a joint to spare; ik_all gives families")
     if kinds in ("RR", "RRR"):
-        (l1, at1), (l2, at2) = polar(minus(two.at, one.at)), polar(minus(end, two.at))
+        (l1, at1) = polar(minus(two.at, one.at))
+        (l2, at2) = polar(minus(end, two.at))
         steps, first, bend = two_circles(n, minus(to, one.at), l1, l2, elbow, one.sense)
         turns = [first - at1, bend - (at2 - at1)]
         return steps, _turns(arm, turns, angle)
     if kinds in ("RP", "RPR"):
-        gap, (_, at) = minus(end, one.at), polar(two.along)
+        gap = minus(end, one.at)
+        (_, at) = polar(two.along)
         ahead, aside = _parts(gap, two.along)
         steps, u, rail = turning_slide(n, minus(to, one.at), aside)
         turn = rail - at

@@ -64,7 +64,8 @@ class InverseFormulas(Derivation):
             at = np.concatenate([X[..., :3, 3], X[..., :3, :3].reshape(*X.shape[:-2], 9)], axis=-1)
         else:
             at = numbers(self._of_poses(p), "p", len(self.given))
-        several, most = isinstance(sign, (tuple, list, np.ndarray)), max(len(self.signs), 1)
+        several = isinstance(sign, (tuple, list, np.ndarray))
+        most = max(len(self.signs), 1)
         signs: list[Any] = list(sign) if several else [sign] * most
         if not all(is_whole(s) and s in (-1, 1) for s in signs):
             elbows = (" (elbow up)", " (elbow down)") if len(self.signs) < 2 else ("", "")
@@ -150,11 +151,13 @@ def _of_plane(
     system: System, joints: list[JointLine], tip: Any, task: str | None, names: dict[str, Any]
 ) -> InverseFormulas:  # fmt: skip
     """Formulas of a planar arm with at most one slide along z; `names` are the symbols by their words."""
-    arm, lifts = [j for j in joints if not _lifts(j)], [j for j in joints if _lifts(j)]
+    arm = [j for j in joints if not _lifts(j)]
+    lifts = [j for j in joints if _lifts(j)]
     what = task or TASKS[len(arm)]
     x, y, z, phi, *last = (names[word] for word in OWN[:-1])
     inputs: list[Any] = [x, y, *([z] if lifts else []), *([phi] if what == "pose" else [])]
-    n, angle = Names.among(names), phi - sympy.atan2(tip[1, 0], tip[0, 0]) if what == "pose" else None
+    n = Names.among(names)
+    angle = phi - sympy.atan2(tip[1, 0], tip[0, 0]) if what == "pose" else None
     flat = [PlaneJoint.of(j) for j in arm]
     steps, coordinates = in_plane(n, flat, (x, y), (tip[0, 3], tip[1, 3]), angle, last)
     found: dict[str, Any] = {j.name: x for j, x in zip(flat, coordinates, strict=True)}
@@ -168,7 +171,10 @@ def _of_plane(
 def _of_space(system: System, arm: ArmPlane, names: dict[str, Any]) -> InverseFormulas:
     """Formulas of an arm in space; `names` are the symbols by their words."""
     x, y, z, _, *place = (names[word] for word in OWN)
-    inputs, to, steps, R = [x, y, z], [x, y, z], list[FormulaStep](), None
+    inputs = [x, y, z]
+    to = [x, y, z]
+    steps = list[FormulaStep]()
+    R = None
     if len(arm.joints) > 3:
         R = sympy.Matrix(3, 3, [names[word] for word in TURNED])
         inputs += list(R)

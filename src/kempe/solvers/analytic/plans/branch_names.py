@@ -70,7 +70,8 @@ class Kind:
 def kind_of(plan: ChainPlan, planar: bool) -> Kind | None:
     """The kind of arm of a plan, None where its branches have no names."""
     lines = plan.lines
-    n, turns = len(lines), np.flatnonzero(lines.kinds == TURN)
+    n = len(lines)
+    turns = np.flatnonzero(lines.kinds == TURN)
     if n == len(turns) == 7 and plan.task == "pose":
         return _seven(lines)
     if plan.locked:
@@ -169,7 +170,8 @@ def _bend_in_plane(h: Array, o: Array, tip: Array, turns: np.ndarray) -> Array:
     Of the joints `turns` turn; it is seen from where the first axis points to.
     """
     up = h[:, turns[0]]
-    first, second = o[:, turns[1]] - o[:, turns[0]], (o[:, turns[2]] if len(turns) > 2 else tip) - o[:, turns[1]]
+    first = o[:, turns[1]] - o[:, turns[0]]
+    second = (o[:, turns[2]] if len(turns) > 2 else tip) - o[:, turns[1]]
     first, second = (v - up * np.einsum("mi,mi->m", v, up)[:, None] for v in (first, second))
     size = np.linalg.norm(first, axis=1) * np.linalg.norm(second, axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -179,7 +181,9 @@ def _bend_in_plane(h: Array, o: Array, tip: Array, turns: np.ndarray) -> Array:
 
 def _centre(h: Array, o: Array, k: int = 4) -> Array:
     """The point (m, 3) in which axes k and k + 1 (from 0) meet: the one of the first that is next to the other."""
-    a, b, d = h[:, k], h[:, k + 1], o[:, k + 1] - o[:, k]
+    a = h[:, k]
+    b = h[:, k + 1]
+    d = o[:, k + 1] - o[:, k]
     n = np.cross(a, b)
     return o[:, k] + a * (np.einsum("mi,mi->m", np.cross(d, b), n) / np.einsum("mi,mi->m", n, n))[:, None]
 
@@ -223,7 +227,8 @@ def _of_seven(h: Array, o: Array) -> tuple[tuple[Array, Array, Array], tuple[Arr
 
     Sines of the turns of joints 2, 4 and 6 from where the arm is stretched (Shimizu and others, 2008, equation 4).
     """
-    shoulder, wrist = _centre(h, o, 0), _centre(h, o)
+    shoulder = _centre(h, o, 0)
+    wrist = _centre(h, o)
     bend, lengths = _bend(h[:, 3], o[:, 3] - shoulder, wrist - o[:, 3])
     return (_turned(h, 0), bend, _turned(h, 4)), lengths
 

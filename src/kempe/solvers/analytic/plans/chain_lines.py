@@ -74,8 +74,10 @@ class Lines:
 def lines_of(system: System, frame: str) -> Lines:
     """The lines of the chain that moves a frame. Errors: `UnsupportedError` for loops, balls and shared coordinates."""
     chain = chain_of(system, frame)
-    ints, floats = chain.ints, chain.floats
-    rows, numbers = rows_of(ints), numbers_of(ints, floats)
+    ints = chain.ints
+    floats = chain.floats
+    rows = rows_of(ints)
+    numbers = numbers_of(ints, floats)
     n = len(rows)
     names = tuple(system.structure.velocity_names[int(i)] for i in chain.v_index)
     if n == 0:
@@ -98,7 +100,8 @@ def lines_of(system: System, frame: str) -> Lines:
     if not np.array_equal(rows[order, Q_INDEX], np.arange(n)):
         raise UnsupportedError(f"the coordinates of {frame!r} are not one for each joint")
     at = rows[:, Q_INDEX]  # the joint in row i has the chain's coordinate at[i]
-    kinds, multiplier = rows[:, KIND].copy(), numbers[:, MULTIPLIER].copy()
+    kinds = rows[:, KIND].copy()
+    multiplier = numbers[:, MULTIPLIER].copy()
     offset = np.where(kinds == SLIDE, 0.0, np.arctan2(numbers[:, SIN_OFFSET], numbers[:, COS_OFFSET]))
 
     def scaled(h: Array, o: Array, tip: Array, even: Lines | None) -> Lines:
@@ -143,7 +146,8 @@ def _unit_of(kinds: np.ndarray, h: Array, o: Array, tip: Array, limits: Array) -
     turning = np.flatnonzero(kinds != SLIDE)
     if turning.size == 0:
         return np.zeros(3), 1.0
-    slides, all_points = np.flatnonzero(kinds == SLIDE), o
+    slides = np.flatnonzero(kinds == SLIDE)
+    all_points = o
     o = o[turning]
     h = h[turning]
     # the point nearest to all axes
@@ -172,7 +176,8 @@ def _travel(ranges: Array, offsets: Array, tip: Array) -> float:
 
 def _apart(h: Array, o: Array, g: Array, p: Array) -> float:
     """The distance between two lines."""
-    n, d = np.cross(h, g), p - o
+    n = np.cross(h, g)
+    d = p - o
     size = float(np.linalg.norm(n))
     if size < 1e-9:
         return float(np.linalg.norm(d - h * (h @ d)))

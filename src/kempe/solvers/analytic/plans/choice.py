@@ -26,10 +26,12 @@ from kempe.solvers.analytic.plans.plan import (
 )
 from kempe.spatial import Array
 
-MOST_CHOICES, ELIMINATED = 60, 12
+MOST_CHOICES = 60
+ELIMINATED = 12
 """Choices of joints that are looked at for a closed form, and for an elimination where none has a closed form."""
 
-SAMPLES, STEP = 32, 0.1
+SAMPLES = 32
+STEP = 0.1
 """Random poses that measure how often a choice has a solution, and the difference in that which counts."""
 
 TOLERANCE = 1e-9
@@ -120,7 +122,8 @@ def _first(plan: ChainPlan, fixed: tuple[int, ...]) -> tuple[float, ...]:
 
     An elimination takes long where axes line up that do not otherwise; there they are held aside of zero.
     """
-    lines, n = plan.lines, len(plan.lines)
+    lines = plan.lines
+    n = len(plan.lines)
     zero = np.clip(np.zeros(n), *lines.limits)
     if plan.method != "elimination":
         return tuple(zero.tolist())
@@ -137,7 +140,8 @@ def _first(plan: ChainPlan, fixed: tuple[int, ...]) -> tuple[float, ...]:
 def _aligned(plan: ChainPlan, theta: Array) -> int:
     """How many joints that move have an axis nearly parallel to the next one's, or nearly meeting it, at theta (n,)."""
     axes, _ = carried_lines(plan.lines, plan.locked, plan.extra, theta)
-    moving, count = [i for i in range(len(plan.lines)) if i not in plan.locked], 0
+    moving = [i for i in range(len(plan.lines)) if i not in plan.locked]
+    count = 0
     for i, j in itertools.pairwise(moving):
         across = np.cross(axes.h[i], axes.h[j])
         size = float(np.linalg.norm(across))
@@ -147,10 +151,12 @@ def _aligned(plan: ChainPlan, theta: Array) -> int:
 
 def _share(plan: ChainPlan) -> float:
     """The share of random poses that have a solution inside the limits with the locked joints where they are first."""
-    lines, n = plan.lines, len(plan.lines)
+    lines = plan.lines
+    n = len(plan.lines)
     q = within_domains(lines, np.random.default_rng(17).random((SAMPLES, n)))
     held = np.array([plan.first])
-    out, counts = np.empty((SAMPLES, A.SLOTS, n + A.INFO)), np.empty((SAMPLES, 2), dtype=np.int64)
+    out = np.empty((SAMPLES, A.SLOTS, n + A.INFO))
+    counts = np.empty((SAMPLES, 2), dtype=np.int64)
     tolerance = 1e-9 * max(lines.length, 1.0)
     kernel_of(plan)(plan.ints, plan.floats, targets_at(lines, plan.extra, q), held, held, tolerance, TOLERANCE, 0,
                     np.arange(SAMPLES), out, counts)  # fmt: skip

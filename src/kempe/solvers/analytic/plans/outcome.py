@@ -22,7 +22,8 @@ def codes(solutions: Solutions) -> np.ndarray:
     curves of solutions is no proof.
     """
     whole = solutions if solutions._whole is None else solutions._whole
-    used, multiplicity = whole._used, whole._code // int(A.MULTIPLICITY_UNIT)
+    used = whole._used
+    multiplicity = whole._code // int(A.MULTIPLICITY_UNIT)
     curves = (used & (multiplicity == 0)).any(axis=1)
     none = np.where(used.any(axis=1), Status.OUTSIDE_LIMITS, Status.NONE_EXISTS)
     complete = np.ravel(whole.complete) & np.ravel(solutions.complete)  # of the whole, and of what is left
@@ -34,7 +35,8 @@ def codes(solutions: Solutions) -> np.ndarray:
 
 def goals(solutions: Solutions) -> list[tuple[Any, Any, Any]]:
     """Tasks, goals and tolerances of the target, for each of its solutions."""
-    question, lead = solutions.question, solutions._lead
+    question = solutions.question
+    lead = solutions._lead
     X = question.targets[0] if lead is None else question.targets.reshape(*lead, 1, 4, 4)
     allowed = (question.tolerance, max(question.tolerance, question.angular))
     made = of_target(question.frame, question.task, question.axis, X)

@@ -24,13 +24,15 @@ from kempe.spatial import Array
 TRIALS = 24
 """Random configurations that a plan must find again before it is used."""
 
-ELIMINATIONS, MOST_FORMS = 3, 5
+ELIMINATIONS = 3
+MOST_FORMS = 5
 """Completions to six lines that are tried by elimination, and formulations that are kept."""
 
 EIGHT = 8
 """Rows of an answer where targets are solved side by side."""
 
-RANK, AGAIN = 1e-7, 1e-6
+RANK = 1e-7
+AGAIN = 1e-6
 """Singular values below this fraction of the largest are zero when freedoms are counted; how near is found again."""
 
 
@@ -80,7 +82,8 @@ class ChainPlan:
     @cached_property
     def side_by_side(self) -> bool:
         """Whether many targets are solved side by side: six turning joints, an equation in one unknown."""
-        way, lines = self.way, self.lines
+        way = self.way
+        lines = self.lines
         if way is None or self.task != "pose" or way.mode not in (X_FIRST, Z_FIRST):
             return False
         if tuple(sorted(way.order)) != way.order or way.order[-1] >= len(lines) or np.any(lines.kinds == SLIDE):
@@ -101,11 +104,14 @@ class ChainPlan:
 def sweep(lines: Lines, theta: Array) -> tuple[Array, Array, Array]:
     """Tip poses (m, 4, 4), and directions and points (m, n, 3) of the lines, at theta (m, n)."""
     m, n = theta.shape
-    h, o = np.empty((m, n, 3)), np.empty((m, n, 3))
-    R, p = np.broadcast_to(np.eye(3), (m, 3, 3)), np.zeros((m, 3))
+    h = np.empty((m, n, 3))
+    o = np.empty((m, n, 3))
+    R = np.broadcast_to(np.eye(3), (m, 3, 3))
+    p = np.zeros((m, 3))
     K = spatial.skew(lines.h)
     turns = (lines.kinds != SLIDE)[:, None, None]
-    s, c = np.sin(theta)[..., None, None], np.cos(theta)[..., None, None]
+    s = np.sin(theta)[..., None, None]
+    c = np.cos(theta)[..., None, None]
     E = np.where(turns, np.eye(3) + s * K + (1.0 - c) * (K @ K), np.eye(3))
     shift = np.where(turns[..., 0], lines.o - np.einsum("mnij,nj->mni", E, lines.o), theta[..., None] * lines.h)
     for i in range(n):
@@ -129,7 +135,8 @@ def freed(lines: Lines, extra: Extra, count: int) -> Array:
 
     A target says nothing of what its task does not ask: its rotation or position there is any, not that of the chain.
     """
-    rng, M = np.random.default_rng(13), lines.tip
+    rng = np.random.default_rng(13)
+    M = lines.tip
     out = np.tile(np.eye(4), (count, 1, 1))
     for kind, h, o, role in zip(*_parts(extra), strict=True):
         if role == A.FREE:
@@ -161,7 +168,8 @@ def motion(kind: int, h: Array, o: Array, theta: float) -> Array:
 
 def free_lines(lines: Lines, task: str, planar: bool) -> Extra:
     """Lines at the tip that may move freely, for what the task does not ask."""
-    R, p = lines.tip[:3, :3], lines.tip[:3, 3]
+    R = lines.tip[:3, :3]
+    p = lines.tip[:3, 3]
     turns = {"position": (0, 1, 2), "direction": (2,), "position_axis": (2,)}.get(task, ())
     slides = (0, 1, 2) if task in ("orientation", "direction") else ()
     if planar:
@@ -177,13 +185,15 @@ def free_lines(lines: Lines, task: str, planar: bool) -> Extra:
 
 def screws(extra: Extra, tip: Array) -> Array:
     """Columns (6, k) of extra lines in the tip's frame: constant, for they come last."""
-    R, p = tip[:3, :3].T, tip[:3, 3]
+    R = tip[:3, :3].T
+    p = tip[:3, 3]
     J = np.zeros((6, len(extra.kinds)))
     for i, kind in enumerate(extra.kinds):
         if kind == SLIDE:
             J[:3, i] = R @ extra.h[i]
         else:
-            J[:3, i], J[3:, i] = R @ np.cross(extra.h[i], p - extra.o[i]), R @ extra.h[i]
+            J[:3, i] = R @ np.cross(extra.h[i], p - extra.o[i])
+            J[3:, i] = R @ extra.h[i]
     return J
 
 
@@ -221,7 +231,8 @@ def resting(lines: Lines, free: Extra, unknown: list[int], planar: bool) -> Iter
 def _pool(lines: Lines, unknown: list[int], planar: bool) -> tuple[np.ndarray, Array, Array]:
     """Lines to choose from: turns through a point of the last axis, slides, turns through another point."""
     if planar:
-        R, at = np.eye(3), np.zeros((6, 3))
+        R = np.eye(3)
+        at = np.zeros((6, 3))
         at[3] = 0.4, 0.7, 0.0
         return np.array([SLIDE, TURN, TURN, TURN, SLIDE, SLIDE]), R[[2, 0, 1, 2, 0, 1]], at
     turning = [i for i in unknown if lines.kinds[i] != SLIDE]
@@ -230,7 +241,8 @@ def _pool(lines: Lines, unknown: list[int], planar: bool) -> tuple[np.ndarray, A
     u = np.cross(h, [0.36, 0.48, 0.8] if abs(h @ [0.36, 0.48, 0.8]) < 0.9 else [0.8, -0.6, 0.0])
     u /= np.linalg.norm(u)
     w = np.cross(h, u)
-    on, off = lines.o[last] + 0.4 * h, lines.o[last] + 0.3 * h + 0.5 * u + 0.35 * w
+    on = lines.o[last] + 0.4 * h
+    off = lines.o[last] + 0.3 * h + 0.5 * u + 0.35 * w
     kinds = np.array([TURN, TURN, SLIDE, SLIDE, SLIDE, TURN, TURN, TURN])
     return kinds, np.array([u, w, h, u, w, h, u, w]), np.array([on, on, on, on, on, off, off, off])
 
@@ -340,7 +352,9 @@ def _parts(extra: Extra) -> tuple[np.ndarray, Array, Array, np.ndarray]:
 
 def _ways(lines: Lines, unknown: list[int], locked: tuple[int, ...], extra: Extra) -> list[Strategy]:
     """Ways for the six lines, as they are common to two positions of the locked joints."""
-    rng, variants, goals = np.random.default_rng(11), list[Axes](), list[list[Array]]()
+    rng = np.random.default_rng(11)
+    variants = list[Axes]()
+    goals = list[list[Array]]()
     places = [*unknown, *range(len(lines), len(lines) + len(extra.kinds))]
     for _ in range(2 if locked else 1):
         theta = spread(lines, rng, 4)
@@ -363,7 +377,8 @@ def carried_lines(lines: Lines, locked: tuple[int, ...], extra: Extra, theta: Ar
     """All lines as the locked joints carry them, and the motion (4, 4) of all locked joints."""
     X = np.eye(4)
     kinds = np.concatenate([lines.kinds, extra.kinds])
-    h, o = np.vstack([lines.h, extra.h]), np.vstack([lines.o, extra.o])
+    h = np.vstack([lines.h, extra.h])
+    o = np.vstack([lines.o, extra.o])
     for i in range(len(kinds)):
         if i in locked:
             X = X @ motion(kinds[i], h[i], o[i], theta[i])
@@ -377,7 +392,8 @@ def pack(
     forms: tuple[tuple[int, ...], list[int]] | None = None,
 ) -> ChainPlan:  # fmt: skip
     """The plan and its arrays (`kempe.kernels.closed_form.analytic_layout`); forms: orders and ways to eliminate."""
-    n, k = len(lines), len(extra.kinds)
+    n = len(lines)
+    k = len(extra.kinds)
     ints = np.zeros(A.PLAN_HEADER + n + k + n, dtype=np.int64)
     ints[[A.N_LINES, A.N_JOINTS, A.N_LOCKED]] = n + k, n, len(locked)
     order = () if forms is None else forms[0]
@@ -402,13 +418,16 @@ def pack(
 
 def _error(plan: ChainPlan) -> float:
     """The angle or length up to which the plan finds four of five random configurations again."""
-    lines, rng = plan.lines, np.random.default_rng(3)
+    lines = plan.lines
+    rng = np.random.default_rng(3)
     theta = spread(lines, rng, TRIALS)
     q = (theta - lines.offset) / lines.multiplier
     n = len(lines)
     floats = plan.floats.copy()  # limits do not matter here
     floats[-A.JOINT_FLOATS * n :].reshape(n, -1)[:, A.LOW :] = -np.inf, np.inf
-    out, numbers, kernel = np.empty((TRIALS, plan.slots, n + A.INFO)), np.arange(TRIALS), side_by_side_of(plan)
+    out = np.empty((TRIALS, plan.slots, n + A.INFO))
+    numbers = np.arange(TRIALS)
+    kernel = side_by_side_of(plan)
     if kernel is not None:
         q[:, list(plan.locked)] = q[0, list(plan.locked)]
         kernel(plan.ints, floats, targets_at(lines, plan.extra, q), q, q[:1], 0, out, numbers)

@@ -30,7 +30,8 @@ class Watch:
     """The time limit of a call, and the targets whose work it ended, `late` (N,)."""
 
     def __init__(self, limit: TimeLimit, count: int):
-        self.limit, self.late = limit, np.zeros(count, dtype=bool)
+        self.limit = limit
+        self.late = np.zeros(count, dtype=bool)
 
     @property
     def over(self) -> bool:

@@ -42,7 +42,8 @@ class Axes:
     def packed(self) -> Array:
         """The lines as kernels read them."""
         out = np.zeros((len(self.kinds), 8))
-        out[:, :3], out[:, 4:7] = self.h, self.o
+        out[:, :3] = self.h
+        out[:, 4:7] = self.o
         return out.ravel()
 
 
@@ -69,7 +70,8 @@ def parallel(g: Array, h: Array) -> bool:
 
 def apart(axes: Axes, i: int, j: int) -> float:
     """The distance between two lines."""
-    n, d = np.cross(axes.h[i], axes.h[j]), axes.o[j] - axes.o[i]
+    n = np.cross(axes.h[i], axes.h[j])
+    d = axes.o[j] - axes.o[i]
     size = float(np.linalg.norm(n))
     if size <= EXACT:
         return float(np.linalg.norm(np.cross(axes.h[i], d)))
@@ -115,7 +117,8 @@ def keeps_plane(axes: Axes, k: int) -> bool:
 
 def swaps(axes: Axes, i: int) -> bool:
     """Whether lines i and i + 1 can change places: two slides, or a slide and a turn along its direction."""
-    a, b = axes.kinds[i], axes.kinds[i + 1]
+    a = axes.kinds[i]
+    b = axes.kinds[i + 1]
     if a == SLIDE and b == SLIDE:
         return True
     return a != b and parallel(axes.h[i], axes.h[i + 1])
@@ -168,7 +171,8 @@ def _outer(now: list[Axes], goals: list[Array], k: int, what: int) -> Iterator[t
                 amplitude = np.linalg.norm(terms.reshape(2, 2, 3)[..., 1:], axis=-1)
                 size[..., 0] = np.maximum(size[..., 0], amplitude)
                 size[..., 1] = np.minimum(size[..., 1], amplitude)
-        missing, there = size[..., 0] <= EXACT, size[..., 0] > 1e-6
+        missing = size[..., 0] <= EXACT
+        there = size[..., 0] > 1e-6
         for j in (0, 1):
             if missing[1, j] and there[0, j] and there[1, 1 - j]:
                 yield 0, (X_FIRST, j, option)

@@ -46,14 +46,17 @@ from kempe.words import counted
 if TYPE_CHECKING:
     from kempe.model.system import FrameLike, System
 
-SHOULDER, ELBOW, WRIST = (0, 1, 2), 3, (4, 5, 6)
+SHOULDER = (0, 1, 2)
+ELBOW = 3
+WRIST = (4, 5, 6)
 """Places of the joints."""
 
 BRANCHES = tuple((e, s, w) for e in (0, 1) for s in (0, 1) for w in (0, 1))
 """Branches of elbow, shoulder and wrist: 0 where the middle joint is turned in its positive sense, counted from where
 its neighbours are closest to each other (for the elbow: the arm is longest), 1 where in its negative sense."""
 
-ALONG, STRETCHED = 1e-9, 1e-9
+ALONG = 1e-9
+STRETCHED = 1e-9
 """Sine between v and the reference, distance of E from SW in lengths of the arm, below which these are singular."""
 
 MERGED = 1e-13
@@ -107,13 +110,17 @@ def arm_of(lines: Lines, reference: ArrayLike | None = None) -> Arm | str:
         return "its first three axes do not meet in a point"
     if not keeps_point(axes, 4):
         return "its last three axes do not meet in a point"
-    S, W = meeting(axes, SHOULDER), meeting(axes, WRIST)
+    S = meeting(axes, SHOULDER)
+    W = meeting(axes, WRIST)
     assert S is not None and W is not None
-    h, o = lines.h[ELBOW], lines.o[ELBOW]
+    h = lines.h[ELBOW]
+    o = lines.o[ELBOW]
     E = o + h * (h @ (S - o))
     foot = E + h * (h @ (W - E))
-    out, up = W - foot, foot - S
-    cosine, sine = 2.0 * up @ out, 2.0 * up @ np.cross(h, out)
+    out = W - foot
+    up = foot - S
+    cosine = 2.0 * up @ out
+    sine = 2.0 * up @ np.cross(h, out)
     if math.hypot(cosine, sine) < 1e-6:
         return "its fourth joint does not change the distance between shoulder and wrist"
     return Arm(lines, S, E, W, _reference(lines, reference), float(up @ up + out @ out), float(cosine), float(sine))
@@ -168,7 +175,8 @@ def arm_angle(system: System, q: Any, frame: FrameLike, reference: ArrayLike | N
     for i in SHOULDER:
         R = R @ turns(arm.lines.h[i], theta[..., i])
     along, out = _directions(arm, theta[..., ELBOW])
-    v, e = _applied(R, along), _applied(R, out)
+    v = _applied(R, along)
+    e = _applied(R, out)
     r = reference_plane(arm.reference, v)
     psi = np.arctan2(np.sum(e * np.cross(v, r), axis=-1), np.sum(e * r, axis=-1))
     return float(psi) if psi.ndim == 0 else psi
@@ -225,12 +233,16 @@ def three_turns(h: Array, R: Array) -> tuple[Array, Array]:
     """
     a, b, c = h
     w = R @ c
-    cos_ab, cos_bc = a @ b, b @ c
-    sin_ab, sin_bc = np.linalg.norm(np.cross(a, b)), np.linalg.norm(np.cross(b, c))
+    cos_ab = a @ b
+    cos_bc = b @ c
+    sin_ab = np.linalg.norm(np.cross(a, b))
+    sin_bc = np.linalg.norm(np.cross(b, c))
     spread = (sin_ab - sin_bc) ** 2
     d2 = 0.25 * (np.sum((a - w) ** 2, axis=-1) - (cos_ab - cos_bc) ** 2 - spread)
     d2 = d2 * (np.sum((a + w) ** 2, axis=-1) - (cos_ab + cos_bc) ** 2 - spread)
-    x, y, k = a @ c - cos_ab * cos_bc, a @ np.cross(b, c), w @ a - cos_ab * cos_bc
+    x = a @ c - cos_ab * cos_bc
+    y = a @ np.cross(b, c)
+    k = w @ a - cos_ab * cos_bc
     d = np.sqrt(np.maximum(d2, 0.0))
     out = np.empty((*R.shape[:-2], 2, 3))
     for i, sign in enumerate((1.0, -1.0)):
@@ -243,8 +255,11 @@ def three_turns(h: Array, R: Array) -> tuple[Array, Array]:
 
 def _onto(h: Array, u: Array, v: Array) -> Array:
     """The angle (...) about h (3,) that brings u into the half plane of v; 0 where one of them lies along h."""
-    u, v = u - (u @ h)[..., None] * h, v - (v @ h)[..., None] * h  # now no digits are lost where they come close to h
-    sine, cosine = np.sum((u @ spatial.skew(h).T) * v, axis=-1), np.sum(u * v, axis=-1)
+    # now no digits are lost where they come close to h
+    u = u - (u @ h)[..., None] * h
+    v = v - (v @ h)[..., None] * h
+    sine = np.sum((u @ spatial.skew(h).T) * v, axis=-1)
+    cosine = np.sum(u * v, axis=-1)
     return np.where(np.hypot(sine, cosine) > ROUNDING**2, np.arctan2(sine, cosine), 0.0)
 
 
@@ -263,11 +278,14 @@ class Turning:
 
     def reaches(self, p: Array, x: Array, k: float) -> list[float]:
         """Arm angles at which p . R x = k: none, or two."""
-        a, b, m = float(p @ self.cosine @ x), float(p @ self.sine @ x), float(p @ self.constant @ x)
+        a = float(p @ self.cosine @ x)
+        b = float(p @ self.sine @ x)
+        m = float(p @ self.constant @ x)
         r = math.hypot(a, b)
         if r < 1e-14 or abs(k - m) > r:
             return []
-        middle, half = math.atan2(b, a), math.acos((k - m) / r)
+        middle = math.atan2(b, a)
+        half = math.acos((k - m) / r)
         return [middle - half, middle + half]
 
 
@@ -317,7 +335,8 @@ class Posed:
         goal = X @ spatial.inverse(lines.tip)
         to = goal[:3, :3] @ arm.wrist + goal[:3, 3] - arm.shoulder
         self.distance = float(np.linalg.norm(to))
-        r, k = math.hypot(arm.cosine, arm.sine), self.distance**2 - arm.size
+        r = math.hypot(arm.cosine, arm.sine)
+        k = self.distance**2 - arm.size
         self.halves: list[tuple[int, Half]] = []
         if abs(k) <= r * (1.0 + 1e-12) and self.distance > STRETCHED:
             merged = 1.0 - abs(k) / r < AT_REACH  # less than rounding can tell
@@ -331,13 +350,16 @@ class Posed:
     def theta(self, psi: Array) -> tuple[Array, np.ndarray]:
         """Variables (m, 8, 7) of the branches at arm angles psi (m,), and which are there (m, 8)."""
         psi = np.asarray(psi, dtype=float)
-        out, found = np.full((len(psi), 8, 7), np.nan), np.zeros((len(psi), 8), dtype=bool)
+        out = np.full((len(psi), 8, 7), np.nan)
+        found = np.zeros((len(psi), 8), dtype=bool)
         h = self.arm.lines.h
         for i, half in self.halves:
             shoulder, d2 = three_turns(h[:3], half.shoulder.at(psi))
             wrist, e2 = three_turns(h[4:], half.wrist.at(psi))
             rows = out[:, 4 * i : 4 * i + 4].reshape(len(psi), 2, 2, 7)
-            rows[..., :3], rows[..., 3], rows[..., 4:] = shoulder[:, :, None], half.theta, wrist[:, None]
+            rows[..., :3] = shoulder[:, :, None]
+            rows[..., 3] = half.theta
+            rows[..., 4:] = wrist[:, None]
             out[:, 4 * i : 4 * i + 4] = rows.reshape(len(psi), 4, 7)
             found[:, 4 * i : 4 * i + 4] = ((d2 >= -MERGED) & (e2 >= -MERGED))[:, None]
         return out, found
@@ -394,5 +416,6 @@ def inside(lines: Lines, theta: Array, slack: float = FITS) -> np.ndarray:
 def _lifted(q: Array, low: Array, high: Array, period: Array) -> Array:
     """q with whole turns added to be just above the lower limit, or just below the upper where there is no lower."""
     with np.errstate(invalid="ignore"):
-        above, below = low + np.mod(q - low, period), high - np.mod(high - q, period)
+        above = low + np.mod(q - low, period)
+        below = high - np.mod(high - q, period)
     return np.where(np.isfinite(low), above, np.where(np.isfinite(high), below, q))

@@ -32,7 +32,8 @@ def joined(parts: list[tuple[float, float]], good: list[bool]) -> list[tuple[flo
     first = good.index(False)
     out: list[list[float]] = []
     for k in range(first, first + len(parts)):
-        (low, high), turn = parts[k % len(parts)], TWO_PI * (k // len(parts))
+        (low, high) = parts[k % len(parts)]
+        turn = TWO_PI * (k // len(parts))
         if not good[k % len(parts)]:
             continue
         if out and abs(out[-1][1] - (low + turn)) <= SAME_ANGLE:

@@ -45,7 +45,8 @@ if TYPE_CHECKING:
 
 ARM_ANGLE = "arm_angle"
 
-SAMPLES, MOST_SAMPLES = 256, 10_000_000
+SAMPLES = 256
+MOST_SAMPLES = 10_000_000
 """Values of a joint at which all solutions are requested, as starts of the curves between: usually, and at most."""
 USUAL = Usual("ik_sweep", points=SAMPLES, time_limit=SHORT)
 
@@ -142,7 +143,8 @@ def by_arm_angle(problem: Problem) -> Sweep:
 
 def by_joint(problem: Problem) -> Sweep:
     """The branches over a joint, from solutions at many of its values."""
-    over, points = _sweep_problem(problem), _count(USUAL.of(problem.budget).points)
+    over = _sweep_problem(problem)
+    points = _count(USUAL.of(problem.budget).points)
     return _sweep(over, _joint_curves(over, problem.options["parameter"], points), problem.options["n"])
 
 
@@ -155,7 +157,8 @@ SOLVERS = (
 
 
 def _sweep_problem(problem: Problem) -> SweepProblem:
-    (task, axis), given = problem.task, problem.options["given"]
+    (task, axis) = problem.task
+    given = problem.options["given"]
     lines = chain_lines(problem.system, str(problem.frame), Z_AXIS)
     return SweepProblem(problem.system, str(problem.frame), lines, task, axis, problem.targets[0], given,
                  problem.options["base"], dict(problem.known), problem.start is None, time_of(USUAL))  # fmt: skip
@@ -198,7 +201,8 @@ class SweepProblem:
             found = ik_all(self.system, self.given, self.frame, task=(self.task, self.axis), fixed=self.fixed)
             if found:
                 return found.q[0]
-        q, at = self.near.copy(), self.lines.q_index
+        q = self.near.copy()
+        at = self.lines.q_index
         q[at] = np.clip(q[at], *self.lines.limits)
         return q
 
@@ -239,11 +243,16 @@ def _sweep(over: SweepProblem, curves: ArmCurves | JointCurves, n: int | None) -
 class ArmCurves:
     """The eight branches of an arm over its arm angle."""
 
-    parameter, exact, circular, late = ARM_ANGLE, True, True, False
+    parameter = ARM_ANGLE
+    exact = True
+    circular = True
+    late = False
     domain = (-math.pi, math.pi)
 
     def __init__(self, over: SweepProblem, arm: Arm):
-        self.posed, self.lines, self.base = Posed(arm, over.target), arm.lines, over.near
+        self.posed = Posed(arm, over.target)
+        self.lines = arm.lines
+        self.base = over.near
         self.held: dict[str, float] = {}
         names = (arm.lines.names[1], arm.lines.names[ELBOW], arm.lines.names[5])
         self.labels = tuple(
@@ -259,20 +268,28 @@ class ArmCurves:
         """Coordinates (m, 8, 7), and which branches are there (m, 8); (m, 1, 7) and (m, 1) of one branch."""
         theta, found = self.posed.theta(values)
         if branch is not None:
-            theta, found = theta[:, [branch]], found[:, [branch]]
+            theta = theta[:, [branch]]
+            found = found[:, [branch]]
         return (theta - self.lines.offset) / self.lines.multiplier, found
 
 
 class JointCurves:
     """Branches over a joint: arcs of the curves of self-motion."""
 
-    exact, circular = False, False
+    exact = False
+    circular = False
 
     def __init__(self, motion: ChainMotion, arcs: list[CurvePiece], name: str, domain: tuple[float, float],
                  fixed: dict[str, float], samples: int, late: bool):  # fmt: skip
         self.late = late
-        self.motion, self.arcs, self.lines, self.parameter = motion, arcs, motion.lines, name
-        self.domain, self.held, self.base, self.unit = domain, fixed, motion.base, float(motion.unit[motion.p])
+        self.motion = motion
+        self.arcs = arcs
+        self.lines = motion.lines
+        self.parameter = name
+        self.domain = domain
+        self.held = fixed
+        self.base = motion.base
+        self.unit = float(motion.unit[motion.p])
         self.labels = tuple(f"branch {k + 1}" for k in range(len(arcs)))
         self.reason = f"none of {counted(samples, 'value')} has one; it may be that the target alone decides it"
 

@@ -39,7 +39,8 @@ HOLDS = (1e-6, 1e-6)
 SAME = 1e-6
 """Largest difference of two configurations that count as one."""
 
-TRIES, REFINED = 201, 4
+TRIES = 201
+REFINED = 4
 """Configurations of each interval that are compared, and how many of the best of these are refined."""
 
 LATE = "the time limit ended the search: there may be more"
@@ -124,7 +125,8 @@ class Slice(ConfigurationList, Answer):
         return self.mask
 
     def _sentence(self, index: tuple[int, ...]) -> str:
-        count, good = int(self.mask[index].sum()), int(self.inside[index].sum())
+        count = int(self.mask[index].sum())
+        good = int(self.inside[index].sum())
         value = float(np.asarray(self.value)[index])
         return f"{counted(count, 'solution')} at {self.sweep.parameter} = {value:.9g}, {good} inside limits"
 
@@ -209,7 +211,8 @@ class Sweep(Answer):
         for k in range(0, max(len(values), 1), PIECE):
             look()
             rows.append(self.curves.rows(values[k : k + PIECE], branch))
-        chain, mask = np.concatenate([x for x, _ in rows]), np.concatenate([x for _, x in rows])
+        chain = np.concatenate([x for x, _ in rows])
+        mask = np.concatenate([x for _, x in rows])
         chain, fits = turned(lines, chain, mask, self.near[lines.q_index], along)
         q = np.full((*mask.shape, self.system.nq), np.nan)
         q[:] = self.near
@@ -267,12 +270,14 @@ class Sweep(Answer):
             return lambda q: -np.linalg.norm(q - self.near, axis=-1)
         if objective != "limits":
             raise InputError(f"objective is {objective!r}; it must be 'limits', 'near' or a function of configurations")
-        (low, high), at = lines.limits, lines.q_index
+        (low, high) = lines.limits
+        at = lines.q_index
         limited = np.isfinite(low) & np.isfinite(high) & (high > low)
 
         def room(q: Array) -> Array:
             x = q[..., at][..., limited]
-            a, b = low[limited], high[limited]
+            a = low[limited]
+            b = high[limited]
             return np.min(2.0 * np.minimum(x - a, b - x) / (b - a), axis=-1, initial=1.0)
 
         return room
@@ -348,7 +353,8 @@ def turned(lines: Lines, q: Array, mask: np.ndarray, near: Array, along: bool) -
     if not along:
         out, fits = _turned(lines, q, near, period)
         return out, fits & mask
-    out, fits = np.empty_like(q), np.empty(mask.shape, dtype=bool)
+    out = np.empty_like(q)
+    fits = np.empty(mask.shape, dtype=bool)
     last = np.broadcast_to(near, q.shape[1:])
     for i in range(len(q)):
         look()

@@ -28,10 +28,12 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.system import System
 
-LONGEST, MOST_STEPS = 0.15, 4000
+LONGEST = 0.15
+MOST_STEPS = 4000
 """The longest step along a curve [rad, lengths of the chain], and how many a curve may have."""
 
-CONVERGED, HELD = 1e-13, 1e-11
+CONVERGED = 1e-13
+HELD = 1e-11
 """Error of a configuration that is corrected no further, and of one that is taken for good."""
 
 CHECKS = np.linspace(0.0, 1.0, 6)
@@ -138,7 +140,8 @@ class ChainMotion(Curve):
         at = np.sum(across * x, axis=-1)
 
         def both(x: Array, some: np.ndarray) -> tuple[Array, Array]:
-            e, J = self.missing(self.q(x)), self.jacobian(x)
+            e = self.missing(self.q(x))
+            J = self.jacobian(x)
             away = np.sum(across[some] * x, axis=-1) - at[some]
             return np.append(-e, away[:, None], axis=-1), np.append(J, across[some, None], axis=-2)
 
@@ -147,13 +150,15 @@ class ChainMotion(Curve):
 
     def gap(self, x: Array, y: Array) -> Array:
         """y - x (..., nf), angles the short way."""
-        d, period = y - x, self.period
+        d = y - x
+        period = self.period
         with np.errstate(invalid="ignore"):
             return np.where(np.isfinite(period), d - period * np.round(d / period), d)
 
     def inside(self, x: Array) -> np.ndarray:
         """Whether x (..., nf) is inside the limits (...), by any turn; the parameter is not looked at."""
-        (low, high), period = self.limits, self.period
+        (low, high) = self.limits
+        period = self.period
         with np.errstate(invalid="ignore"):
             up = np.where(np.isfinite(period) & np.isfinite(low), low + np.mod(x - low, period), x)
             only = np.isfinite(period) & ~np.isfinite(low) & np.isfinite(high)
@@ -188,18 +193,21 @@ class CurvePiece:
 
     def at(self, values: Array) -> tuple[Array, np.ndarray]:
         """Points (m, nf) at values (m,) of the parameter, and whether the arc is there (m,)."""
-        p, known = self.motion.p, self.values
+        p = self.motion.p
+        known = self.values
         there = (values >= known[0]) & (values <= known[-1])
         out = np.full((len(values), self.x.shape[1]), np.nan)
         if not there.any():
             return out, there
         v = values[there]
         k = np.clip(np.searchsorted(known, v, side="right") - 1, 0, len(known) - 2)
-        low, high = np.zeros(len(v)), np.ones(len(v))
+        low = np.zeros(len(v))
+        high = np.ones(len(v))
         for _ in range(45):
             s = 0.5 * (low + high)
             less = self.guess(k, s)[:, p] < v
-            low, high = np.where(less, s, low), np.where(less, high, s)
+            low = np.where(less, s, low)
+            high = np.where(less, high, s)
         x = self.guess(k, 0.5 * (low + high))
         x[:, p] = v
         across = np.zeros_like(x)
@@ -209,8 +217,10 @@ class CurvePiece:
         good &= np.linalg.norm(better - x, axis=-1) < 0.5 * steps + 1e-6
         for end in (0, -1):  # the ends are folds, where the corrector has nothing to hold on to
             at_end = np.abs(v - known[end]) <= 1e-14 * (1.0 + abs(known[end]))
-            better[at_end], good[at_end] = self.x[end], True
-        out[there], there[there] = better, good
+            better[at_end] = self.x[end]
+            good[at_end] = True
+        out[there] = better
+        there[there] = good
         return out, there
 
     def intervals(self, limited: bool = True) -> list[tuple[float, float]]:
@@ -233,7 +243,8 @@ class CurvePiece:
 
     def _crossings(self) -> Iterator[tuple[float, float]]:
         """Places (step and fraction of it) where a joint other than the parameter passes a limit, and the parameter."""
-        m, steps = self.motion, len(self.x) - 1
+        m = self.motion
+        steps = len(self.x) - 1
         k = np.repeat(np.arange(steps), len(CHECKS))
         some = self.guess(k, np.tile(CHECKS, steps)).reshape(steps, len(CHECKS), -1)
         found: list[tuple[int, int, int, float]] = []
@@ -249,13 +260,15 @@ class CurvePiece:
         if not found:
             return
         at, i, joint, level = (np.array(column) for column in zip(*found, strict=True))
-        low, high = CHECKS[i], CHECKS[i + 1]
+        low = CHECKS[i]
+        high = CHECKS[i + 1]
         rows = np.arange(len(at))
         rising = self.guess(at, high)[rows, joint] > self.guess(at, low)[rows, joint]
         for _ in range(30):
             s = 0.5 * (low + high)
             before = (self.guess(at, s)[rows, joint] < level) == rising
-            low, high = np.where(before, s, low), np.where(before, high, s)
+            low = np.where(before, s, low)
+            high = np.where(before, high, s)
         first = self.guess(at, 0.5 * (low + high))
         first[rows, joint] = level
         x, good = m.closed(first, np.eye(some.shape[-1])[joint])
@@ -284,7 +297,8 @@ def rotation_vector(R: Array) -> Array:
 
 def hermite(x0: Array, t0: Array, x1: Array, t1: Array, s: Array) -> Array:
     """Points (m, n) at fractions s (m,) of steps between nodes (m, n) with unit tangents."""
-    size, s = np.linalg.norm(x1 - x0, axis=-1, keepdims=True), s[:, None]
+    size = np.linalg.norm(x1 - x0, axis=-1, keepdims=True)
+    s = s[:, None]
     d = x1 - x0
     return x0 + s * s * (3.0 - 2.0 * s) * d + size * (s * (1.0 - s) ** 2 * t0 - s * s * (1.0 - s) * t1)
 
@@ -299,7 +313,8 @@ def follow(
 
     Where the curve has no tangent, or is too long, the last node is inside.
     """
-    nodes, ends = [node(motion, start, tangent)], list[Node]()
+    nodes = [node(motion, start, tangent)]
+    ends = list[Node]()
 
     def taken(a: Node, h: float) -> list[Node] | None:
         b = step(motion, a, h)
@@ -332,7 +347,9 @@ def _landed(motion: ChainMotion, a: Node, b: Node, value: float) -> GaussNewtonE
 
 def pieces(motion: ChainMotion, xs: list[Array], ts: list[Array]) -> list[tuple[Array, Array]]:
     """Nodes and tangents between the folds of a path, in its order."""
-    nodes, tangents, ends = [xs[0]], [ts[0]], [0]
+    nodes = [xs[0]]
+    tangents = [ts[0]]
+    ends = [0]
     for k in range(len(xs) - 1):
         for x, t in _folds(motion, xs[k], ts[k], xs[k + 1], ts[k + 1]):
             ends.append(len(nodes))
@@ -347,15 +364,19 @@ def pieces(motion: ChainMotion, xs: list[Array], ts: list[Array]) -> list[tuple[
 
 def _folds(motion: ChainMotion, x: Array, t: Array, y: Array, u: Array) -> Iterator[tuple[Array, Array]]:
     """Points and tangents in a step where the parameter turns back."""
-    p, piece, at_0 = motion.p, CurvePiece(motion, np.array([x, y]), np.array([t, u])), np.array([0])
+    p = motion.p
+    piece = CurvePiece(motion, np.array([x, y]), np.array([t, u]))
+    at_0 = np.array([0])
 
     def slope(s: float) -> float:
         return float(node(motion, piece.points(at_0, np.array([s]))[0], t).t[p])
 
     size = float(np.linalg.norm(y - x))
-    s, d = CHECKS, (y - x)[p]
+    s = CHECKS
+    d = (y - x)[p]
     rates = 6.0 * s * (1.0 - s) * d + size * ((1.0 - s) * (1.0 - 3.0 * s) * t[p] - s * (2.0 - 3.0 * s) * u[p])
-    rates[0], rates[-1] = t[p], u[p]
+    rates[0] = t[p]
+    rates[-1] = u[p]
     if not np.any((rates[1:] > 0.0) != (rates[:-1] > 0.0)):
         return
     # the cubic says that there is one; the curve itself says where

@@ -31,7 +31,10 @@ class Net:
     """
 
     def __init__(self, motion: ChainMotion, values: Array, x: Array, level: np.ndarray):
-        self.motion, self.values, self.x, self.level = motion, values, x, level
+        self.motion = motion
+        self.values = values
+        self.x = x
+        self.level = level
         t = svd(motion.jacobian(x))[2][:, -1] if len(x) else np.zeros_like(x)
         self.t = np.where(t[:, motion.p, None] < 0.0, -t, t)
         self.up: dict[int, tuple[int, Piece]] = {}
@@ -56,12 +59,14 @@ class Net:
         if not low.size or not high.size:
             return
         d = self.motion.gap(self.x[low][:, None], self.x[high][None])
-        t, u = self.t[low][:, None], self.t[high][None]
+        t = self.t[low][:, None]
+        u = self.t[high][None]
         size = np.linalg.norm(d, axis=-1)
         straight = np.linalg.norm(d - 0.5 * size[..., None] * (t + u), axis=-1) <= STRAIGHT * size
         fits = straight & (np.sum(t * u, axis=-1) >= math.cos(BEND)) & (size < 2.0 * LONGEST)
         for j, k in zip(*np.nonzero(fits & (fits.sum(axis=0) == 1) & (fits.sum(axis=1) == 1)[:, None]), strict=True):
-            a, b = int(low[j]), int(high[k])
+            a = int(low[j])
+            b = int(high[k])
             x = np.array([self.x[a], self.x[a] + d[j, k]])
             self._link(a, b, (x, self.t[[a, b]]))
 
@@ -75,7 +80,8 @@ class Net:
         Its pieces are kept in `up`, `head`, `foot` and `loose`.
         """
         look()
-        motion, i = self.motion, int(self.level[a])
+        motion = self.motion
+        i = int(self.level[a])
         j = i + int(sense)
         between = (float(min(self.values[i], self.values[j])), float(max(self.values[i], self.values[j])))
         xs, ts = follow(motion, self.x[a], sense * self.t[a], between)
@@ -132,15 +138,19 @@ class Net:
 
     def _arc(self, parts: list[Piece]) -> CurvePiece:
         """One arc of pieces that follow each other, angles without jumps, the parameter rising."""
-        (x, t), p = parts[0], self.motion.p
-        xs, ts = list(x), list(t)
+        (x, t) = parts[0]
+        p = self.motion.p
+        xs = list(x)
+        ts = list(t)
         for more, tangents in parts[1:]:
             turn = xs[-1] + self.motion.gap(xs[-1], more[0]) - more[0]
             xs += list(more[1:] + turn)
             ts += list(tangents[1:])
-        x, t = np.array(xs), np.array(ts)
+        x = np.array(xs)
+        t = np.array(ts)
         if x[-1, p] < x[0, p]:
-            x, t = x[::-1], -t[::-1]
+            x = x[::-1]
+            t = -t[::-1]
         keep = np.concatenate([[True], np.diff(np.maximum.accumulate(x[:, p])) > 0.0])
         return CurvePiece(self.motion, x[keep], t[keep])
 
